@@ -16,7 +16,7 @@ from libmodbus_py import AsyncClient, Client, ModbusConnectionError, State, pdu
 from tests.simulation.network import Network
 from tests.simulation.ports import memory_port
 from tests.simulation.scripted import Scripted, Write
-from tests.support.peers import FakeServer, FakeUnit, echo
+from tests.support.peers import FakeServer, echo
 from tests.support.scripted import run
 from tests.support.talk import value
 
@@ -42,28 +42,6 @@ def test_a_line_that_must_be_turned_round_is_sent_to_after_its_delay(rs485: str)
                 assert await plc.read_holding_registers(address, 1) == [address]
                 assert peer.times[-1] - begun >= 0.25
             assert len(peer.requests) == 2
-
-    network.run(main)
-
-
-def test_a_request_beside_others_is_sent_before_they_are_answered() -> None:
-    network = Network()
-
-    def answer_both(request: bytes, write: Write) -> None:
-        if len(peer.requests) == 2:
-            for each in peer.requests:
-                answer_tcp(each, write)
-
-    peer = Scripted(network, "tcp://10.0.0.1", answer_both)
-
-    async def main() -> None:
-        async with AsyncClient(peer.url, timeout=10, max_in_flight=2) as plc:
-            first = asyncio.create_task(plc.read_holding_registers(1, 1))
-            await asyncio.sleep(1)
-            assert len(peer.requests) == 1
-            assert await plc.read_holding_registers(2, 1) == [2]
-            assert await first == [1]
-        assert network.events.now < 1002
 
     network.run(main)
 
@@ -210,28 +188,3 @@ def test_values_of_a_watch_come_in_the_way_of_its_client() -> None:
     with pytest.raises(TypeError, match="plain for"):
         anext(plc.watch(items, every=1)).send(None)  # type: ignore[arg-type, misc]
     plc.close()
-
-
-def test_the_loop_goes_on_while_a_line_is_turned_round() -> None:
-    """RTS is set 50 ms before the first bit and as long after the last."""
-    answer = bytes.fromhex("01 03 02 0007 F986")
-
-    async def main() -> None:
-        turns = 0
-
-        async def count() -> None:
-            nonlocal turns
-            while True:
-                await asyncio.sleep(0.001)
-                turns += 1
-
-        with FakeUnit(lambda request: [answer]) as unit:
-            url = f"rtu://{unit.path}?baudrate=115200&rs485=rts-up&rts_delay=0.05"
-            async with AsyncClient(url) as plc:
-                counting = asyncio.create_task(count())
-                for _ in range(2):
-                    assert await plc.read_holding_registers(0, 1) == [7]
-                counting.cancel()
-        assert turns > 20
-
-    run(main())

@@ -6,14 +6,21 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import itertools
 import logging
 import math
 from typing import Any
 
 import pytest
 
-from libmodbus_py import FrameError, IllegalDataAddress, ModbusConnectionError, pdu
-from libmodbus_py.client.call import NOT_ASKED, Batch
+from libmodbus_py import (
+    FrameError,
+    IllegalDataAddress,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    pdu,
+)
+from libmodbus_py.client.call import NOT_ASKED, Batch, Timeouts, raised
 from libmodbus_py.client.reconnecting import State
 from libmodbus_py.ports.trace import Traced
 from tests.support.cases import each_case
@@ -62,18 +69,6 @@ def test_a_trace_is_told_of_everything() -> None:
             assert (told[1].unit, told[1].function) == (None, None)
         assert all(each.endpoint.startswith(url) for each in told)
         assert "unit 1, function 3: " in str(told[0])
-
-
-@BOTH
-def test_a_trace_that_fails_harms_nobody(url: str, caplog: pytest.LogCaptureFixture) -> None:
-    def broken(traced: Traced) -> None:
-        raise ZeroDivisionError
-
-    talk = Talk(url, trace=broken)
-    batch = talk.ask(5)
-    talk.come(answer(talk))
-    assert batch.outcomes == [[5]]
-    assert [record.exc_info is not None for record in caplog.records] == [True, True]
 
 
 def test_the_logger_of_the_wire_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
@@ -189,14 +184,6 @@ def test_who_only_waits_for_a_connection_is_told_why_there_is_none() -> None:
     assert joining.outcome.errno == 111
     assert left.outcome is NOT_ASKED
     assert talk.is_at_rest
-
-
-def test_who_is_refused_does_not_wait() -> None:
-    talk = Talk()
-    talk.connection.closed(talk.now)
-    assert talk.ask(1).is_done
-    assert talk.is_at_rest
-    assert talk.connection.alarm == float("inf")
 
 
 def test_requests_go_out_before_answers_are_decoded() -> None:
@@ -315,21 +302,6 @@ def test_nothing_is_left_of_what_was_interrupted(url: str) -> None:
     assert batch.outcomes == [[7]]
 
 
-@BOTH
-def test_a_broadcast_that_was_interrupted_holds_nobody_up(url: str) -> None:
-    talk = Talk(url, timeout=1, turnaround=5)
-    everyone = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
-    talk.connection.interrupted(INTERRUPTED, talk.now)
-    assert talk.statistics.results[6, "cancelled"] == 1
-    assert not everyone.is_done
-    talk.open()
-    batch = talk.ask(7)
-    talk.wait_for(2)
-    assert talk.now < 1
-    talk.come(answer(talk))
-    assert batch.outcomes == [[7]]
-
-
 def test_an_attempt_that_was_interrupted_is_given_up() -> None:
     talk = Talk(is_open=False)
     talk.ask(1)
@@ -352,3 +324,66 @@ def test_a_connection_that_was_lost_begins_with_nothing_in_flight() -> None:
     talk.wait_for(2)
     assert talk.now < 5
     assert talk.connection.in_flight == 1
+
+
+# --- batches ----------------------------------------------------------------------------------
+
+
+NO_ANSWER = ModbusTimeoutError("late")
+
+
+def batch(count: int, **options: Any) -> Batch:
+    requests: list[pdu.Request[Any]] = [pdu.ReadCoils(number, 1) for number in range(count)]
+    return Batch(1, requests, Timeouts(1, 0, 0), **options)
+
+
+def settle(made: Batch, *outcomes: tuple[int, Any]) -> None:
+    for index, outcome in outcomes:
+        made.calls[index].settle(outcome)
+
+
+# --- calls ----------------------------------------------------------------------------------
+
+
+# --- batches --------------------------------------------------------------------------------
+
+
+@each_case("order", list(itertools.permutations(range(3))))
+def test_all_results_decide_it_in_any_order(order: tuple[int, ...]) -> None:
+    made = batch(3)
+    for number in order:
+        assert not made.is_done
+        settle(made, (number, number))
+    assert made.is_done
+    assert made.outcomes == [0, 1, 2]
+
+
+@each_case("order", list(itertools.permutations(range(4))))
+def test_the_first_failure_decides_it_when_all_before_it_is_known(order: tuple[int, ...]) -> None:
+    """The third one fails: the fourth does not matter."""
+    made = batch(4)
+    known = set()
+    for number in order:
+        settle(made, (number, NO_ANSWER if number == 2 else number))
+        known.add(number)
+        assert made.is_done == ({0, 1, 2} <= known)
+    assert made.outcomes[:3] == [0, 1, NO_ANSWER]
+    with pytest.raises(ModbusTimeoutError):
+        raised(made.outcomes)
+
+
+def test_the_end_is_told_once() -> None:
+    told: list[Batch] = []
+    made = batch(1)
+    made.on_done = told.append
+    settle(made, (0, "first"), (0, "second"))
+    made.settle(NO_ANSWER)
+    assert (told, made.outcomes) == ([made], ["first"])
+
+
+def test_a_batch_that_fails_keeps_the_outcomes_it_has() -> None:
+    made = batch(3)
+    settle(made, (1, 1))
+    made.settle(NO_ANSWER)
+    assert made.is_done
+    assert made.outcomes[0] is NO_ANSWER

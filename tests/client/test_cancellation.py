@@ -57,21 +57,6 @@ def test_an_answer() -> None:
     run(after(0.2), main)
 
 
-def test_a_slot() -> None:
-    async def main(network: Network, peer: Scripted) -> None:
-        async with AsyncClient(peer.url, max_in_flight=1) as plc:
-            first = asyncio.create_task(plc.read_holding_registers(1, 1))
-            second = asyncio.create_task(plc.read_holding_registers(2, 1))
-            third = asyncio.create_task(plc.read_holding_registers(3, 1))
-            await asyncio.sleep(0.02)
-            second.cancel()
-            assert [await first, await third] == [[1], [3]]
-            assert second.cancelled()
-            assert [request[9] for request in peer.requests] == [1, 3]
-
-    run(after(0.05), main)
-
-
 def test_the_connection() -> None:
     async def main(network: Network, peer: Scripted) -> None:
         plc = AsyncClient(peer.url)
@@ -108,23 +93,6 @@ def test_a_pause(options: dict[str, Any]) -> None:
 
 
 # --- at any step of the loop ----------------------------------------------------------------------
-
-
-def test_one_of_six_requests() -> None:
-    async def main(network: Network, peer: Scripted) -> None:
-        async with AsyncClient(peer.url, max_in_flight=3) as plc:
-            for turn in range(60):
-                tasks = [asyncio.create_task(plc.read_holding_registers(n, 1)) for n in range(6)]
-                for _ in range(turn % 12):
-                    await asyncio.sleep(0)
-                tasks[turn % 6].cancel()
-                results = await asyncio.gather(*tasks, return_exceptions=True)
-                for number, result in enumerate(results):
-                    is_cancelled = isinstance(result, asyncio.CancelledError)
-                    assert result == [number] or (number == turn % 6 and is_cancelled)
-            assert peer.connections == 1
-
-    run(after(0.002), main)
 
 
 def test_a_batch_among_others() -> None:

@@ -29,18 +29,6 @@ def test_a_request_has_its_time_and_no_more(url: str) -> None:
     assert talk.is_at_rest
 
 
-def test_each_request_may_have_a_time_of_its_own() -> None:
-    talk = Talk(timeout=1)
-    long, short = talk.ask(1, timeout=3), talk.ask(2, timeout=0.2)
-    usual = talk.ask(3)
-    talk.wait(0.2)
-    assert [long.is_done, short.is_done, usual.is_done] == [False, True, False]
-    talk.wait(0.8)
-    assert [long.is_done, usual.is_done] == [False, True]
-    talk.wait(2)
-    assert "within 3 s" in str(long.outcomes[0])
-
-
 @pytest.mark.parametrize("timeout", [0.4, 3.0])
 def test_a_timeout_that_is_changed_meanwhile_holds_at_once(timeout: float) -> None:
     talk = Talk(timeout=1)
@@ -337,13 +325,6 @@ def test_a_request_that_nobody_answers_makes_a_batch_go_one_by_one() -> None:
     talk.wait(0.1)
     talk.come(answer(talk))
     assert batch.outcomes == [[1], None, [2]]
-
-
-def test_a_broadcast_on_a_connection_that_ends_fails() -> None:
-    talk = Talk(LINE)
-    batch = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
-    talk.lose()
-    assert kinds(batch) == [ModbusConnectionError]
 
 
 def test_a_batch_without_requests_is_over_at_once_on_a_connection_that_stands() -> None:

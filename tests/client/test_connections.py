@@ -4,6 +4,7 @@ Connections that cannot be made, that die, that end, and those that are made in 
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import errno
 import os
@@ -17,15 +18,18 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
+    AsyncClient,
     Device,
     Mapping,
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
     Server,
+    State,
     pdu,
 )
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import (
     ALL,
@@ -37,7 +41,7 @@ from tests.support.clients import (
     connecting,
     read,
 )
-from tests.support.peers import Write, answer, dead, echo, ignore, peer_at, refusing, until, url_of
+from tests.support.peers import answer, dead, ignore, peer_at, refusing, until, url_of
 from tests.support.reads import good
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
@@ -140,19 +144,6 @@ def test_server_that_hangs_up_at_once_is_not_hammered(world: World) -> None:
 
 
 @EVERYWHERE
-def test_a_server_that_closes_after_each_answer_costs_no_request(world: World) -> None:
-    def closing(request: bytes, write: Write) -> None:
-        write(echo(request))
-        write(None)
-
-    peer = world.peer("tcp", closing)
-    with world.connect(peer.url, retries=1) as client:
-        for address in range(30):
-            assert read(client, address) == address
-        assert peer.connections >= 30
-
-
-@EVERYWHERE
 def test_connections_that_end_are_made_anew_by_the_next_request(world: World) -> None:
     """At once, before the client has read of the end, and later."""
     peer = world.peer("tcp", good)
@@ -230,19 +221,6 @@ def test_a_port_that_is_unplugged_on_the_real_system(kind: str, tmp_path: Path) 
 
 
 @EVERYWHERE
-def test_a_trace_is_told_of_what_passes(world: World) -> None:
-    told: list[Any] = []
-    peer = world.peer("tcp", good)
-    with world.connect(peer.url, trace=told.append) as plc:
-        plc.execute(REQUEST)
-        assert [(each.direction, each.adu) for each in told] == [
-            ("sent", peer.requests[0]),
-            ("received", echo(peer.requests[0])),
-        ]
-        assert {each.endpoint for each in told} == {peer.url}
-
-
-@EVERYWHERE
 def test_handles_of_several_units_share_the_connection(world: World) -> None:
     """Unit 0 over TCP is a unit like others."""
     peer = world.peer("tcp", good)
@@ -301,3 +279,74 @@ def test_close_ends_what_others_wait_for(somebody_waits: Any) -> None:
         for each in waiting:
             with pytest.raises(ModbusConnectionError):
                 each.result()
+
+
+# --- how long connecting may take -------------------------------------------------------------
+
+
+HOST = "10.0.0.9"
+URL = f"tcp://{HOST}:502"
+
+
+@pytest.mark.parametrize("own", [0.1, 5.0])
+def test_an_attempt_lasts_as_long_as_the_timeout_of_its_request(
+    world: Simulated, own: float
+) -> None:
+    """Or of its handle, but not as that of the client."""
+    world.network.unreachable.add(HOST)
+    plc = world.connect(URL, timeout=1)
+    handle = plc.for_unit(3, timeout=own)
+    for ask in (lambda: plc.execute(REQUEST, timeout=own), lambda: handle.execute(REQUEST)):
+        with world.lasting(own), pytest.raises(ModbusConnectionError) as caught:
+            ask()
+        assert caught.value.errno == errno.ETIMEDOUT
+        world.sleep(0.01)
+        assert plc.state is State.DISCONNECTED
+    assert plc.statistics.failed_connects == 2
+    plc.close()
+
+
+async def outcome(client: AsyncClient, timeout: float) -> tuple[float, object]:
+    """Return what a request with this timeout gets, and when."""
+    try:
+        result: object = await client.execute(REQUEST, timeout=timeout)
+    except ModbusConnectionError as error:
+        result = error.errno
+    return round(asyncio.get_running_loop().time(), 2), result
+
+
+def test_who_has_more_time_than_the_attempt_gets_another() -> None:
+    network = Network()
+    network.unreachable.add(HOST)
+    Scripted(network, URL, good)
+
+    async def main() -> None:
+        async with asyncio.timeout(60):
+            client = AsyncClient(URL, timeout=20)
+            asking = [asyncio.create_task(outcome(client, timeout)) for timeout in (0.3, 5.0)]
+            await asyncio.sleep(0.35)
+            network.unreachable.clear()  # after the first attempt, and before the second
+            (_, short), (_, long) = await asyncio.gather(*asking)
+            assert (short, long) == (errno.ETIMEDOUT, [5])
+            assert client.statistics.failed_connects == 1
+            await client.close()
+
+    network.run(main)
+
+
+@pytest.mark.parametrize("kind", ["python", "asyncio"])
+def test_each_address_of_a_name_gets_a_share_of_the_time_of_the_request(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first is dead; with half of the client's timeout for it no request came to the second."""
+    with dead() as port, socket.create_server(("127.0.0.1", 0)) as server:
+        found = [
+            (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", each))
+            for each in (port, server.getsockname()[1])
+        ]
+        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+        with connecting(kind) as connect:
+            client = connect("tcp://two.invalid", timeout=600)
+            with pytest.raises(ModbusTimeoutError):
+                client.execute(REQUEST, timeout=1)
+            client.close()

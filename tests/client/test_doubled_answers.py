@@ -67,20 +67,6 @@ def test_no_value_is_that_of_another_request(world: World, scheme: str) -> None:
     assert failed <= unit.doubled
 
 
-@pytest.mark.parametrize("scheme", ["rtu+tcp", "rtu+udp", "ascii+tcp"])
-def test_copies_that_come_up_to_eight_answers_later_are_known(world: World, scheme: str) -> None:
-    """Of a unit on a network, which answers in half a millisecond."""
-    failed = doubled = 0
-    for seed in range(2):
-        unit = Doubling(scheme, 0.003, 0.003, seed, usual=0.0005)
-        peer = world.peer(scheme, unit)
-        with world.connect(peer.url, timeout=1) as context:
-            failed += failures(context, 1000)
-        doubled += unit.doubled
-    assert doubled > 3
-    assert failed <= doubled
-
-
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp", "rtu"])
 def test_a_copy_right_behind_each_answer_is_never_the_next_value(world: World, scheme: str) -> None:
     """It is found by its equality, or while the one after it is held; then that request fails."""
@@ -113,21 +99,6 @@ def warm() -> Talk:
     return talk
 
 
-def test_what_repeats_the_answer_to_another_request_is_no_value_if_another_follows() -> None:
-    talk = warm()
-    outcome = asked(talk, 50, (0.009, value(19)), (0.011, value(50)))
-    assert isinstance(outcome, InvalidResponse)
-
-
-def test_a_unit_that_became_faster_is_believed_at_once_after_the_first() -> None:
-    talk = warm()
-    assert asked(talk, 50, (0.002, value(50))) == [50]
-    batch = talk.ask(51)
-    talk.wait(0.002)
-    talk.come(value(51))
-    assert batch.outcomes == [[51]]
-
-
 def test_what_several_registers_have_in_common_is_believed() -> None:
     talk = warm()
     """Each is held the first time only."""
@@ -138,17 +109,6 @@ def test_what_several_registers_have_in_common_is_believed() -> None:
     talk.wait(0.01)
     talk.come(value(0))
     assert batch.outcomes == [[0]]
-
-
-def test_a_poll_of_the_same_values_waits_for_nothing() -> None:
-    talk = warm()
-    for _ in range(3):
-        for each in (7, 8):
-            asked(talk, each, (0.01, value(5)))
-    batch = talk.ask(7)
-    talk.wait(0.01)
-    talk.come(value(5))
-    assert batch.outcomes == [[5]]
 
 
 def test_an_answer_that_is_doubted_behind_an_echo_is_not_taken_for_damage() -> None:
@@ -205,25 +165,6 @@ def test_values_are_right_again_after_a_pause(pause: float) -> None:
 
 
 # --- the answers that are remembered ---------------------------------------------------------
-
-
-def test_an_answer_is_one_to_another_request_until_that_gets_another_one_and_eight_more() -> None:
-    answers = Answers()
-    answers.add(1, request(0), holding(5))
-    assert answers.is_of_another(1, request(1), holding(5))
-    assert not answers.is_of_another(1, request(0), holding(5))
-    assert not answers.is_of_another(2, request(1), holding(5))
-    for count in range(8):
-        assert answers.is_of_another(1, request(1), holding(5))
-        answers.add(1, request(0), holding(100 + count))
-    assert not answers.is_of_another(1, request(1), holding(5))
-
-
-def test_the_last_answer_to_the_request_itself_is_its_own() -> None:
-    answers = Answers()
-    for address in (0, 1):
-        answers.add(1, request(address), holding(5))
-    assert not answers.is_of_another(1, request(0), holding(5))
 
 
 def test_writes_of_other_values_to_the_same_cells_are_the_same_request() -> None:

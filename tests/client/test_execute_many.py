@@ -22,7 +22,6 @@ from libmodbus_py import (
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
-    ServerDeviceBusy,
     pdu,
 )
 from tests.support.c_programs import SOURCES, compile_c
@@ -191,40 +190,6 @@ def test_request_without_an_answer_times_out_alone(world: World) -> None:
         assert peer.connections == 1
 
 
-@EVERYWHERE
-@BY_ID
-def test_late_answers_reach_nobody(world: World, scheme: str) -> None:
-    late: list[bytes] = []
-
-    def play(request: bytes, write: Write) -> None:
-        if address_of(request) in (5, 6):
-            late.append(echo(request))
-            return
-        if address_of(request) >= 100:
-            for each in late:
-                write(each)
-            late.clear()
-        write(echo(request))
-
-    peer = world.peer(scheme, play)
-    with world.connect(peer.url, timeout=30, max_in_flight=16) as context:
-        assert context.read_holding_registers(1, 1) == [1]
-        context.timeout = 0.3
-        found = context.execute_many(reads(20), return_exceptions=True)
-        context.timeout = 30
-        assert set(failed(found)) >= {5, 6}
-        assert not world.is_exact or failed(found) == [5, 6]
-        others = context.late_answers  # on a busy machine there may be some
-        assert not world.is_exact or others == 0
-        assert context.read_holding_registers(100, 1) == [100]
-        for address in range(101, 105):
-            assert context.read_holding_registers(address, 1) == [address]
-        assert context.late_answers - others == 2
-        found = context.execute_many([*reads(5), *reads(10, 100)])
-        assert found == [*echoes(5), *echoes(10, 100)]
-        assert (context.late_answers - others, context.statistics.connects) == (2, 1)
-
-
 @pytest.mark.parametrize("again", ["one", "many"])
 def test_requests_left_behind_by_a_failure_poison_nothing(world: Simulated, again: str) -> None:
     """The first is refused; the other fifteen are answered when something else is asked."""
@@ -256,40 +221,6 @@ def test_requests_left_behind_by_a_failure_poison_nothing(world: Simulated, agai
         for address in range(500, 520):
             assert context.read_holding_registers(address, 1) == [address]
         assert (context.late_answers, peer.connections) == (15, 1)
-
-
-@EVERYWHERE
-@pytest.mark.parametrize("silent", [(3, 9), ()])
-def test_half_a_frame_poisons_nothing(world: World, silent: tuple[int, ...]) -> None:
-    """Half a late answer, or half a frame that nobody asked for; the rest comes with the next."""
-    held = rest = b""
-    connections = 1
-
-    def play(request: bytes, write: Write) -> None:
-        nonlocal held, rest, connections
-        if peer.connections > connections:  # the rest was lost with the other one
-            connections, rest = peer.connections, b""
-        address = address_of(request)
-        answer = b"" if address in silent else rest + echo(request)
-        rest = rest if address in silent else b""
-        if address == (3 if silent else 8):
-            held = echo(request) if silent else echo(request, transaction=1)
-        if address == 9 and peer.connections == 1:
-            answer, rest = answer + held[:8], held[8:]
-        if answer:
-            write(answer)
-
-    peer = world.peer("tcp", play)
-    with world.connect(peer.url, timeout=30, max_in_flight=16) as context:
-        for _ in range(2):
-            assert context.read_holding_registers(1, 1) == [1]
-        context.timeout = 0.2 if silent else 30
-        found = context.execute_many(reads(10), max_in_flight=2, return_exceptions=True)
-        context.timeout = 30
-        assert set(failed(found)) >= set(silent)
-        assert not world.is_exact or failed(found) == [*silent]
-        for address in range(20, 30):
-            assert context.read_holding_registers(address, 1) == [address]
 
 
 # --- bad answers ---------------------------------------------------------------------------
@@ -390,36 +321,6 @@ def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on(world: Wo
 
 
 # --- busy ----------------------------------------------------------------------------------
-
-
-def busy_at_first(busy: dict[int, int]) -> OnRequest:
-    def play(request: bytes, write: Write) -> None:
-        address = address_of(request)
-        if busy.get(address, 0):
-            busy[address] -= 1
-            write(refusal(request, 6))
-        else:
-            write(echo(request))
-
-    return play
-
-
-@pytest.mark.parametrize("max_in_flight", [1, 16])
-def test_busy_requests_are_asked_again(world: World, max_in_flight: int) -> None:
-    """After 0.1 s, then after 0.2 s."""
-    busy = {3: 2, 7: 1}
-    peer = world.peer("tcp", busy_at_first(busy))
-    with world.connect(peer.url, busy_retries=2, max_in_flight=16) as context:
-        # One by one the pauses add up.
-        with world.lasting(0.3 if max_in_flight > 1 else 0.4, more=0.1):
-            assert context.execute_many(reads(50), max_in_flight=max_in_flight) == echoes(50)
-        busy |= {3: 3, 40: 1}
-        found = context.execute_many(reads(50), max_in_flight=max_in_flight, return_exceptions=True)
-        assert isinstance(found[3], ServerDeviceBusy)
-        assert [*found[:3], [3], *found[4:]] == echoes(50)
-        busy[4] = 3
-        with pytest.raises(ServerDeviceBusy, match="address=4,"):
-            context.execute_many(reads(50), max_in_flight=max_in_flight)
 
 
 # --- threads, signals, closing ---------------------------------------------------------------

@@ -153,17 +153,6 @@ def test_values(plc: Any, mapping: Mapping) -> None:
         assert found == values
 
 
-def test_many_at_once(plc: Any) -> None:
-    requests = [pdu.ReadHoldingRegisters(address, 1) for address in range(100, 140)]
-    cells = [cells for [cells] in plc.execute_many(requests)]
-    assert cells == plc.read_holding_registers(100, 40)
-    assert plc.read_many({"a": ("holding_registers", 100, 2), "b": ("coils", 10, 2)}) == {
-        "a": [1000, 1001],
-        "b": [True, False],
-    }
-    assert plc.statistics.responses == plc.statistics.requests
-
-
 def test_refusals_name_what_was_asked(plc: Any) -> None:
     for _ in range(2):
         with pytest.raises(IllegalDataAddress) as caught:

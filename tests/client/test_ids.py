@@ -10,13 +10,12 @@ import pytest
 
 from libmodbus_py import (
     FrameError,
-    InvalidResponse,
     ModbusConnectionError,
     ModbusTimeoutError,
     Traced,
     pdu,
 )
-from tests.support.talk import TCP, Talk, kinds, little_kept, tcp
+from tests.support.talk import TCP, Talk, kinds, tcp
 
 UDP = TCP.replace("tcp", "udp")
 
@@ -112,17 +111,6 @@ def test_a_stranger_before_the_right_answer_does_no_harm() -> None:
 # --- answers that do not fit -----------------------------------------------------------
 
 
-def test_another_unit_is_no_answer() -> None:
-    talk = Talk()
-    batch = talk.ask(1)
-    wrong = tcp(talk.sent[0], unit=255)
-    talk.come(wrong)
-    assert kinds(batch) == [InvalidResponse]
-    assert 'unit 255 answered; accept_unit="any"' in str(batch.outcomes[0])
-    assert batch.outcomes[0].received == wrong
-    assert talk.statistics.invalid == 1
-
-
 def test_any_unit_is_taken_where_that_is_wanted() -> None:
     talk = Talk(accept_unit="any")
     batch, refused = talk.ask(1), talk.ask(2)
@@ -136,18 +124,6 @@ def test_a_frame_of_another_protocol_is_skipped() -> None:
     batch = talk.ask(1)
     talk.come(tcp(talk.sent[0], protocol=7), tcp(talk.sent[0]))
     assert batch.outcomes == [[1]]
-
-
-def test_a_frame_of_another_protocol_alone_is_a_frame_error_at_the_end() -> None:
-    talk = Talk(timeout=1)
-    batch = talk.ask(1)
-    wrong = tcp(talk.sent[0], protocol=7)
-    talk.come(wrong)
-    talk.wait(0.9)
-    assert not batch.is_done
-    talk.wait(0.1)
-    assert kinds(batch) == [FrameError]
-    assert batch.outcomes[0].received == wrong
 
 
 @pytest.mark.parametrize("length", [0, 1, 255, 0xFFFF])
@@ -208,19 +184,6 @@ def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
     assert not talk.connection.is_flooded
     talk.ask(1)
     assert len(talk.sent) == 1
-
-
-def test_a_flood_while_somebody_waits_extends_no_timeout_and_is_not_kept() -> None:
-    talk = Talk(timeout=1)
-    batch = talk.ask(1)
-    frame = bytes.fromhex("7777 0000 00FE 01 03 FA") + bytes(251)
-    with little_kept():
-        for _ in range(10):
-            talk.come(frame * 100)
-            talk.wait(0.1)
-    assert kinds(batch) == [ModbusTimeoutError]
-    assert len(batch.outcomes[0].received) <= 600
-    assert len(str(batch.outcomes[0])) < 300
 
 
 # --- requests that nobody answers ------------------------------------------------------

@@ -24,14 +24,12 @@ from libmodbus_py import (
     Context,
     ModbusConnectionError,
     ModbusError,
-    ModbusTimeoutError,
     RtuContext,
     State,
     TcpContext,
 )
 from tests.support.clients import ALL, BLOCKING, NATIVE, asking
 from tests.support.peers import FakeServer, FakeUnit, answer, dead, peer_at, until
-from tests.support.scripted import run as run_watched
 
 
 def rtu(request: bytes) -> bytes:
@@ -123,39 +121,6 @@ def test_close_does_not_wait_for_a_connection_that_is_being_made(named: bool, ki
         context.close()
         with pytest.raises(ModbusConnectionError):
             waiting.result()
-
-
-@ALL
-def test_connecting_and_the_answer_have_one_timeout(kind: str) -> None:
-    """Half of it is spent on an address that is dead."""
-
-    with FakeServer(lambda request: []) as server, dead() as port_of_nobody:
-        both = [
-            (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port))
-            for port in (port_of_nobody, server.port)
-        ]
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(socket, "getaddrinfo", lambda *_, **__: both)
-            context = None
-            start = time.monotonic()
-            if kind == "asyncio":
-
-                async def main() -> None:
-                    client = AsyncClient("tcp://two.invalid:502", timeout=0.4)
-                    try:
-                        with pytest.raises(ModbusTimeoutError):
-                            await client.read_holding_registers(1, 1)
-                    finally:
-                        await client.close()
-
-                run_watched(main())
-            else:
-                context = TcpContext("two.invalid", timeout=0.4, native=kind == "native")
-                with pytest.raises(ModbusTimeoutError):
-                    context.read_holding_registers(1, 1)
-                context.close()
-        assert time.monotonic() - start >= 0.39
-        assert server.connections == 1
 
 
 # --- close and requests from where they hurt --------------------------------------------------

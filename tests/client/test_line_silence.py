@@ -8,7 +8,7 @@ import pytest
 
 from libmodbus_py import FrameError, ModbusTimeoutError, pdu
 from libmodbus_py.ports.trace import Traced
-from tests.support.talk import ASCII, LINE, Talk, is_quiet, kinds, little_kept, value
+from tests.support.talk import LINE, Talk, is_quiet, kinds, little_kept, value
 
 
 def units(talk: Talk) -> list[int]:
@@ -35,19 +35,6 @@ def failed(talk: Talk, unit: int = 1) -> None:
     assert kinds(failing) == [ModbusTimeoutError]
 
 
-def test_other_units_are_asked_at_once() -> None:
-    talk = learnt(1, 2)
-    failed(talk, unit=1)
-    again, other = talk.ask(5, unit=1), talk.ask(6, unit=2)
-    assert units(talk) == [1, 2]
-    talk.come(value(6, unit=2))
-    assert other.outcomes == [[6]]
-    talk.wait(1)
-    talk.come(value(5))
-    talk.wait(0)
-    assert again.outcomes == [[5]]
-
-
 def test_a_dead_unit_costs_its_timeout_once() -> None:
     """Two living units, each asked ten times, and a dead one asked once between them."""
     talk = Talk(LINE, timeout=1)
@@ -58,21 +45,6 @@ def test_a_dead_unit_costs_its_timeout_once() -> None:
             talk.come(value(number, unit=unit))
     assert talk.now == 1
     assert talk.statistics.responses == 20
-
-
-def test_a_late_answer_is_dropped_and_starts_the_silence_anew() -> None:
-    talk = learnt(1)
-    failed(talk)
-    batch = talk.ask(6)
-    talk.wait_until(1.7)
-    talk.come(value(0))
-    talk.wait_until(2.6)
-    assert len(talk.sent) == 1
-    talk.wait_until(2.7)
-    talk.come(value(6))
-    talk.wait(0)
-    assert batch.outcomes == [[6]]
-    assert talk.statistics.late_answers == 1
 
 
 def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_anew() -> None:
@@ -91,20 +63,6 @@ def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_a
     talk.wait(0)
     assert again.outcomes == [[7]]
     assert talk.statistics.late_answers == 1
-
-
-def test_after_a_cancelled_request_the_line_must_fall_silent_too() -> None:
-    talk = learnt(1)
-    talk.cancel(talk.ask(5))
-    batch = talk.ask(6)
-    talk.wait(0.1)
-    talk.come(value(5))
-    talk.wait(0.99)
-    assert len(talk.sent) == 1
-    talk.wait(0.01)
-    talk.come(value(6))
-    talk.wait(0)
-    assert batch.outcomes == [[6]]
 
 
 def test_the_silence_is_as_long_as_the_timeout_of_the_request_that_failed() -> None:
@@ -248,19 +206,6 @@ def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(left: str)
 
 
 # --- floods ----------------------------------------------------------------------------------
-
-
-def test_a_flood_extends_no_timeout_and_is_not_kept() -> None:
-    for url in (LINE, ASCII):
-        talk = Talk(url, timeout=1)
-        batch = talk.ask(1)
-        with little_kept():
-            for _ in range(10):
-                talk.come(b":0" * 5000)
-                talk.wait(0.1)
-        assert batch.is_done, url
-        assert len(batch.outcomes[0].received) <= 600
-        assert len(str(batch.outcomes[0])) < 300
 
 
 def test_the_first_600_bytes_of_a_flood_are_kept() -> None:

@@ -7,8 +7,6 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
-import pytest
-
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.client.reconnecting import Notices, Reconnecting, State
 from libmodbus_py.client.statistics import Statistics
@@ -42,12 +40,6 @@ def test_pauses_do_not_overflow() -> None:
     pauses = [fail(connection, 0.0) for _ in range(2000)]
     assert all(earlier <= later / 0.79 for earlier, later in pairwise(pauses))
     assert max(pauses) <= 86_400
-
-
-def test_no_pause_where_none_is_wanted() -> None:
-    connection = made(max_pause=0)
-    assert [fail(connection, 7.0) for _ in range(5)] == [0] * 5
-    assert connection.refusal(7.0, 7.0) is None
 
 
 def test_who_cannot_wait_for_the_next_attempt_is_refused_with_the_reason() -> None:
@@ -88,14 +80,6 @@ def test_a_connection_that_ends_before_an_answer_has_a_pause_behind_it() -> None
     assert connection.next_attempt < 60
 
 
-def test_an_attempt_that_was_cancelled_says_nothing_of_the_other_side() -> None:
-    connection = made()
-    connection.connecting()
-    connection.given_up()
-    assert (connection.state, connection.fruitless) == (State.DISCONNECTED, 0)
-    assert connection.refusal(0, 0) is None
-
-
 def test_states_are_told_with_their_reasons_and_closed_is_the_last() -> None:
     told: list[tuple[State, Any]] = []
     notices = Notices()
@@ -122,13 +106,3 @@ def test_states_are_told_with_their_reasons_and_closed_is_the_last() -> None:
     refusal = connection.refusal(0, 1e9)
     assert refusal is not None
     assert "closed" in str(refusal)
-
-
-def test_who_is_told_of_states_and_fails_harms_nobody(caplog: pytest.LogCaptureFixture) -> None:
-    notices = Notices()
-    connection = made(on_state=lambda state, error: 1 / 0, notices=notices)
-    connection.connecting()
-    connection.opened()
-    notices.give()
-    assert connection.is_open
-    assert "on_state(CONNECTED) failed" in caplog.text

@@ -7,23 +7,19 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import struct
-import time
 from contextlib import suppress
-from dataclasses import fields
 from unittest.mock import patch
 
 import pytest
 
 from libmodbus_py import AsyncClient, ModbusError, TcpContext, pdu
 from libmodbus_py.client.statistics import RESULTS, TIME_BOUNDS, Statistics
-from libmodbus_py.protocol.framing import crc16
 from tests.simulation import network
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.simulation.sockets import DELAY
 from tests.support.clients import BLOCKING, EVERYWHERE, Connect, Simulated, World, asking
-from tests.support.peers import FakeServer, TcpPeer, Write, answering, echo, mbap
+from tests.support.peers import FakeServer, TcpPeer, answering, echo, mbap
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 WRITE = pdu.WriteRegister(5, 7)
@@ -151,23 +147,6 @@ def test_a_broadcast_is_silent(world: World) -> None:
         check(plc.statistics)
 
 
-@EVERYWHERE
-def test_lines_count_as_networks_do(world: World) -> None:
-    def read(request: bytes) -> list[bytes]:
-        frame = request[:2] + b"\x02\0\x07"
-        return [frame + struct.pack("<H", crc16(frame))]
-
-    unit = world.peer("rtu", answering(read, read, read, silent))
-    with world.connect(unit.url, timeout=30) as plc:
-        for _ in range(3):
-            assert plc.execute(REQUEST) == [7]
-        plc.timeout = 0.1
-        with pytest.raises(ModbusError):
-            plc.execute(REQUEST)
-        assert plc.statistics.results == {(3, "ok"): 3, (3, "timeout"): 1}
-        check(plc.statistics)
-
-
 @pytest.mark.parametrize("seconds", [0.0009, 0.06, 0.3, 9.9])
 def test_answer_times_are_those_that_passed(world: World, seconds: float) -> None:
     """From sending to the answer: no more, no less."""
@@ -193,33 +172,12 @@ def test_connecting_is_no_time_of_an_answer(world: Simulated) -> None:
     plc.close()
 
 
-@pytest.mark.parametrize("kind", ["native"])
-def test_answer_times_on_the_real_system(kind: str) -> None:
-    def late(request: bytes, write: Write) -> None:
-        write(echo(request), after=0.06)
-
-    with TcpPeer(late) as peer, asking(kind, peer.url, timeout=60) as plc:
-        before = time.monotonic()
-        plc.execute(REQUEST)
-        passed = time.monotonic() - before
-        assert 0.06 <= plc.statistics.answer_seconds <= passed
-        check(plc.statistics)
-
-
 def test_all_results_are_explained() -> None:
     for result in RESULTS:
         assert f'"{result}"' in (Statistics.__doc__ or "")
 
 
 # --- the counters themselves -----------------------------------------------------------------
-
-
-def test_nothing_is_counted_at_first() -> None:
-    statistics = Statistics()
-    assert statistics.last_success is None
-    assert statistics.answer_times == [0] * (len(TIME_BOUNDS) + 1)
-    rest = {each.name for each in fields(Statistics)} - {"last_success", "answer_times"}
-    assert not any(getattr(statistics, name) for name in rest)
 
 
 def test_bounds_of_times_are_those_of_the_documentation() -> None:

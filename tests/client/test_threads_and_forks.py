@@ -14,7 +14,6 @@ import resource
 import signal
 import socket
 import sys
-import termios
 import threading
 import time
 import warnings
@@ -26,7 +25,6 @@ import pytest
 from libmodbus_py import (
     AsyncClient,
     ModbusConnectionError,
-    ModbusTimeoutError,
     RtuContext,
     TcpContext,
     pdu,
@@ -126,29 +124,6 @@ def test_a_fork_in_a_hook_leaves_both_with_contexts_that_work(kind: str) -> None
         assert value == [2]
         assert os.waitstatus_to_exitcode(os.waitpid(statuses[0], 0)[1]) == 0
         context.close()
-
-
-@NATIVE
-def test_a_child_that_closes_leaves_its_parent_alone(native: bool) -> None:
-    with (
-        FakeUnit() as unit,
-        RtuContext(unit.path, 9600) as serial,
-        Threaded(tcp) as port,
-        TcpContext("127.0.0.1", port, native=native) as context,
-    ):
-        assert context.read_holding_registers(1, 1) == [1]
-        before = termios.tcgetattr(unit._slave)
-
-        def close() -> None:
-            context.close()
-            serial.close()
-            with TcpContext("127.0.0.1", port) as own:
-                assert own.read_holding_registers(2, 1) == [2]
-
-        assert in_child(close) == 0
-        assert termios.tcgetattr(unit._slave) == before
-        assert context.read_holding_registers(3, 1) == [3]
-        assert context.statistics.connects == 1
 
 
 def test_a_parent_and_its_child_may_ask_at_the_same_time() -> None:
@@ -283,38 +258,6 @@ def test_clients_can_be_neither_pickled_nor_copied_deeply(kind: str) -> None:
             with pytest.raises(TypeError):
                 spoil(getattr(client, "_plc", client))
         assert read(client, 5) == 5
-
-
-def test_errors_survive_pickling() -> None:
-    with (
-        FakeServer(lambda request: []) as server,
-        asking("native", f"tcp://127.0.0.1:{server.port}", timeout=0.05) as client,
-    ):
-        with pytest.raises(ModbusTimeoutError) as caught:
-            read(client, 1)
-        again = pickle.loads(pickle.dumps(caught.value))
-        assert repr(again) == repr(caught.value)
-        assert again.endpoint == caught.value.endpoint
-
-
-def test_the_debug_mode_of_asyncio_finds_nothing() -> None:
-    async def main() -> None:
-        asyncio.get_running_loop().slow_callback_duration = 1
-        with FakeUnit(rtu) as unit, FakeServer(tcp) as server:
-            async with (
-                AsyncClient(server.url) as client,
-                AsyncClient(f"rtu://{unit.path}?baudrate=115200") as line,
-            ):
-                reads = (client.read_holding_registers(address, 1) for address in range(40))
-                assert await asyncio.gather(*reads) == [[address] for address in range(40)]
-                for address in range(5):
-                    assert await line.read_holding_registers(address, 1) == [address]
-                server.drop_all()
-                with contextlib.suppress(ModbusConnectionError):
-                    await client.read_holding_registers(1, 1)
-                assert await client.read_holding_registers(2, 1) == [2]
-
-    asyncio.run(main(), debug=True)
 
 
 # --- clients that nobody closed --------------------------------------------------------------

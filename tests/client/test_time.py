@@ -4,13 +4,32 @@ How long things take: time-outs, pauses, repetitions, broadcasts.
 
 from __future__ import annotations
 
+import asyncio
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Mapping, ModbusTimeoutError, Server, ServerDeviceBusy, pdu
-from tests.support.clients import EVERYWHERE, World, asking, read
-from tests.support.peers import Answer, Write, answering, echo, ignore, mbap
+from libmodbus_py import (
+    AsyncClient,
+    Device,
+    Mapping,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    Server,
+    ServerDeviceBusy,
+    State,
+    TcpContext,
+    pdu,
+)
+from libmodbus_py.ports.schemes import SCHEMES
+from tests.simulation.network import Network
+from tests.simulation.scripted import Scripted
+from tests.support.clients import ALL, BLOCKING, EVERYWHERE, World, asking, read
+from tests.support.peers import Write, answering, dead, echo, ignore, peer_at, until
+from tests.support.reads import good
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
@@ -18,7 +37,7 @@ REQUEST = pdu.ReadHoldingRegisters(5, 1)
 ON_LINE = 0.01
 
 
-def good(request: bytes) -> list[bytes]:
+def echoing(request: bytes) -> list[bytes]:
     return [echo(request)]
 
 
@@ -28,7 +47,7 @@ def silent(request: bytes) -> list[bytes]:
 
 @EVERYWHERE
 def test_timeouts_of_the_client_the_handle_and_the_request(world: World) -> None:
-    peer = world.peer("tcp", answering(good, silent))
+    peer = world.peer("tcp", answering(echoing, silent))
     with world.connect(peer.url, timeout=30) as plc:
         assert plc.execute(REQUEST) == [5]
         plc.timeout = 0.2
@@ -79,7 +98,7 @@ def test_handles_with_their_own_timeouts_share_a_connection(world: World) -> Non
 
 
 def test_spacing_and_delay_are_kept(world: World) -> None:
-    peer = world.peer("tcp", answering(good))
+    peer = world.peer("tcp", answering(echoing))
     options = {"request_spacing": 0.03, "connect_delay": 0.1, "timeout": 0.09}
     with world.connect(peer.url, **options) as plc:
         connected = world.now
@@ -95,7 +114,7 @@ def test_spacing_and_delay_are_kept(world: World) -> None:
 
 
 def test_retries_are_sent_and_counted(world: World) -> None:
-    peer = world.peer("tcp", answering(silent, None, good, silent))
+    peer = world.peer("tcp", answering(silent, None, echoing, silent))
     with world.connect(peer.url, timeout=0.1, retries=2, max_pause=0) as plc:
         with world.lasting(0.1, more=0.01):
             assert plc.execute(REQUEST) == [5]
@@ -105,35 +124,6 @@ def test_retries_are_sent_and_counted(world: World) -> None:
             with world.lasting(0.1), pytest.raises(ModbusTimeoutError):
                 ask()
         assert len(peer.requests) == 5
-
-
-@EVERYWHERE
-def test_one_timeout_before_reconnecting_and_retries(world: World) -> None:
-    """The first connection is dumb; the request is repeated on the second."""
-    peer = world.peer("tcp", answering(good, silent, good))
-    options = {"timeout": 0.1, "retries": 1, "timeouts_before_reconnect": 1}
-    with world.connect(peer.url, **options) as client:
-        if not world.is_exact:
-            client.timeout = 1.0
-        assert read(client, 1) == 1
-        assert read(client, 2) == 2
-        assert read(client, 3) == 3
-        assert peer.connections == 2
-        assert client.statistics.retries == 1
-
-
-def test_busy_devices_are_asked_again_if_the_caller_wants(world: World) -> None:
-    """After 0.1 s, then after 0.2 s."""
-
-    def busy(request: bytes) -> list[bytes]:
-        return [mbap(request, b"\x83\x06")]
-
-    answers: list[Answer] = [busy, busy, good, busy]
-    peer = world.peer("tcp", answering(*answers))
-    with world.connect(peer.url, busy_retries=2) as plc, world.lasting(0.3, more=0.005):
-        assert read(plc, 5) == 5
-    with world.connect(peer.url) as plc, world.lasting(0.0), pytest.raises(ServerDeviceBusy):
-        read(plc, 5)
 
 
 @pytest.mark.parametrize("kind", ["native"])
@@ -171,20 +161,107 @@ def test_broadcast_waits_for_no_answer_and_reads_are_refused(world: World) -> No
 # --- silence on lines -----------------------------------------------------------------------------
 
 
+# --- checks of both clients -------------------------------------------------------------------
+
+
+UNITS = [
+    (300, ValueError),
+    (256, ValueError),
+    (-1, ValueError),
+    (1.5, TypeError),
+    (None, TypeError),
+]
+
+
+@ALL
+@pytest.mark.parametrize(("unit", "error"), UNITS)
+def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(
+    kind: str, unit: Any, error: type[Exception]
+) -> None:
+    with peer_at("tcp", good) as peer, asking(kind, peer.url) as client:
+        with pytest.raises(error, match=r"unit must be .*0\.\.255"):
+            client.unit = unit
+        assert client.read_holding_registers(7, 1) == [7]
+        assert [request[6] for request in peer.requests] == [1]
+
+
+@pytest.mark.parametrize(("unit", "error"), UNITS)
+def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(
+    unit: Any, error: type[Exception]
+) -> None:
+    network = Network()
+    peer = Scripted(network, "tcp://10.0.0.1", good)
+
+    async def main() -> None:
+        async with AsyncClient(peer.url) as plc:
+            waiting = asyncio.create_task(plc.read_holding_registers(7, 1))
+            await asyncio.sleep(0)
+            with pytest.raises(error, match=r"unit must be .*0\.\.255"):
+                plc.submit(unit, pdu.ReadHoldingRegisters(1, 1), lambda: None)
+            assert await waiting == [7]
+
+    network.run(main)
+
+
+class Silent(pdu.WriteRegister):
+    """A write of a function that libmodbus knows, which the device is known not to answer."""
+
+    __slots__ = ()
+    expects_response = False
+
+
 @EVERYWHERE
-@pytest.mark.parametrize("silence", [0.03])
-def test_a_request_waits_for_the_line_to_have_been_silent(world: World, silence: float) -> None:
-    went: list[float] = []
+def test_a_request_without_an_answer_is_not_waited_for(world: World) -> None:
+    peer = world.peer("tcp", lambda request, write: request[7] != 6 and good(request, write))
+    with world.connect(peer.url, timeout=600) as client:
+        assert client.read_holding_registers(1, 1) == [1]
+        assert client.execute(Silent(3, 4)) is None
+        assert client.read_holding_registers(2, 1) == [2]
+        assert client.statistics.results[6, "silent"] == 1
 
-    def on_request(request: bytes, write: Write) -> None:
-        went.append(world.now)
-        write(bytes.fromhex("01 03 02 0007 F986"))
 
-    unit = world.peer("rtu", on_request)
-    with world.connect(f"{unit.url}&silence={silence}", timeout=30) as context:
-        for _ in range(5):
-            assert context.read_holding_registers(0, 1) == [7]
-    gaps = [came - went for came, went in zip(unit.times[1:], went, strict=False)]
-    assert min(gaps) >= silence
-    # The answer takes 7 characters, the request 8; a driver that polls rounds up.
-    assert not world.is_exact or max(gaps) <= silence + 15 * 11 / 115_200 + 0.002
+@BLOCKING
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_a_shorter_timeout_of_another_thread_ends_the_wait(kind: str, scheme: str) -> None:
+    with (
+        peer_at(scheme, ignore) as peer,
+        asking(kind, peer.url, timeout=600) as client,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        waiting = pool.submit(client.read_holding_registers, 1, 1)
+        until(lambda: peer.requests)
+        client.timeout = 0.05
+        with pytest.raises(ModbusTimeoutError, match=r"within 0\.05 s"):
+            waiting.result()
+
+
+@BLOCKING
+def test_a_shorter_timeout_of_another_thread_ends_an_attempt_to_connect(kind: str) -> None:
+    with dead() as port, ThreadPoolExecutor(1) as pool:
+        client = TcpContext("127.0.0.1", port, timeout=600, native=kind == "native")
+        waiting = pool.submit(client.connect)
+        until(lambda: client.state is State.CONNECTING)
+        client.timeout = 0.05
+        with pytest.raises(ModbusConnectionError):
+            waiting.result()
+        client.close()
+
+
+@BLOCKING
+def test_a_timeout_set_again_and_again_disturbs_no_request(kind: str) -> None:
+    with peer_at("tcp", good) as peer, asking(kind, peer.url, timeout=600) as client:
+        over = threading.Event()
+
+        def change() -> None:
+            while not over.is_set():
+                client.timeout = 600.0
+
+        thread = threading.Thread(target=change)
+        thread.start()
+        try:
+            for address in range(300):
+                assert client.read_holding_registers(address, 1) == [address]
+        finally:
+            over.set()
+            thread.join()
+        assert client.statistics.connects == 1

@@ -332,39 +332,6 @@ def test_a_hook_that_asks_is_refused_and_harms_nobody(hook: str, kind: str) -> N
     assert isinstance(refused[0], RuntimeError)
 
 
-class Strange(pdu.ReadHoldingRegisters):
-    """A request whose class has a mistake, which only its caller must meet."""
-
-    mistake: BaseException | object = None
-
-    def decode_response(self, data: bytes) -> Any:
-        if isinstance(self.mistake, BaseException):
-            raise self.mistake
-        return self.mistake
-
-
-@ALL
-@pytest.mark.parametrize(
-    "mistake", [KeyError("x"), ValueError("y"), MemoryError(), Raised(), None, object()]
-)
-def test_a_mistake_in_a_request_class_is_its_callers(mistake: Any, kind: str) -> None:
-    strange = type("Stranger", (Strange,), {"mistake": mistake})
-    with (
-        FakeServer(tcp) as server,
-        asking(kind, f"tcp://127.0.0.1:{server.port}", timeout=0.5) as client,
-    ):
-        for address in range(5):
-            if isinstance(mistake, BaseException):
-                with pytest.raises(type(mistake)):
-                    client.execute(strange(address, 1))
-            else:
-                assert client.execute(strange(address, 1)) is mistake
-            assert read(client, address) == address
-        assert client.statistics.timeouts == 0
-        if not isinstance(mistake, Raised):
-            assert server.connections == 1
-
-
 @ALL
 @pytest.mark.parametrize("encoded", [b"", bytes(254), "text", None, 7])
 def test_a_request_that_encodes_to_nonsense_is_refused(encoded: Any, kind: str) -> None:

@@ -55,25 +55,6 @@ class Device:
             self._events.after(0.005, self._answer)
 
 
-class Clumsy:
-    """Loses both of two requests of which one comes while the other waits for its answer."""
-
-    def __init__(self, world: Any) -> None:
-        self._events = world.network.events
-        self._waiting: list[tuple[bytes, Write]] = []
-
-    def __call__(self, request: bytes, write: Write) -> None:
-        self._waiting.append((request, write))
-        if len(self._waiting) == 1:
-            self._events.after(0.005, self._answer)
-
-    def _answer(self) -> None:
-        waiting, self._waiting = self._waiting, []
-        if len(waiting) == 1:
-            ((request, write),) = waiting
-            write(echo(request))
-
-
 @each_scheme
 def test_a_device_that_takes_many_gets_many(world: World, scheme: str) -> None:
     device = Device(world, 16)
@@ -104,13 +85,6 @@ def test_a_device_that_loses_requests_loses_no_value(
         with world.lasting(200 * 0.005, more=0.2):
             assert context.execute_many(reads(200)) == echoes(200)
         assert context.statistics.retries == again
-
-
-def test_a_device_that_loses_both_of_two_loses_no_value(world: World) -> None:
-    peer = world.peer("tcp", Clumsy(world))
-    with world.connect(peer.url) as context:
-        assert context.execute_many(reads(20), max_in_flight=2) == echoes(20)
-        assert context.statistics.falls == 1
 
 
 @each_scheme
@@ -169,18 +143,6 @@ def test_what_is_known_holds_for_the_next_connection(world: World, scheme: str) 
         assert context.execute_many(reads(100)) == echoes(100)
         assert device.most == 1
         assert context.statistics.retries == again
-
-
-@each_scheme
-def test_another_connection_begins_with_one(world: World, scheme: str) -> None:
-    peer = world.peer(scheme, Device(world, 16))
-    with world.connect(peer.url) as context:
-        assert context.execute_many(reads(100)) == echoes(100)
-        assert context.max_in_flight >= 16
-        peer.drop_all()  # type: ignore[attr-defined]
-        context.close()
-    with world.connect(peer.url) as context:
-        assert context.max_in_flight == 1
 
 
 @each_scheme

@@ -4,21 +4,19 @@ What goes over a connection of TLS, in whatever records, and how it ends.
 
 from __future__ import annotations
 
-import contextlib
 import socket
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, State, Traced, pdu
+from libmodbus_py import ModbusConnectionError, State, Traced
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.clients import Connect
-from tests.support.peers import echo, mbap, until
+from tests.support.peers import echo
 from tests.support.reads import echoes, reads
 from tests.support.tls_clients import LONG, Serving, Talking
 from tests.support.tls_peers import HANDSHAKE, Peer, Script, Sealed
@@ -254,33 +252,3 @@ def test_a_connection_that_ends_within_a_record(talking: Talking) -> None:
             plc.read_holding_registers(0, 1)
         server.script = Peer.serve
         assert plc.read_holding_registers(4, 1) == [4]
-
-
-def test_late_answers_are_dropped(talking: Talking) -> None:
-    def script(peer: Peer) -> None:
-        first, second = peer.request(), peer.request()
-        peer.write(mbap(first, b"\x03\x02\xff\xff"), echo(second))
-        peer.serve()
-
-    with talking(script) as (server, plc):
-        with pytest.raises(ModbusTimeoutError):
-            plc.execute(pdu.ReadHoldingRegisters(1, 1), timeout=0.1)
-        assert plc.read_holding_registers(2, 1) == [2]
-        assert plc.read_holding_registers(3, 1) == [3]
-        assert plc.late_answers == 1
-    assert server.connections == 1
-
-
-def test_retries_go_over_a_new_connection(talking: Talking) -> None:
-    with talking(Peer.request, client={"retries": 2}) as (server, plc):
-        with pytest.raises(ModbusConnectionError):
-            plc.read_holding_registers(1, 1)
-        assert plc.statistics.retries == 2
-        server.script = Peer.serve
-        until(lambda: _asked(plc) == [1])
-    assert server.connections >= 4
-
-
-def _asked(plc: Any) -> Any:
-    with contextlib.suppress(ModbusConnectionError):
-        return plc.read_holding_registers(1, 1)
