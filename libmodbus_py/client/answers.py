@@ -19,15 +19,10 @@ SAME_ANSWER = frozenset([0x0F, 0x10, 0x17])
 
 
 class Answers:
-    """
-    The last good answer to each request, the latest answers of all, and the slowest ones.
-
-    Attributes:
-        slowest: the seconds that the slowest answer of all took.
-    """
+    """The last good answer to each request, the latest answers of all, and the slowest ones."""
 
     def __init__(self) -> None:
-        self.slowest: float = 0.0
+        self.slowest: float = 0.0  # seconds
         # Unit and request -> its last answer; unit and answer -> how many requests have it.
         self._last: dict[tuple[int, bytes], bytes] = {}
         self._having: Counter[tuple[int, bytes]] = Counter()

@@ -13,7 +13,7 @@ from ..protocol import pdu
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import InvalidResponse, ModbusError
 from .call import MAX_IN_FLIGHT, Batch, Call, encoded, raised
-from .polling import Driving, Polls, interval_of, watched
+from .polling import Driving, Polls, watched
 from .reconnecting import State
 from .requests import LOCK, Several, Steps
 
@@ -32,9 +32,7 @@ __all__ = ["Handle"]
 
 
 class Handle(Generic[Driving]):
-    """
-    The base of both clients: a unit, its timeouts, and the connection that handles share.
-    """
+    """The base of both clients: a unit, its timeouts, and the connection that handles share."""
 
     if TYPE_CHECKING:
         _poll: Any  # of `Procedures`
@@ -326,7 +324,7 @@ class Handle(Generic[Driving]):
         integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
         return Polls(
             self,
-            interval_of(polled, interval),
+            getattr(polled, "interval", interval),
             lambda at: self._poll(polled, max_in_flight, at),
         )
 
@@ -383,12 +381,7 @@ class Handle(Generic[Driving]):
         )
 
     def _jobs(self, steps: Steps[Any]) -> Generator[Call | Batch | None, None, Any]:
-        """
-        Follow a procedure, and return its result.
-
-        Yields:
-            What is to be run; None when the lock of the driver is to be held from now on.
-        """
+        """Follow a procedure: yield what is to be run; None to hold the lock from then on."""
         job: Call | Batch
         outcome: Any = None
         try:

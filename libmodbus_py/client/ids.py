@@ -29,12 +29,7 @@ class Ids(Matching):
     """
     The requests in flight on one connection, by their transaction ids.
 
-    Args:
-        endpoint: the endpoint of the connection.
-        statistics: counts late and invalid answers, and timeouts.
-        trace: the trace of the connection.
-        any_unit: True to accept answers from other units than that of the request, because some
-            devices always answer as unit 255.
+    With `any_unit`, other units may answer, because some devices always answer as unit 255.
     """
 
     has_ids = True
@@ -96,7 +91,12 @@ class Ids(Matching):
                 self._answered_at = now
                 call.reply = pdu
             else:
-                call.reply = self._other_unit(each)
+                self._statistics.invalid += 1
+                call.reply = InvalidResponse(
+                    f'unit {unit} answered; accept_unit="any" would take it',
+                    received=self._framer.encode(each),
+                )
+                call.reply.answers_another = True
             answered.append(call)
         return answered
 
@@ -113,21 +113,8 @@ class Ids(Matching):
     def _keep_stray(self, data: bytes) -> None:
         self._strays += data[: MAX_RECEIVED - len(self._strays)]
 
-    def _other_unit(self, frame: Frame) -> InvalidResponse:
-        self._statistics.invalid += 1
-        error = InvalidResponse(
-            f'unit {frame.unit} answered; accept_unit="any" would take it',
-            received=self._framer.encode(frame),
-        )
-        error.answers_another = True
-        return error
-
     def _blame(self, error: FrameError, answered: list[Call]) -> None:
-        """
-        Assign an error to the request whose answer it should have been.
-
-        All requests in flight fail when the stream cannot be understood any more.
-        """
+        """Assign an error to its request; to all, if the stream cannot be understood any more."""
         self._statistics.invalid += 1
         if self.is_traced:
             self._trace.tell("received", error.received)

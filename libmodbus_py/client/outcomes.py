@@ -40,21 +40,10 @@ ASCII_FRAME = rb":[0-9A-Fa-f]{6}"
 
 
 class Outcomes:
-    """
-    Decides what becomes of the requests of one connection.
-
-    Args:
-        endpoint, port: of the connection, for errors.
-        queue: takes the requests that are sent again.
-    """
+    """Decides what becomes of requests; the endpoint and the port are for errors."""
 
     def __init__(
-        self,
-        endpoint: Endpoint,
-        port: Port,
-        queue: Queue,
-        life: Reconnecting,
-        statistics: Statistics,
+        self, endpoint: Endpoint, port: Port, queue: Queue, life: Reconnecting, counted: Statistics
     ) -> None:
         self._place = str(endpoint)
         self._scheme = endpoint.scheme
@@ -63,7 +52,7 @@ class Outcomes:
         self._matching = queue.matching
         self._window = queue.window
         self._life = life
-        self._statistics = statistics
+        self._statistics = counted
 
     def settle(self, call: Call, now: float) -> None:
         """Set the outcome of a request whose reply is here, or send it again."""
@@ -202,16 +191,10 @@ def add_hint(error: ModbusError, hint: str) -> None:
 
 
 def explain(scheme: str, sent: bytes, received: bytes) -> str:
-    """
-    Return the likely mistake; an empty string if none is recognised.
-
-    Args:
-        scheme: the scheme of the endpoint's URL.
-        sent: the request as it was sent.
-        received: the received bytes, which are not an answer.
-    """
+    """Return the likely mistake if such bytes, which are no answer, come; "" if there is none."""
     framing, _ = SCHEMES[scheme]  # type: ignore[index]
-    if scheme in PLAIN and _looks_tls(received):
+    # The header of a TLS record (RFC 8446, 5.1).
+    if scheme in PLAIN and re.match(rb"[\x14-\x17]\x03[\x00-\x04]..", received, re.DOTALL):
         return "this looks like tls://"
     if framing in ("rtu", "ascii") and received.startswith(sent):
         return "the request itself came back; echo=True?"
@@ -219,30 +202,21 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
         if other != framing and framing != "udp" and looks_so(received):
             is_on_tcp = scheme.endswith("tcp") and other != "tcp"
             return f"this looks like {other}{'+tcp' * is_on_tcp}://"
-    if scheme == "rtu" and not _has_start(sent, received):
+    unit, function = sent[0], sent[1]
+    starts = (bytes([unit, function]), bytes([unit, function | 0x80]))
+    if scheme == "rtu" and not any(start in received for start in starts):
         return "only noise; baud rate, parity, A and B swapped?"
     return ""
 
 
 def explain_end(scheme: str, number: int | None) -> str:
-    """
-    Return the likely mistake if a connection ended before any answer arrived over it.
-
-    Args:
-        scheme: the scheme of the endpoint's URL.
-        number: the number of the error, or None.
-    """
+    """Return the likely mistake if a connection ended, with this errno, before any answer."""
     is_ended = number in (errno.ECONNRESET, errno.EPIPE)
     return "nothing was answered yet; does it want tls://?" if scheme in PLAIN and is_ended else ""
 
 
 def _explain_role(certificate: bytes | None) -> str:
-    """
-    Return why a server may have refused a function: the role in the client's own certificate.
-
-    Args:
-        certificate: the certificate in DER; None without TLS, where there is no reason to give.
-    """
+    """Return why a server may refuse a function: the role in the client's certificate (DER)."""
     if certificate is None:
         return ""
     try:
@@ -257,11 +231,6 @@ def _explain_role(certificate: bytes | None) -> str:
     return f"the server may allow it to other roles than {role!r}"
 
 
-def _looks_tls(data: bytes) -> bool:
-    """Return True if bytes begin like the header of a TLS record (RFC 8446, 5.1)."""
-    return len(data) >= 5 and data[0] in range(20, 24) and data[1] == 3 and data[2] <= 4
-
-
 def _looks_ascii(data: bytes) -> bool:
     return re.search(ASCII_FRAME, data) is not None
 
@@ -271,10 +240,3 @@ def _looks_rtu(data: bytes) -> bool:
 
 
 _LOOKS = {_looks_ascii: "ascii", is_one_frame: "tcp", _looks_rtu: "rtu"}
-
-
-def _has_start(sent: bytes, received: bytes) -> bool:
-    """Return True if the bytes contain the unit and the function of the request."""
-    unit, function = sent[0], sent[1]
-    starts = (bytes([unit, function]), bytes([unit, function | 0x80]))
-    return any(start in received for start in starts)

@@ -20,37 +20,10 @@ if TYPE_CHECKING:
     from .asyncio_driver import AsyncioDriver
     from .blocking_driver import BlockingDriver
 
-__all__ = ["Driving", "Polls", "interval_of", "watched"]
+__all__ = ["Driving", "Polls", "watched"]
 
 Driving = TypeVar("Driving", bound="BlockingDriver | AsyncioDriver")
 Values = TypeVar("Values")
-
-
-class Schedule:
-    """
-    The times of polls.
-
-    Args:
-        interval: seconds.
-    """
-
-    def __init__(self, interval: float) -> None:
-        self._interval = interval
-        self._begun: float | None = None
-        self._polls = 0
-
-    def due(self, now: float) -> float:
-        """Return when the next poll is due."""
-        if self._begun is None:
-            return now
-        first_not_missed = ceil((now - self._begun) / self._interval)
-        return self._begun + max(self._polls, first_not_missed) * self._interval
-
-    def polled(self, due: float) -> None:
-        """Note that the poll of this time takes place."""
-        if self._begun is None:
-            self._begun = due
-        self._polls = round((due - self._begun) / self._interval) + 1
 
 
 class Polls(Generic[Driving, Values]):
@@ -66,8 +39,25 @@ class Polls(Generic[Driving, Values]):
     def __init__(self, client: Any, interval: float, poll: Callable[[float], Any]) -> None:
         self._client = client
         self._driver: Any = client._driver
-        self._schedule = Schedule(interval)
+        self._interval = interval
+        self._begun: float | None = None
+        self._polls = 0
         self._poll = poll
+
+    def _due(self) -> float:
+        """Return when the next poll is due."""
+        now: float = self._driver.now()
+        if self._begun is None:
+            return now
+        first_not_missed = ceil((now - self._begun) / self._interval)
+        return self._begun + max(self._polls, first_not_missed) * self._interval
+
+    def _begin(self, due: float) -> Any:
+        """Begin the poll of this time."""
+        if self._begun is None:
+            self._begun = due
+        self._polls = round((due - self._begun) / self._interval) + 1
+        return self._poll(due)
 
     def __iter__(self: Polls[BlockingDriver, Values]) -> Polls[BlockingDriver, Values]:
         return self
@@ -75,11 +65,10 @@ class Polls(Generic[Driving, Values]):
     def __next__(self: Polls[BlockingDriver, Values]) -> Values:
         if isinstance(self._client, Awaiting):
             raise TypeError("watch of an AsyncClient is for async for")
-        due = self._schedule.due(self._driver.now())
+        due = self._due()
         if not self._driver.wait_until(due):
             raise StopIteration
-        self._schedule.polled(due)
-        values: Values = self._poll(due)
+        values: Values = self._begin(due)
         if self._client.closed:
             raise StopIteration
         return values
@@ -90,28 +79,17 @@ class Polls(Generic[Driving, Values]):
     async def __anext__(self: Polls[AsyncioDriver, Values]) -> Values:
         if isinstance(self._client, Blocking):
             raise TypeError("watch of a blocking client is for a plain for, not async for")
-        due = self._schedule.due(self._driver.now())
+        due = self._due()
         if not await self._driver.wait_until(due):
             raise StopAsyncIteration
-        self._schedule.polled(due)
-        values: Values = await self._poll(due)
+        values: Values = await self._begin(due)
         if self._client.closed:
             raise StopAsyncIteration
         return values
 
 
-def interval_of(what: WatchedPoints | Plan, every: float) -> float:
-    """Return the seconds from one poll to the next."""
-    return getattr(what, "interval", every)
-
-
 def watched(what: Any, names: Any, every: float, options: Any) -> WatchedPoints | Plan:
-    """
-    Return what is polled.
-
-    Raises:
-        TypeError, ValueError: as for `RegisterMap.plan` and `Plan`; or `names` without a map.
-    """
+    """Return what is polled; raise TypeError or ValueError as `RegisterMap.plan` and `Plan` do."""
     from ..maps.plan import planned
     from ..maps.register_map import RegisterMap, map_of
 

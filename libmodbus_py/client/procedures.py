@@ -375,12 +375,7 @@ def _check_writable(table: object) -> None:
 def _plan_answers(
     client: Any, plan: Plan, max_in_flight: int, return_exceptions: bool
 ) -> Steps[list[Any]]:
-    """
-    Return the answers to the requests of a plan, for `Plan.results`.
-
-    Raises:
-        ModbusError: the first failure; only without `return_exceptions`.
-    """
+    """Return the answers to a plan's requests, for `Plan.results`; or raise the first error."""
     from ..maps.holes import is_refusal, reading
     from ..protocol.logs import HarmlessLogger
 

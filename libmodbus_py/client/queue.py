@@ -46,25 +46,13 @@ ONE_AT_A_TIME: set[Hashable] = set()
 
 
 class Window:
-    """
-    The number of requests that may be in flight.
-
-    Args:
-        endpoint: the endpoint of the connection.
-        most: the most requests that may ever be in flight.
-        is_given: True if the number is `most` from the beginning, and nothing is found out.
-        statistics: counts the endpoint if it takes one request at a time (`falls`).
-
-    Attributes:
-        is_open: True while the number may change.
-        silent: pairs of a unit and a function that was not answered even alone.
-    """
+    """The number of requests that may be in flight: `most` if it is given, else found out."""
 
     def __init__(
         self, endpoint: Endpoint, most: int, is_given: bool, statistics: Statistics
     ) -> None:
         self.is_open: bool = not is_given and most > 1
-        self.silent: set[tuple[int, int]] = set()
+        self.silent: set[tuple[int, int]] = set()  # units and functions; see rule 5
         self._place: Hashable = endpoint.key
         self._name = str(endpoint)
         self._most = self._bound = most
@@ -147,26 +135,16 @@ class Window:
 
 
 class Queue:
-    """
-    The requests of one connection that are to be sent.
-
-    Args:
-        is_ordered: True if a write is alone in flight.
-
-    Attributes:
-        waiting: the requests that were not sent yet.
-        again: those to be sent again, each when it is due.
-        lost: reads that are to be asked again alone (`Window`); nothing else is sent meanwhile.
-        last_write: the number, among all frames, of the last write that was sent.
-        alone: the write in flight, or to be sent again; or the read that is asked again alone.
-    """
+    """The requests of one connection that are to be sent; `is_ordered` if a write is alone."""
 
     def __init__(self, matching: Matching, window: Window, *, is_ordered: bool) -> None:
         self.waiting: deque[Call] = deque()
-        self.again: list[Call] = []
+        self.again: list[Call] = []  # each when it is due
+        # Reads that are to be asked again alone (`Window`); nothing else is sent meanwhile.
         self.lost: list[Call] = []
+        # The write in flight, or to be sent again; or the read that is asked again alone.
         self.alone: Call | None = None
-        self.last_write: int = 0
+        self.last_write: int = 0  # its number among all frames
         self.matching = matching
         self.window = window
         self._is_ordered = is_ordered
@@ -177,9 +155,7 @@ class Queue:
         return [*self.waiting, *self.again]
 
     def next(self, now: float, in_flight: int) -> Call | None:
-        """
-        Remove and return the next request to send; None, and the alarm is set, if none may be now.
-        """
+        """Remove and return the next request; None, and the alarm is set, if none may be sent."""
         if not self.matching.has_ids:
             return None if in_flight else self._next_on_line(now)
         if self.alone is not None:

@@ -47,26 +47,18 @@ OnState: TypeAlias = Callable[[State, ModbusError | None], object]
 
 
 class Notices:
-    """
-    Pending calls of callbacks about changes of state and traced ADUs, in the order of these events.
-
-    A driver makes the calls between two steps, so that a callback that uses the client, or raises
-    an exception, never interrupts a change.
-    """
+    """Calls of callbacks, which a driver makes between two steps, to interrupt no change."""
 
     def __init__(self) -> None:
         self.waiting: deque[tuple[str, Callable[[], object]]] = deque()
         self._is_giving = False
 
     def add(self, name: str, call: Callable[[], object]) -> None:
-        """Make a call later; `name` is the name of the callback in the log."""
+        """Make a call later; `name` is that of the callback in the log."""
         self.waiting.append((name, call))
 
     def give(self) -> None:
-        """
-        Make the calls. An Exception that a callback raises is logged. Any other BaseException is
-        raised, and the remaining calls are made the next time.
-        """
+        """Make the calls, and log each Exception; what comes after another one waits."""
         if self._is_giving:  # a callback uses the client; the other calls are made after it
             return
         self._is_giving = True
@@ -87,16 +79,8 @@ class Reconnecting:
 
     After an attempt that failed, or a connection that ended before a response came over it, there
     is a pause of 0.1 s, doubled each time up to `max_pause`, and shortened by up to a fifth at
-    random, so that a hundred clients do not connect again at the same moment.
-
-    Args:
-        place: the other side, for messages.
-        max_pause: seconds; 0 for no pause at all.
-        notices: get a call of `on_state` for each change of `state`.
-
-    Attributes:
-        fruitless: how many connections in a row were attempted and brought no answer.
-        next_attempt: when the next one may be.
+    random, so that a hundred clients do not connect again at the same moment. `place` is the other
+    side, for messages.
     """
 
     def __init__(
@@ -115,7 +99,7 @@ class Reconnecting:
         self._statistics = statistics
         self._notices = notices
         self._on_state = on_state
-        self.fruitless: int = 0
+        self.fruitless: int = 0  # connections in a row that were attempted and brought no answer
         self._last_failure: ModbusConnectionError | None = None
         self._uniform: Callable[[float, float], float] | None = None
         if max_pause:  # not at the first failure, when no descriptor may be left for an import

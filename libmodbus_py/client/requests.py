@@ -48,9 +48,7 @@ class Several(NamedTuple):
     """
     Requests that a procedure makes together, as `execute_many` takes them.
 
-    Attributes:
-        stops: True to send nothing more after a ModbusError, and to return the results and that
-            error; only without `return_exceptions`.
+    With `stops`, nothing is sent after a ModbusError, which is returned among the results.
     """
 
     requests: Iterable[pdu.Request[Any]]
