@@ -9,14 +9,18 @@ import errno
 import selectors
 import socket
 import socketserver
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from typing import Any, Self, cast
 
 from ..ports.hosts import host_and_port, listen_on, start_thread
+from ..protocol.logs import HarmlessLogger
 
 __all__ = ["TimedServer"]
+
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Seconds between two looks for connections whose time is over; the server ends as soon.
 SWEEP = 0.2
@@ -118,7 +122,9 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
             _cut(each)
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Ignore it: the client has gone, or has sent no request."""
+        """Log an exception of a connection's thread, unless it means that the client has gone."""
+        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
+            logger.exception("a connection ended with an error")
 
 
 def _cut(request: socket.socket) -> None:

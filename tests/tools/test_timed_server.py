@@ -15,9 +15,11 @@ from libmodbus_py.tools.timed_server import TimedServer
 
 FOREVER = 60.0
 
+ERRORS = {b"r": ConnectionResetError(), b"e": ZeroDivisionError("of the handler")}
+
 
 class Reading(socketserver.BaseRequestHandler):
-    """Read until the connection ends; "k" keeps it without a limit."""
+    """Read until the connection ends; "k" keeps it without a limit, "r" and "e" raise errors."""
 
     server: TimedServer
 
@@ -25,6 +27,8 @@ class Reading(socketserver.BaseRequestHandler):
         while data := self.request.recv(1):
             if data == b"k":
                 self.server.keep(self.request)
+            if data in ERRORS:
+                raise ERRORS[data]
             self.request.sendall(data)
 
 
@@ -83,3 +87,15 @@ def test_all_connections_are_closed_at_the_end() -> None:
     with first, second:
         assert not is_answered(first)
         assert not is_answered(second)
+
+
+def test_what_a_handler_raises_is_logged_unless_the_client_has_gone(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with TimedServer("127.0.0.1", 0, Reading, FOREVER).serving("timed") as server:
+        for data in ERRORS:
+            with connected(server) as connection:
+                assert not is_answered(connection, data)
+    (record,) = caplog.records
+    assert record.exc_info is not None
+    assert record.exc_info[1] is ERRORS[b"e"]
