@@ -55,11 +55,7 @@ class _Counted:
 
 
 class Faults:
-    """
-    The faults of one server, by unit; those equal to faults of `before` go on counting.
-
-    Units that are keys of `aliases` have the faults of another one, unless they have their own.
-    """
+    """The faults of a server by unit or alias; those equal to faults of `before` go on counting."""
 
     def __init__(
         self,

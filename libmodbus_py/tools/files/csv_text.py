@@ -40,16 +40,7 @@ class CsvRow(NamedTuple):
 
 
 class CsvText:
-    """
-    A text in CSV: the row with the headings, the delimiter, and how many rows are skipped above.
-
-    Args:
-        is_known: returns True for a known heading. The delimiter is the one with the
-            most of these, and the headings are the first line with two of them.
-        kind: the class of the errors, which are about characters, or what is not CSV.
-        names_first: True if the first cell may be a name such as ``#12``, which must be quoted,
-            because without quotes it could be a comment.
-    """
+    """A text in CSV: its row of headings, its delimiter, and how many rows are skipped above."""
 
     def __init__(
         self,
@@ -63,10 +54,11 @@ class CsvText:
             line = text.count("\n", 0, found.start()) + 1
             reason = f"contains the control character {ord(found[0]):#04x}"
             raise kind((), reason, place=FilePlace(line=line))
-        self._kind = kind
+        self._kind = kind  # of errors about characters, or what is not CSV
         # Excel begins a file with a byte order mark, or with a line such as "sep=;".
         self._text = re.sub(r"\A\ufeff?(sep=[^\r\n](?=[\r\n]))?", "", text)
         self._lines = re.split("\r\n|\r|\n", self._text)
+        # The first cell may be a name such as #12, which could be a comment.
         self._names_first = names_first
         heads, errors = [], []
         for delimiter in DELIMITERS:
@@ -135,12 +127,7 @@ class CsvText:
 
 
 def csv_rows(rows: Iterable[Iterable[Any]]) -> str:
-    """
-    Return rows as CSV, with a line feed after each.
-
-    Cells with commas, quotes or line feeds are quoted (RFC 4180). If there is another control
-    character, every text of these rows is quoted, because readers differ in what ends a row.
-    """
+    """Return rows as CSV (RFC 4180), with all texts quoted if one has a control character."""
     rows = [*rows]
     text = _written(rows, csv.QUOTE_MINIMAL)
     return _written(rows, csv.QUOTE_NONNUMERIC) if CONTROL.search(text) else text

@@ -166,12 +166,7 @@ PROPERTY = '''
 
 
 def class_text(map: RegisterMap, stem: str) -> str:
-    """
-    Return the text of a Python file, the same for the same map.
-
-    Args:
-        stem: the name of the map's file without its ending, after which the class is named.
-    """
+    """Return a Python file with a class that is named after the stem of the map's file."""
     name = class_name(stem)
     if name in re.findall(r"\w+", FILE):  # which has, or imports, this name
         name += "Map"

@@ -39,14 +39,7 @@ class FilePlace(NamedTuple):
 
 
 class FileError(WrongValue):
-    """
-    The content of a file is wrong.
-
-    Attributes:
-        place: the place of the mistake.
-        path: the key that is wrong, such as ("unit", 0, "id").
-        reason: the mistake, and the values that are allowed.
-    """
+    """The content of a file is wrong, at a place, with the path of the key, and what is allowed."""
 
     def __init__(
         self, path: str | Path, reason: str, between: str = " ", place: FilePlace | None = None
@@ -93,12 +86,7 @@ def read_text(path: str | PathLike[str], kind: type[FileError]) -> str:
 
 
 def read_table(path: str | PathLike[str], kind: type[FileError]) -> tuple[str, str]:
-    """
-    Return the text of a file that a spreadsheet may have saved, and a note unless it is UTF-8.
-
-    UTF-16 is recognised by its first two bytes. Otherwise it is cp1252, in which Excel saves CSV in
-    Western Europe and America.
-    """
+    """Return the text of a file as spreadsheets save it, and a note if it is not UTF-8."""
     data = _content(path, kind)
     is_utf_16 = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     for encoding in ("utf-16",) if is_utf_16 else ("utf-8", "cp1252"):
@@ -165,15 +153,7 @@ def shown_key(key: str) -> str:
 
 
 def line_of(text: str, path: Path) -> int | None:
-    """
-    Return the line, from 1, of a key, or of what is nearest around it; None if there is nothing.
-
-    Args:
-        text: a TOML document with one key or header in a line; tomllib reports lines of syntax
-            errors only.
-        path: such as ``("unit", 0, "coils", 2, "values", 7)``, with keys as `shown_key`
-            returns them; tables in arrays and items are counted from 0.
-    """
+    """Return the line, from 1, of a key of a TOML document, or of what is around it."""
     nearest, depth = None, 0
     for line, found in _paths(text):
         shared = 0

@@ -138,10 +138,7 @@ class CaptureWriter:
 
 
 class CaptureReader:
-    """
-    Reads a file of `CaptureWriter`, even if Wireshark has saved it again; `recorded` yields what
-    each connection said, and raises CaptureError where the file is not valid.
-    """
+    """Reads a file of `CaptureWriter`, even if Wireshark has saved it again."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = os.fspath(path)

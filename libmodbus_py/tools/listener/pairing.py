@@ -49,14 +49,11 @@ MOST_CONNECTIONS = 1000
 
 
 class Spoiled(NamedTuple):
-    """
-    The outcome of a request after other bytes than its response, up to a time; if the response does
-    follow, they are a transaction alone.
-    """
+    """The outcome of a request after other bytes than its response, which may still follow."""
 
     ended: float
     outcome: Ending
-    alone: Transaction
+    alone: Transaction  # of these bytes, if the response does follow
 
 
 @dataclass(eq=False, slots=True)
@@ -86,19 +83,14 @@ class OpenRequest:
 
 
 class Pairing:
-    """
-    The open requests of one connection or line; the caller empties `done`.
-
-    On a line unit 0 is a broadcast. No frame is missing of those that a server received and sent:
-    then every frame that was sent answers a request.
-    """
+    """The open requests of one connection or line; the caller empties `done`."""
 
     def __init__(
         self, *, is_line: bool = True, is_server: bool = False, timeout: float = TIMEOUT
     ) -> None:
         self.done: list[Transaction] = []
         self._is_line = is_line
-        self._is_server = is_server
+        self._is_server = is_server  # no frame is missing: every one that was sent answers one
         self._timeout = timeout
         self._open: list[OpenRequest] = []
         self._late: dict[tuple[int, int], OpenRequest] = {}  # by unit and transaction id

@@ -83,10 +83,7 @@ Found = Iterator[Candidate | Damage]
 
 
 class _RtuHearing:
-    """
-    Cuts a stream of RTU; each frame has the times of its first and its last byte. The silence after
-    `quiet` seconds without a byte is over if it is too long for a pending frame to be completed.
-    """
+    """Cuts a stream of RTU; each frame has the times of its first and its last byte."""
 
     def __init__(self, pause: float, sender: Direction | None) -> None:
         self.quiet: float = pause + ALLOWANCE

@@ -54,13 +54,10 @@ PIECE_COST = 100
 
 
 class TimedBytes(NamedTuple):
-    """
-    Bytes that a connection received together, none at its end; a serial line is link 0, and its
-    sender is not known.
-    """
+    """Bytes that a connection received together, none at its end."""
 
-    link: int
-    sender: Direction | None
+    link: int  # 0 for a serial line
+    sender: Direction | None  # None for a serial line
     at: float
     data: bytes
 
@@ -85,12 +82,7 @@ class SerialSource:
 
 
 class Tap(TimedServer):
-    """
-    A source of the bytes between clients of an endpoint and a device.
-
-    A connection beyond the most ends the one that has been idle longest. `descriptor` is readable
-    when there are bytes. Raises ModbusConnectionError if the endpoint cannot be opened.
-    """
+    """A source of the bytes between clients of an endpoint and a device."""
 
     daemon_threads = True  # `close` does not wait for connections that are being established
 

@@ -131,10 +131,7 @@ class Log:
             return list(self._rows)
 
     def download(self, query: Mapping[str, str]) -> str:
-        """
-        Return the remembered rows as CSV; of a "unit", and only "writes" or "errors", if the query
-        says so.
-        """
+        """Return rows as CSV, of a "unit", or only "writes" or "errors", as the query says."""
         unit = query.get("unit", "")
         wanted = query.get("writes") == "1", query.get("errors") == "1"
         rows = [
@@ -212,10 +209,7 @@ def _listed(values: Any) -> str:
 
 
 def named_cells(unit: ShownUnit, request: Request[Any], response: Any) -> str:
-    """
-    Return the points that a request reads or writes as a whole, with their values, such as
-    "voltage 230.1 V, pump on"; the response is None unless it contains values.
-    """
+    """Return the points that a request reads or writes as a whole, with their values."""
     accesses = touched(request, mapping=unit.device.mapping)
     ranges = [(each, each.values) for each in accesses.writes]
     if isinstance(response, list | tuple):

@@ -73,12 +73,7 @@ class _PageGuard:
             return False
 
     def _kept(self, headers: Message) -> Iterator[str]:
-        """
-        Yield the values of the page's cookie.
-
-        Pages on all ports of a machine share their cookies, and `http.cookies` stops at the first
-        that it cannot parse, such as one that contains JSON.
-        """
+        """Yield the values of the page's cookie; `http.cookies` stops at one with JSON."""
         for header in headers.get_all("Cookie", []):
             for each in header.split(";"):
                 name, _, value = each.strip().partition("=")

@@ -54,15 +54,12 @@ def _is_gap(passed: float, every: float | None) -> bool:
 
 
 class Samples:
-    """
-    The last samples of one value, and the lowest and highest number since the first; the seconds
-    between two are None if a number is valid until the next one.
-    """
+    """The last samples of one value, and the lowest and highest number since the first."""
 
     __slots__ = ("_most", "_numbers", "every", "high", "low", "newest")
 
     def __init__(self, every: float | None = None, most: int = MOST_SAMPLES) -> None:
-        self.every: float | None = every
+        self.every: float | None = every  # seconds; None if a number is valid until the next one
         self.newest: float = -math.inf
         self.low: float | None = None
         self.high: float | None = None
@@ -172,13 +169,7 @@ def _figures(before: Counts, now: Counts, passed: float) -> dict[str, float | No
 
 
 class RowHistory:
-    """
-    Samples the counters of rows, at most once a second. Safe from any thread.
-
-    A number is that of the time since the previous sample. While there are no requests, and no page
-    is open, there is no sample: the chart has a gap. `counts` returns the name of each row, as in
-    its first cell, and its counters.
-    """
+    """Samples the counters of rows, at most once a second; safe from any thread."""
 
     def __init__(
         self,

@@ -53,12 +53,7 @@ View = tuple["int | None", str, int, int]
 
 
 def set_point(unit: ShownUnit, point: Point, text: str) -> None:
-    """
-    Set a point to the value, or the values, in a text, as `typed_values` reads them.
-
-    Raises:
-        ValueError: the text is not such a value, or the device computes the value itself.
-    """
+    """Set a point to the values in a text; raise ValueError if they are wrong or computed."""
     with unit.device.mapping as mapping:
         try:
             unit.device.update({point.name: typed_values(point, text)})

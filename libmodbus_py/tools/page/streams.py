@@ -56,11 +56,7 @@ Download = Callable[[Mapping[str, str]], str]
 
 
 class PageSource(Protocol):
-    """
-    The things that all open pages of one address show with a script; any thread calls the actions,
-    which answer requests, and makes downloads, each by its path. One thread at a time asks for the
-    tables that all pages show, and for those of a view, if it still exists.
-    """
+    """The content of all open pages of one address; several threads may call its actions."""
 
     script: str
     actions: Mapping[str, Action]

@@ -45,14 +45,7 @@ View = tuple[str, bool, int, int]
 
 
 class Column(NamedTuple):
-    """
-    A column of the table, which narrow screens, such as those of telephones, leave out if it is
-    wide.
-
-    Cells of the kind "row" name the row by a group, a name and perhaps more; of "state" are a word,
-    a reason, and since when; of "value" a text and its units; of "spark" the levels of a sparkline,
-    which opens a chart, or None. An age and the time of a state are seconds since the epoch, or 0.
-    """
+    """A column of the table, which narrow screens leave out if it is wide."""
 
     title: str
     kind: Literal["row", "note", "value", "number", "age", "state", "spark"]
@@ -72,17 +65,7 @@ class PageRow(Protocol):
 
 
 class Shown(Protocol):
-    """
-    The table of a page and its head; a thread of the page calls the methods.
-
-    Attributes:
-        kind: the kind of the page in one word, such as "fleet".
-        log: the log that is shown beside the table; None for no log.
-        older: finds samples of values that are not in memory any more; None without a journal.
-        status: returns a sentence for the head, and True if it names a problem.
-        figures: returns the numbers at a glance, by their names.
-        series: returns the numbers of a row, by the texts of its first cell; None if it is gone.
-    """
+    """The table of a page and its head; a thread of the page calls the methods."""
 
     kind: str
     title: str

@@ -288,10 +288,7 @@ class Prober:
             return None
 
     def read(self, unit: int, request: Any, size: int = LONGEST_SIZE) -> Any:
-        """
-        Send any request that reads: again, once, if the server closes the connection. Only a
-        ModbusConnectionError means that no other can be sent.
-        """
+        """Send a request that reads, again once if the server has closed the connection."""
         handle: Any = self.context.for_unit(unit, timeout=self._place.wait(size))
         reason = ""
         for _ in range(2):

@@ -46,19 +46,13 @@ MORE_ASKED = 2 + 2 * MOST_PAGES
 
 
 class Progress(NamedTuple):
-    """
-    The progress of a scan: the unit that is probed now, and the numbers of probes.
+    """The progress of a scan: the unit that is probed now, and the numbers of probes."""
 
-    Attributes:
-        setting: such as "9600 8E1"; the URL on networks.
-        left: seconds that the rest takes at most, if no more units are found.
-    """
-
-    setting: str
+    setting: str  # such as "9600 8E1"; the URL on networks
     unit: int
     done: int
     total: int
-    left: float
+    left: float  # seconds that the rest takes at most, if no more units are found
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,18 +179,12 @@ class _Rounds:
 
 
 class _PlaceScan:
-    """
-    The scan of all units at one place, in one round or several.
-
-    Attributes:
-        is_left: True if nothing is left to ask here, whatever the rounds still have.
-        refused: raised because the port cannot have this setting.
-    """
+    """The scan of all units at one place, in one round or several."""
 
     def __init__(self, place: Place, units: list[int]) -> None:
         self.place = place
-        self.is_left: bool = False
-        self.refused: ModbusConnectionError | None = None
+        self.is_left: bool = False  # nothing is left to ask here
+        self.refused: ModbusConnectionError | None = None  # the port cannot have this setting
         self._units = units
         self._nothing: dict[int, ModbusError] = {}
         self._latest = 0.0

@@ -72,13 +72,7 @@ class SimulatedPoint:
 
 
 class Clockwork:
-    """
-    Keeps the moving values of a mapping up to date, as far as they are read.
-
-    Args:
-        points: all points of the mapping.
-        clock: returns seconds; the time of the call is the start.
-    """
+    """Keeps the moving values of a mapping up to date, as far as they are read."""
 
     def __init__(
         self,
@@ -213,12 +207,7 @@ def counter(
     start: Number = 0,
     wrap: Number | None = None,
 ) -> Compute:
-    """
-    Increase (or decrease) by a step at each interval of seconds, up to `wrap`.
-
-    There it begins again, with what the last step exceeds it by. None is the end of the type, where
-    floats stay.
-    """
+    """Count by a step at each interval of seconds, up to `wrap`, or to the end of the type."""
     number("step", step, -LARGEST, LARGEST)
     seconds("interval", interval)
     if step == 0:
@@ -267,13 +256,7 @@ def random_walk(
     interval: float = 1.0,
     seed: int | None = None,
 ) -> Compute:
-    """
-    Move by chance, from the middle on, by at most a step in each interval of seconds.
-
-    It goes in straight lines from one random value to the next, with a random deviation at each
-    move; each makes up half of the step. So a value depends on nothing but the time and the seed,
-    which makes every start walk the same way; each value of a run its own.
-    """
+    """Move by chance, by at most a step in each interval of seconds."""
     _check_span(point, low, high)
     number("step", step, -LARGEST, LARGEST)
     if not 0 < step <= high - low:
@@ -286,6 +269,8 @@ def random_walk(
     reach = (high - low) / 2 - deviation
     moves_of_line = math.ceil(min(4 * reach / step, 1e15)) or 1
 
+    # In straight lines from one random value to the next, with a random deviation at each move;
+    # each makes up half of the step. So a value depends on nothing but the time and the seed.
     def compute(index: int, now: float) -> Number:
         own = _mixed(_mixed(others.seed, origin) if seed is None else seed, index)
         move = int(now / interval)
@@ -313,12 +298,7 @@ def _mixed(seed: int, number: int) -> int:
 def copy(
     point: SimulatedPoint, others: Clockwork, address: int, table: str, scale: Number = 1
 ) -> Compute:
-    """
-    Follow other values, from an address on: each value is a copy of one of them, times `scale`.
-
-    The number is rounded, and limited to the range of its type. Function 23 reads copies of
-    the values before its own write.
-    """
+    """Follow the values from an address on, each times `scale`, in the range of the type."""
     number("scale", scale, -LARGEST, LARGEST)
     sources = [_source(others, index, address, table) for index in range(point.point.count)]
     own = point.point

@@ -29,12 +29,7 @@ def path_of(name: str) -> str:
 
 
 def map_file(word: str) -> str:
-    """
-    Return the path of a register map; a word without folder and suffix names an example.
-
-    Raises:
-        ValueError: there is no example of that name.
-    """
+    """Return the path of a register map; a word without folder and suffix is a name."""
     if os.path.basename(word) != word or os.path.splitext(word)[1]:
         return word
     known = maps()

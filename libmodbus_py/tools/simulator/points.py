@@ -200,10 +200,7 @@ def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[
 
 
 def _check_overlaps(points: Iterable[SimulatedPoint]) -> None:
-    """
-    Raise WrongValue for points that share cells or records, except for those of maps that do not
-    both move, and for different bits of the same registers.
-    """
+    """Raise WrongValue for points that share cells, and are neither parts nor of maps."""
     in_order = sorted(points, key=lambda each: (each.area, each.span.start))
     for before, each in pairwise(each for each in in_order if each.is_mapped and each.behaviour):
         if before.table == each.table and each.span.start < before.span.stop:

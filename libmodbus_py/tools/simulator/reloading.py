@@ -1,5 +1,8 @@
 """
 A device file that is read again while its devices are served.
+
+A thread reads it, so clients are answered meanwhile, and their connections stay. A mistake leaves
+the devices as they were. `tell` is called in the server's loop with a line about each reading.
 """
 
 from __future__ import annotations
@@ -23,13 +26,7 @@ LOOK_EVERY_S = 0.5
 
 
 class Reloader:
-    """
-    Reads a device file again when it is asked to, or when the file or a register map of it changes.
-
-    The file is read in a thread, so clients are answered meanwhile, and their connections stay. A
-    mistake in the file leaves the devices as they were. `tell` is called in the loop of the server
-    with one line about each reading, or mistake.
-    """
+    """Reads a device file again when asked to, or when it or one of its maps changes."""
 
     def __init__(
         self,

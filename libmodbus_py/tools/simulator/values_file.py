@@ -1,5 +1,9 @@
 """
 The file in which a server keeps the values of its devices, so that they survive a restart.
+
+A second file, with the ending ".lock", is locked, so that no other program uses it. `tell` is
+called in any thread with a line when writing first fails, and when it succeeds again. A ValueError
+says why the file cannot be used; no value is taken from it then.
 """
 
 from __future__ import annotations
@@ -33,13 +37,7 @@ Devices = Device | Mapping[int, Device]
 
 
 class ValuesFile:
-    """
-    Keeps the values of devices in a file, which is replaced at most once a second and at the end.
-
-    While it exists, no other program can use the file: a second file, with the ending ".lock",
-    is locked. `tell` is called in any thread with a line when writing fails first, and when it
-    succeeds again. A ValueError says why the file cannot be used; no value is taken from it then.
-    """
+    """Keeps the values of devices in a file, replaced at most once a second and at the end."""
 
     def __init__(
         self, path: str, devices: Callable[[], Devices], *, tell: Callable[[str], object]

@@ -46,19 +46,7 @@ _TYPES: dict[str, dict[str, Any]] = {
 
 
 class ModelLayout:
-    """
-    The points of a definition, laid over the registers of a model, `room` of them at most.
-
-    Args:
-        group: the top-level group of the definition.
-        address, length: of the register with the id; of what follows the header.
-        counts: values of the points by which groups are repeated, by name.
-
-    Attributes:
-        points: in the order of their addresses.
-        used: registers that they take, with the header and paddings.
-        notes: what does not fit, each as one sentence.
-    """
+    """The points of a definition, laid over the registers of a model, `room` of them at most."""
 
     def __init__(
         self,
