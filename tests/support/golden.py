@@ -6,12 +6,14 @@ Long outputs that are compared with files: `tests/FOLDER/golden/NAME`.
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-__all__ = ["golden", "pytest_addoption"]
+__all__ = ["Golden", "golden", "pytest_addoption", "refusals"]
 
 Golden = Callable[[str, str], None]
 
@@ -34,3 +36,23 @@ def golden(request: pytest.FixtureRequest) -> Golden:
         assert text == path.read_text(), f"{path}: --make-golden writes it again"
 
     return compare
+
+
+def refusals(path: Path, call: Callable[[Any], object]) -> str:
+    """
+    Return the text that a golden file of mistakes should have.
+
+    Args:
+        path: what is given, as Python writes it, with the message in the next line; then an empty
+            line, for each mistake.
+        call: takes what is given, and raises a TypeError or ValueError of one line.
+    """
+    lines = []
+    for given in path.read_text().split("\n")[::3]:
+        with pytest.raises((TypeError, ValueError)) as caught:
+            call(ast.literal_eval(given))
+        message = str(caught.value)
+        assert message.isprintable()
+        assert len(message) < 1000
+        lines += [given, f"    {message}", ""]
+    return "\n".join(lines)

@@ -31,7 +31,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.listen import Listener, Transaction, listen
 from libmodbus_py.tools.listener.sources import Tap
-from tests.support.cases import each_case
+from tests.support.golden import Golden, refusals
 from tests.support.peers import until
 from tests.support.talk import rtu
 from tests.tools.listener.shared_line import SharedLine
@@ -323,26 +323,9 @@ class TestBetween:
 
 
 class TestArguments:
-    @each_case(
-        ("url", "between", "what"),
-        [
-            ("tcp://127.0.0.1:1502", None, "the scheme must be rtu, ascii"),
-            ("tcp://127.0.0.1:1502", "tcp://127.0.0.1:1503", "the scheme must be rtu, ascii"),
-            ("rtu+tcp://127.0.0.1:0", None, "between is missing"),
-            ("rtu+tcp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0", r"must be in 1\.\.65535"),
-            ("rtu+tcp://127.0.0.1:0", "ascii+tcp://127.0.0.1:1", "the scheme must be rtu.tcp"),
-            ("rtu:///dev/ttyUSB0", "rtu+tcp://127.0.0.1:1", "a serial port is only read"),
-            ("rtu:///dev/ttyUSB0?timeout=1", None, "timeout is for clients"),
-            ("rtu:///dev/ttyUSB0?baudrate=0", None, "baudrate must be in 1..4000000"),
-            ("tls://127.0.0.1:802", None, "cannot see into TLS; a gateway"),
-            ("rtu+tcp://127.0.0.1:0", "tls://192.0.2.10", "^tls://192.*cannot see into TLS"),
-            ("x.pcapng", "rtu+tcp://127.0.0.1:1", "between cannot be given"),
-            ("x.pcap", None, "the scheme must be rtu, ascii"),
-        ],
-    )
-    def test_what_cannot_be(self, url: str, between: str | None, what: str) -> None:
-        with pytest.raises(ValueError, match=what):
-            listen(url, between=between)
+    def test_what_cannot_be(self, golden: Golden) -> None:
+        path = Path(__file__).with_name("golden") / "refused.txt"
+        golden(path.name, refusals(path, lambda given: listen(given[0], between=given[1])))
 
     def test_a_capture_that_cannot_be_written(self, bus: SharedLine, tmp_path: Path) -> None:
         with pytest.raises(OSError, match="Is a directory"):

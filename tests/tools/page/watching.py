@@ -114,6 +114,11 @@ class Visitor:
         found = json.loads(data)
         return found if status == 200 else found["error"]
 
+    def refused(self, given: tuple[str, dict[str, Any]]) -> None:
+        """Post to a path; raise a ValueError with the text of the refusal."""
+        if isinstance(found := self.post(given[0], **given[1]), str):
+            raise ValueError(found)
+
     def history(self, row: Any, seconds: Any, column: Any = "last values") -> Any:
         """Return the samples of a chart, or the text of the refusal."""
         return self.post("/history", row=row, column=column, seconds=seconds)

@@ -4,7 +4,6 @@ Device files that are wrong, and what is said of them: both are in `golden/mista
 
 from __future__ import annotations
 
-import ast
 import json
 import math
 from pathlib import Path
@@ -14,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py.tools.simulator.device_file import DeviceFileError, load, parse
-from tests.support.golden import Golden
+from tests.support.golden import Golden, refusals
 
 METER = """name,table,address,type,scale,unit,access
 voltage,input,0,uint16,0.1,V,read
@@ -31,17 +30,17 @@ MISTAKES = Path(__file__).with_name("golden") / "mistakes.txt"
 def test_a_wrong_file_is_told_what_is_wrong(tmp_path: Path, golden: Golden) -> None:
     (tmp_path / "meter.csv").write_text(METER)
     (tmp_path / "bad.csv").write_text("name,table,address\na,coilz,0\n")
-    lines = []
-    for text in MISTAKES.read_text().split("\n")[::3]:
+
+    def load_text(text: str) -> None:
         path = tmp_path / "device.toml"
-        path.write_text(ast.literal_eval(text), newline="")
+        path.write_text(text, newline="")
         with pytest.raises(DeviceFileError) as caught:
             load(path)
-        message = str(caught.value).replace(str(tmp_path), "FOLDER")
-        assert "\n" not in message
-        lines += [text, f"    {message}", ""]
-    assert len(lines) > 3 * 150
-    golden("mistakes.txt", "\n".join(lines))
+        raise ValueError(str(caught.value).replace(str(tmp_path), "FOLDER"))
+
+    text = refusals(MISTAKES, load_text)
+    assert text.count("\n") > 3 * 150
+    golden("mistakes.txt", text)
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
