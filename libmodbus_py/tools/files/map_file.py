@@ -327,11 +327,8 @@ def _referred(text: str) -> tuple[str, int]:
     try:
         return parse_reference(text)
     except ValueError:
-        hint = ""
-        if re.fullmatch("[1-9][0-9]{0,3}", text):
-            hint = f"; a spreadsheet removes the zeros of 0{int(text):04}: format cells as text"
         wanted = "a reference such as 40123 or 300007 where no column says the table"
-        raise WrongValue((), f"must be {wanted}, not {reprlib.repr(text)}{hint}") from None
+        raise WrongValue((), f"must be {wanted}, not {reprlib.repr(text)}") from None
 
 
 # --- cells -----------------------------------------------------------------------------------
@@ -428,7 +425,3 @@ def remarks(contents: Contents) -> Iterator[str]:
         if is_within and not are_parts:
             place = contents.place(second.name)
             yield f"{place}: {second.name} overlaps {first.name} at {second.table} {second.address}"
-    for name, point in contents.points.items():
-        if point.scale < 0 and point.scale == int(point.scale):
-            place = contents.place(name)
-            yield f"{place}: {name} is multiplied by {point.scale}: no power of ten is meant?"

@@ -39,7 +39,14 @@ class FilePlace(NamedTuple):
 
 
 class FileError(WrongValue):
-    """The content of a file is wrong, at a place, with the path of the key, and what is allowed."""
+    """
+    The content of a file is wrong.
+
+    Attributes:
+        place: the place of the mistake.
+        path: the key that is wrong, such as ("unit", 0, "id").
+        reason: the mistake, and the values that are allowed.
+    """
 
     def __init__(
         self, path: str | Path, reason: str, between: str = " ", place: FilePlace | None = None

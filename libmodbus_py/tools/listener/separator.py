@@ -27,8 +27,7 @@ from typing import Literal, NamedTuple
 
 from ...protocol.checks import checked_callback
 from ...protocol.errors import MAX_RECEIVED, FrameError
-from ...protocol.framing import AsciiFramer, Frame, delimiter_after
-from ...protocol.pdu import Diagnostics
+from ...protocol.framing import AsciiFramer, Frame
 from ...protocol.rtu import RtuCutter, may_be
 from ...protocol.scan import ALLOWANCE
 from .pairing import OpenRequest, Pairing
@@ -283,12 +282,6 @@ class Separator:
 
     def _given(self) -> list[Transaction]:
         done, self._pairing.done = self._pairing.done, []
-        for each in done:
-            if isinstance(each.request, Diagnostics) and each.kind == "answered":
-                for hearing in self._hearings.values():
-                    if isinstance(hearing, _AsciiHearing):
-                        framer, asked = hearing.framer, each.request.encode()
-                        framer.delimiter = delimiter_after(asked, framer.delimiter)
         return done
 
     def _hearing(self, direction: Direction | None) -> _RtuHearing | _AsciiHearing:

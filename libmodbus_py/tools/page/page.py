@@ -28,7 +28,6 @@ from ..faults.server import Server
 from ..timed_server import TimedServer
 from .server_source import ServerSource
 from .streams import Action, PageSource, Refused, Streams
-from .table_source import TableSource
 
 __all__ = ["Page", "live_page", "table_page"]
 
@@ -266,19 +265,15 @@ def live_page(
         OSError: the address cannot be used, or the system has no thread left.
     """
     source = ServerSource(server)
-    with server.tracing(source.log.note), _page_of(source, host, port, token) as page:
+    with server.tracing(source.log.note), table_page(source, host, port, token) as page:
         yield page
 
 
-def table_page(
-    source: TableSource, host: str = "127.0.0.1", port: int = 0, token: str | None = None
-) -> contextlib.AbstractContextManager[Page]:
-    """Show tables, on which nothing can be changed, on a live page; otherwise as `live_page`."""
-    return _page_of(source, host, port, token)
-
-
 @contextlib.contextmanager
-def _page_of(source: PageSource, host: str, port: int, token: str | None) -> Iterator[Page]:
+def table_page(
+    source: PageSource, host: str = "127.0.0.1", port: int = 0, token: str | None = None
+) -> Iterator[Page]:
+    """Show a source, such as tables on which nothing can be changed; otherwise as `live_page`."""
     if not isinstance(token, str | None):
         raise TypeError(f"token must be a string, not {type(token).__name__}")
     if token is not None and not TOKEN.fullmatch(token):

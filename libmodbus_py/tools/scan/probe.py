@@ -23,9 +23,15 @@ from ...ports.trace import Traced
 from ...ports.waiting import Waker
 from ...protocol import pdu
 from ...protocol.checks import integer, seconds
-from ...protocol.errors import NO_UNIT, ExceptionResponse, ModbusConnectionError, ModbusError
+from ...protocol.errors import (
+    NO_UNIT,
+    ExceptionResponse,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusError,
+)
 from ...protocol.pdu import DeviceIdentification
-from ...protocol.pdu.interface import MANDATORY, identify
+from ...protocol.pdu.interface import identify
 from ...security.security import Security
 from ..listener.pairing import TracePairing
 
@@ -249,16 +255,8 @@ class Prober:
         return Answer(self.waker.now() - started, code)
 
     def identification(self, unit: int) -> DeviceIdentification | None:
-        """Read the identification (43/14): some regular ones lack objects of the basic level."""
-        found = self._level(unit, "regular")
-        if found is not None and MANDATORY - found.objects.keys():
-            basic = self._level(unit, "basic")
-            if basic is not None:
-                found = found._replace(objects={**basic.objects, **found.objects})
-        return found
-
-    def _level(self, unit: int, level: str) -> DeviceIdentification | None:
-        steps = identify(level)
+        """Read the regular identification (43/14), without a page that is wrong."""
+        steps = identify("regular")
         found: DeviceIdentification | None = None
         objects: dict[int, bytes] = {}
         try:
@@ -272,10 +270,8 @@ class Prober:
                 request = steps.send(page)
         except StopIteration as done:
             found = done.value
-        except ModbusConnectionError:
-            raise
-        except ModbusError:
-            pass  # a wrong page
+        except InvalidResponse:
+            pass
         return found
 
     def read_any(self, unit: int, request: Any) -> Any:

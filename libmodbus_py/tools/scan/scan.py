@@ -41,8 +41,8 @@ DIRECT = 255
 RESERVED = (249, 252, 250, 251, 253)
 
 # Timeouts after a probe: for function 17, after which the line must be silent for as long, and for
-# the two levels of function 43/14.
-MORE_ASKED = 2 + 2 * MOST_PAGES
+# function 43/14.
+MORE_ASKED = 2 + MOST_PAGES
 
 
 class Progress(NamedTuple):
@@ -235,7 +235,7 @@ class _PlaceScan:
             if late in self._units:
                 self._nothing.pop(late, None)
                 self._others += 1
-                yield replace(self._made(late, answer), is_late=True)
+                yield replace(self._found(prober, late, answer), is_late=True)
 
     def _answers_of_none(self, prober: Prober) -> set[int | None]:
         """Return the answer of units that cannot exist: a server that ignores the unit has one."""
@@ -247,15 +247,15 @@ class _PlaceScan:
         return self._impossible
 
     def _found(self, prober: Prober, unit: int, answer: Answer, is_any: bool = False) -> Found:
-        return replace(
-            self._made(unit, answer),
+        return Found(
+            unit,
+            self.place.url(unit),
+            *answer,
+            **self.place.settings,
             is_any=is_any,
             server_id=prober.read_any(unit, pdu.ReportServerId()),
             identification=prober.identification(unit),
         )
-
-    def _made(self, unit: int, answer: Answer) -> Found:
-        return Found(unit, self.place.url(unit), *answer, **self.place.settings)
 
     def notes(self) -> Iterator[str]:
         """Yield other observations, one line each."""

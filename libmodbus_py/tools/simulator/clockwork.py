@@ -173,9 +173,6 @@ def _nearest(point: Point, value: Any) -> Any:
 
 Number = int | float
 
-# Reading the last copy computes all copies before it.
-MOST_COPIES = 8
-
 # Bounded, so that sums and products are finite, too.
 LARGEST = 1e100
 
@@ -218,12 +215,9 @@ def counter(
         wrap = high if step > 0 else low
     if wrap is not None:
         number("wrap", wrap, -LARGEST, LARGEST)
-        if (wrap - start) * step <= 0:
-            side = "above" if step > 0 else "below"
-            raise WrongValue("wrap", f"must be {side} start, which is {start}")
-        if not low <= wrap <= high:
-            span = f"{low}..{high} for {point.point.type_name}"
-            raise WrongValue("wrap", f"must be in {span}, not {wrap}")
+        first, last = (start, high) if step > 0 else (low, start)
+        if not first <= wrap <= last or wrap == start:
+            raise WrongValue("wrap", f"must be in {first}..{last} but not {start}, not {wrap}")
 
     def compute(index: int, now: float) -> Number:
         way = step * int(now / interval)
@@ -302,7 +296,7 @@ def copy(
     number("scale", scale, -LARGEST, LARGEST)
     sources = [_source(others, index, address, table) for index in range(point.point.count)]
     own = point.point
-    for source, at in sources:
+    for source, _ in sources:
         names = source.point.type_name, own.type_name
         are_numbers = source.point.limits[0] is not None and own.limits[0] is not None
         if not are_numbers and (names[0] != names[1] or scale != 1):
@@ -310,13 +304,8 @@ def copy(
                 f"{names[0]} cannot be copied to {names[1]}: values that are not"
                 " numbers need the same type on both sides, and no scale"
             )
-        copies = 1
-        while source.behaviour is not None and source.behaviour[0] == "copy":
-            copies += 1
-            if copies > MOST_COPIES:
-                raise ValueError(f"more than {MOST_COPIES} copies in a row, or a circle of them")
-            settings = source.behaviour[1]
-            source, at = _source(others, at, settings["address"], settings["table"])
+        if source.behaviour is not None and source.behaviour[0] == "copy":
+            raise ValueError("a copy cannot follow another copy")
 
     def compute(index: int, now: float) -> Any:
         source, at = sources[index]

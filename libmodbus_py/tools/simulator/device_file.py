@@ -155,7 +155,12 @@ FILE = Keys(
 
 
 class DeviceFileError(FileError):
-    """A device file is wrong; `files` are the paths of the register maps that it uses."""
+    """
+    A device file is wrong; the message names file, line and key, and what is allowed.
+
+    Attributes:
+        files: the paths of the register maps that were read, or could not be read.
+    """
 
     files: tuple[str, ...] = ()
 
@@ -203,7 +208,17 @@ def parse(
 def mapped_simulation(
     map: str, units: Iterable[int] = (), columns: Mapping[str, str] | None = None
 ) -> Simulation:
-    """Return a simulation of units, or one for all, that have the points of a map, all zero."""
+    """
+    Return a simulation of devices that have the points of a register map, all zero.
+
+    Args:
+        map: path of the map, or the name of one that comes with the package.
+        units: the units, 0..247 or 255; empty for one device that answers every unit.
+        columns: as for `load_map`.
+
+    Raises:
+        DeviceFileError: the map cannot be read or contains a mistake, or a unit is wrong.
+    """
     described = [{"id": unit, "map": map} for unit in units] or [{"map": map}]
     try:
         return _simulation({"unit": described}, Maps("", columns), time.monotonic)

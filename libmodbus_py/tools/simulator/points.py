@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -107,16 +106,13 @@ def points_of(path: Path, unit: Mapping[str, Any], maps: Maps) -> list[Simulated
     points = {each.point.name: each.point for each in found}
     paths: dict[str, Path] = {}
     raws = [(table, at, raw) for table in CONTENTS for at, raw in enumerate(unit.get(table, ()))]
-    for table, at, raw in sorted(raws, key=lambda each: "name" not in each[2]):
+    for table, at, raw in raws:
         where = (*path, table, at)
         each = _own_point(where, table, raw, unit["defaults"])
         name = each.point.name
-        if name in points and "name" in raw:
-            raise WrongValue.about((*where, "name"), f"there is already a point {name}")
-        while name in points:
-            name += "_"
         if not each.file:
-            each = replace(each, point=replace(each.point, name=name))
+            if name in points:
+                raise WrongValue.about((*where, "name"), f"there is already a point {name}")
             points[name], paths[name] = each.point, where
         found.append(each)
     for name, mistake in scale_mistakes(points):

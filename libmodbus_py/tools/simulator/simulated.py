@@ -26,7 +26,15 @@ __all__ = ["SimulatedDevice", "Simulation"]
 
 
 class SimulatedDevice(Device):
-    """A device of a device file: it has named points, and some of its values move."""
+    """
+    A device of a device file.
+
+    Attributes:
+        name, description: as in the file; "" if missing.
+        points: the points of the tables, by name: those of its register maps, and its own. Points
+            without a name are named after their table and address, such as
+            "holding_registers_100".
+    """
 
     def __init__(
         self,
@@ -93,7 +101,12 @@ class SimulatedDevice(Device):
             return self._clockwork.movement(point.table, point.cells)
 
     def hold(self, point: Point, *, is_on: bool) -> None:
-        """Hold a moving point, or let it go on as if it had never been held."""
+        """
+        Hold a moving point at its value, or let it go on as if it had never been held.
+
+        Raises:
+            ValueError: the point never moves.
+        """
         with self.mapping:
             if self.movement(point) is None:
                 raise WrongValue.about(point.name, "never moves by itself")
@@ -160,11 +173,18 @@ def _access(each: SimulatedPoint, values: tuple[Any, ...] = ()) -> Access:
 
 @dataclass(frozen=True)
 class Simulation:
-    """The content of a device file; ``Server(*load("plant.toml"))`` serves it."""
+    """
+    The content of a device file; ``Server(*load("plant.toml"))`` serves it.
 
-    by_unit: dict[int | None, SimulatedDevice]  # None for a device that answers every unit
-    faults: dict[int | None, list[Fault]]  # those of None are for every unit
-    files: tuple[str, ...] = ()  # paths of the register maps used
+    Attributes:
+        by_unit: devices by unit; None for one that answers every unit.
+        faults: faults by unit; those of None are for every unit.
+        files: paths of the register maps used.
+    """
+
+    by_unit: dict[int | None, SimulatedDevice]
+    faults: dict[int | None, list[Fault]]
+    files: tuple[str, ...] = ()
 
     @property
     def devices(self) -> SimulatedDevice | dict[int, SimulatedDevice]:
@@ -178,7 +198,14 @@ class Simulation:
         yield self.faults
 
     def going_on_from(self, before: Simulation) -> Simulation:
-        """Return a simulation with what another, whose use ends, has alike: devices, or values."""
+        """
+        Return a simulation that keeps the devices of another one where the files describe a unit
+        alike.
+
+        In other units, values that clients wrote are kept in ranges whose addresses, type and first
+        values are alike in both files; moving values continue. The other one must not be used any
+        more.
+        """
         devices = dict(self.by_unit)
         for unit in devices.keys() & before.by_unit.keys():
             if devices[unit].is_as(before.by_unit[unit]):

@@ -79,11 +79,8 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
 
 
 def _told(server: RecordingServer) -> str:
-    """Return the transactions of a server as lines, even if repr() of a user's class fails."""
-    try:
-        lines = [_line(each) for each in server.transactions]
-    except Exception as error:
-        lines = [f"cannot be shown: {error!r}"]
+    """Return the transactions of a server as lines."""
+    lines = [_line(each) for each in server.transactions]
     if not lines:
         return f"{server.url} none"
     left_out = [f"... {len(lines) - SHOWN} earlier ones"] * (len(lines) > SHOWN)

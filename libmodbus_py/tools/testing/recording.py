@@ -29,15 +29,6 @@ MOST = 20_000
 """ADUs of one server that are kept: more than a test needs, and a limit for long runs."""
 
 
-def _transactions_of(passed: Iterable[Traced]) -> list[Transaction]:
-    """Return the transactions of ADUs of one server, in the order in which they began."""
-    pairing = TracePairing(timeout=math.inf)
-    for traced in passed:
-        pairing.take(traced)
-    pairing.end()
-    return sorted((each.transaction for each in pairing.done), key=lambda each: each.time)
-
-
 USUAL_URL = "tcp://127.0.0.1:0"
 
 
@@ -108,7 +99,11 @@ class RecordingServer:
     @property
     def transactions(self) -> list[Transaction]:
         """The last 10 000 or so transactions, in the order in which they began."""
-        return _transactions_of(self._passed.copy())
+        pairing = TracePairing(timeout=math.inf)
+        for traced in self._passed.copy():
+            pairing.take(traced)
+        pairing.end()
+        return sorted((each.transaction for each in pairing.done), key=lambda each: each.time)
 
     def close(self) -> None:
         """Stop, and close all connections. May be called repeatedly. The transactions are kept."""

@@ -18,7 +18,7 @@ from libmodbus_py.tools.files.schema import (
     in_bytes,
     in_seconds,
 )
-from libmodbus_py.tools.files.texts import compared, line_of, reread
+from libmodbus_py.tools.files.texts import line_of
 from tests.support.cases import each_case
 
 
@@ -146,35 +146,3 @@ def test_a_wrong_amount_is_named_with_what_is_allowed(
 
 
 # --- files that are read again --------------------------------------------------------------------
-
-
-def test_content_that_is_read_again_is_used_or_the_mistake_is_returned() -> None:
-    def fail(error: Exception) -> str:
-        raise error
-
-    assert reread(lambda: "content", lambda content: f"{content} is new") == "content is new"
-    for kind in (TypeError, ValueError):
-        error = kind("line 4: unit must be in 0..255")
-        told = f"the former content is used: {error}"
-        assert reread(lambda error=error: fail(error), pytest.fail) == told  # type: ignore[misc]
-        assert reread(lambda: "", lambda _, error=error: fail(error)) == told  # type: ignore[misc]
-    with pytest.raises(RuntimeError, match="a bug"):
-        reread(lambda: fail(RuntimeError("a bug")), pytest.fail)
-
-
-@each_case(
-    ("before", "after", "expected"),
-    [
-        ({}, {"a": 1}, "1 device: 1 new"),
-        ({"a": 1, "b": 2}, {"a": 1, "b": 2}, "2 devices: no change"),
-        (
-            {"a": 1, "b": 2, "c": 3, "d": 4},
-            {"a": 0, "b": 2, "e": 5, "f": 6},
-            "4 devices: 2 new, 1 changed, 2 removed",
-        ),
-    ],
-)
-def test_what_changed_is_counted(
-    before: dict[str, int], after: dict[str, int], expected: str
-) -> None:
-    assert compared("a.toml", "device", before, after) == f"a.toml: read again, {expected}"

@@ -354,17 +354,9 @@ class TestKnownDirections:
         assert [each.kind for each in separator.feed(ANSWER, 10.1, "server")] == ["answered"]
 
 
-class TestAscii:
-    def test_another_delimiter_is_followed(self) -> None:
-        change = ascii_frame("01 08 00 03 23 00")
-        ask = ascii_frame("01 03 00 00 00 02", b"\r#")
-        answer = ascii_frame("01 03 04 00 07 00 09", b"\r#")
-        pieces = [(0.0, change), (0.01, change), (1.0, ask), (1.01, answer)]
-        assert kinds(pieces, "ascii") == ["answered", "answered"]
-
-    def test_no_framing(self) -> None:
-        with pytest.raises(ValueError, match='framing must be "rtu" or "ascii"'):
-            Separator("tcp")  # type: ignore[arg-type]
+def test_no_framing() -> None:
+    with pytest.raises(ValueError, match='framing must be "rtu" or "ascii"'):
+        Separator("tcp")  # type: ignore[arg-type]
 
 
 def test_scripts_of_any_size_give_the_same() -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import resource
 import time
-from itertools import pairwise
 
 import pytest
 from hypothesis import assume, given
@@ -123,24 +122,10 @@ def test_counters_stay_in_their_type(kind: str, start: float, step: float, momen
 # --- values that are copies of others -------------------------------------------------------------
 
 
-def test_copies_of_2000_copies_are_made_at_once() -> None:
-    """Each finds its sources run by run, and copies them together."""
-    tables = ["coils", "discrete_inputs", "holding_registers", "input_registers"]
-    text = "".join(
-        f"[[unit.{table}]]\naddress = 0\ncount = 2000\n"
-        f"copy = {{ table = '{other}', address = 0 }}\n"
-        for table, other in pairwise(tables)
-    )
-    device = unit(text + "[[unit.input_registers]]\naddress = 0\ncount = 2000")
-    device.mapping.input_registers[0:2000] = [at % 3 == 0 for at in range(2000)]
-    assert answer(device, pdu.ReadCoils(0, 2000)) == [at % 3 == 0 for at in range(2000)]
-
-
 def test_copies_go_on_from_run_to_run() -> None:
     """In the rhythm of the first; a longer value behind it is not hit in its middle."""
     device = unit("""
         holding_registers = [{ address = 0, count = 6, copy = { table = "input_registers", address = 10 } }]
-        coils = [{ address = 0, count = 3, copy = { table = "holding_registers", address = 1 } }]
         input_registers = [
             { address = 10, type = "uint32", values = [1, 70000] },
             { address = 14, values = [3, 99, 4, 99] },
@@ -149,7 +134,6 @@ def test_copies_go_on_from_run_to_run() -> None:
     """)  # noqa: E501
     assert holding(device, 0, 6) == [1, 65535, 3, 4, 5, 6]
     assert holding(device, 3, 2) == [4, 5]
-    assert answer(device, pdu.ReadCoils(0, 3)) == [True, True, True]
 
 
 COPIES = """
@@ -203,25 +187,6 @@ def test_a_copy_of_what_is_no_value_is_exception_4() -> None:
     with pytest.raises(ServerDeviceFailure):
         inputs(device, 7)
     assert inputs(device, 8) == [1]
-
-
-def test_a_copy_of_a_copy_is_of_now() -> None:
-    clock = Clock()
-    device = unit(
-        """
-        [[unit.holding_registers]]
-        address = 9
-        counter = {}
-        [[unit.holding_registers]]
-        address = 1
-        count = 8
-        copy = { table = "holding_registers", address = 2, scale = 2 }
-    """,
-        clock,
-    )
-    clock.now += 3
-    assert holding(device, 1) == [3 << 8]
-    assert holding(device, 8, 2) == [6, 3]
 
 
 # --- values that walk at random -------------------------------------------------------------------

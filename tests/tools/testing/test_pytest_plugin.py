@@ -11,7 +11,6 @@ import sys
 
 import pytest
 
-from libmodbus_py import pdu
 from libmodbus_py.tools.testing import plugin
 
 pytest_plugins = ["pytester"]
@@ -147,31 +146,6 @@ class TestReports:
         )
         suite.runpytest().stdout.fnmatch_lines([f"{READ_TEXT} after 0.[2-9]?? s"])
 
-    def test_a_class_of_the_user_that_cannot_be_shown_ends_no_run(
-        self, suite: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setitem(pdu.REQUESTS, 1, pdu.REQUESTS[1])
-        written(
-            suite,
-            """
-    from libmodbus_py import pdu
-
-    class Unshown(pdu.ReadCoils):
-        def __str__(self): raise RuntimeError("no text")
-
-    def test_mine(modbus_server):
-        pdu.REQUESTS[1] = Unshown
-        with TcpContext.from_url(modbus_server.url) as plc:
-            plc.read_coils(0, 1)
-        assert False
-
-    def test_next(): pass
-            """,
-        )
-        result = suite.runpytest()
-        result.assert_outcomes(passed=1, failed=1)
-        result.stdout.fnmatch_lines(["cannot be shown: RuntimeError('no text')"])
-
 
 class TestLeftBehind:
     def test_nothing_by_many_tests(self, suite: pytest.Pytester) -> None:
@@ -286,25 +260,6 @@ class TestOthers:
         result = suite.runpytest("-p", "no:libmodbus_py")
         result.assert_outcomes(errors=1)
         result.stdout.fnmatch_lines(["*fixture 'modbus_server' not found*"])
-
-    def test_its_fixtures_can_be_overridden(self, suite: pytest.Pytester) -> None:
-        written(
-            suite,
-            """
-    from libmodbus_py import Device, Mapping
-
-    @pytest.fixture
-    def modbus_server(make_modbus_server):
-        return make_modbus_server(devices={3: Device(Mapping(holding_registers={100: [7]}))})
-
-    def test_it(modbus_server, modbus_faults):
-        assert modbus_server.mapping.holding_registers[100] == 7
-        with TcpContext.from_url(modbus_server.url, unit=3) as plc:
-            with modbus_faults.switch_on(Fault("exception", code=2)), pytest.raises(Exception):
-                plc.read_holding_registers(100, 1)
-            """,
-        )
-        suite.runpytest().assert_outcomes(passed=1)
 
     def test_one_hook_and_no_name_of_others(self) -> None:
         names = [name for name in vars(plugin) if name.startswith("pytest_")]

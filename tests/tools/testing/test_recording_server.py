@@ -28,13 +28,6 @@ BUSY = Fault("exception", code=6)
 
 
 @pytest.fixture
-def plc(modbus_server: RecordingServer) -> Iterator[Context]:
-    with TcpContext.from_url(modbus_server.url, timeout=0.3) as made:
-        made.read_coils(0, 1)  # the connection is older than what the tests do
-        yield made
-
-
-@pytest.fixture
 def quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
     """Nobody may warn, to the end."""
     with caplog.at_level(logging.WARNING):
@@ -110,14 +103,6 @@ class TestMaker:
             *("answered", "exception", "unanswered"),
         ]
 
-    def test_servers_know_nothing_of_each_other(self, make_modbus_server: ServerMaker) -> None:
-        first, other = make_modbus_server(), make_modbus_server()
-        assert make_modbus_server.servers == [first, other]
-        with TcpContext.from_url(first.url) as client:
-            client.write_register(5, 5)
-        assert other.mapping.holding_registers[5] == 0
-        assert other.transactions == []
-
     def test_one_can_be_closed_before_the_end(self, make_modbus_server: ServerMaker) -> None:
         device = Device(Mapping(8))
         server = make_modbus_server(devices={7: device})
@@ -130,50 +115,6 @@ class TestMaker:
                 client.read_coils(0, 1)
         assert len(server.transactions) == 1
         server.faults.switch_on(SILENT).switch_off()
-
-    @pytest.mark.parametrize(
-        ("urls", "options", "error"),
-        [
-            (["http://127.0.0.1:0"], {}, ValueError),
-            ([], {"devices": 7}, TypeError),
-            ([], {"unknown": 7}, TypeError),
-            ([], {"faults": [SILENT]}, TypeError),
-            (["rtu:///nowhere"], {}, ModbusConnectionError),
-        ],
-    )
-    def test_what_cannot_be_is_refused_as_the_server_does(
-        self,
-        make_modbus_server: ServerMaker,
-        urls: list[str],
-        options: dict[str, object],
-        error: type[Exception],
-    ) -> None:
-        with pytest.raises(error):
-            make_modbus_server(*urls, **options)  # type: ignore[arg-type]
-        assert make_modbus_server.servers == []
-
-
-class TestFaults:
-    def test_they_come_and_go_on_an_open_connection(
-        self, modbus_faults: FaultSwitch, plc: Context
-    ) -> None:
-        with modbus_faults.switch_on(BUSY), pytest.raises(ServerDeviceBusy):
-            plc.read_coils(0, 1)
-        silent = modbus_faults.switch_on(SILENT, unit=1)
-        assert plc.for_unit(2).read_coils(0, 1) == [False]
-        with pytest.raises(ModbusTimeoutError):
-            plc.read_coils(0, 1)
-        silent.switch_off()
-        silent.switch_off()
-        assert plc.read_coils(0, 1) == [False]
-
-    def test_equal_ones_are_switched_singly(self, modbus_faults: FaultSwitch, plc: Context) -> None:
-        first, other = modbus_faults.switch_on(BUSY), modbus_faults.switch_on(BUSY)
-        first.switch_off()
-        with pytest.raises(ServerDeviceBusy):
-            plc.read_coils(0, 1)
-        other.switch_off()
-        assert plc.read_coils(0, 1) == [False]
 
 
 class TestSerialLine:
