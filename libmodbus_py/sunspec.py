@@ -2,6 +2,6 @@
 SunSpec models of inverters, meters and batteries: a short path to `tools.sunspec`.
 """
 
-from .tools.sunspec.discovery import SunSpecDevice, SunSpecError, SunSpecModel, discover
+from .tools.sunspec import SunSpecDevice, SunSpecError, SunSpecModel, discover
 
 __all__ = ["SunSpecDevice", "SunSpecError", "SunSpecModel", "discover"]

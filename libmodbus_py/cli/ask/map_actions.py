@@ -169,7 +169,7 @@ def from_device(options: argparse.Namespace) -> int:
 
 def from_sunspec(options: argparse.Namespace) -> int:
     """Find the SunSpec models of a device, and write a map of their points."""
-    from ...tools.sunspec.discovery import discover
+    from ...tools.sunspec import discover
 
     if options.output is not None:
         _check_output(options.output, TEXTS)

@@ -72,7 +72,7 @@ def _sunspec(options: argparse.Namespace) -> int:
 
 def _asked(context: Any, base: int | None) -> list[dict[str, Any]]:
     """Return a row for each point of each model of a unit."""
-    from ...tools.sunspec.discovery import BASES, discover
+    from ...tools.sunspec import BASES, discover
 
     device = discover(context, bases=BASES if base is None else (base,))
     for note in device.notes:

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Literal, Self, get_args
+from typing import Literal, get_args
 
 from ...device.access import Touched
 from ...protocol.checks import integer, number, seconds
@@ -298,15 +298,12 @@ def _that_are_on(states: list[FaultState]) -> FaultsByUnit:
     return faults
 
 
-class _Switched:
+class _Switched(contextlib.AbstractContextManager["_Switched"]):
     """Faults that one user has switched on, until they are switched off."""
 
     def __init__(self, switch: FaultSwitch, states: list[FaultState]) -> None:
         self.states: list[FaultState] = states
         self._switch = switch
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.switch_off()

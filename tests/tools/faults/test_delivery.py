@@ -33,38 +33,35 @@ TCP = bytes.fromhex("1501 0000 0009 11 03 06 022B 0000 0064")
 RTU = bytes.fromhex("11 03 06 022B 0000 0064")
 ASCII = b":1103060"
 
+TCP_FRAMER, RTU_FRAMER, ASCII_FRAMER = TcpFramer(), RtuFramer("client"), AsciiFramer()
+WHOLE = TCP.hex()
+TRICKLED = [(2 if at else 0, f"{byte:02x}") for at, byte in enumerate(TCP)]
+
+# Fault, framer, and what is sent: hexadecimal bytes, each after some seconds.
 BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
-    (Fault("delay", seconds=2), TcpFramer(), [(2, TCP.hex())]),
-    (Fault("no_answer"), TcpFramer(), []),
-    (Fault("exception", code=6), TcpFramer(), [(0, TCP.hex())]),
-    (Fault("wrong_check"), TcpFramer(), [(0, "150100000000" + TCP[6:].hex())]),
-    (Fault("wrong_transaction"), TcpFramer(), [(0, "1500" + TCP[2:].hex())]),
-    (Fault("wrong_unit"), TcpFramer(), [(0, "15010000000912" + TCP[7:].hex())]),
-    (Fault("truncate", length=1), TcpFramer(), [(0, "15")]),
-    (Fault("truncate", length=512), TcpFramer(), [(0, TCP[:-1].hex())]),
-    (
-        Fault("trickle", seconds=2),
-        TcpFramer(),
-        [(2 if at else 0, f"{byte:02x}") for at, byte in enumerate(TCP)],
-    ),
+    (Fault("delay", seconds=2), TCP_FRAMER, [(2, WHOLE)]),
+    (Fault("no_answer"), TCP_FRAMER, []),
+    (Fault("exception", code=6), TCP_FRAMER, [(0, WHOLE)]),
+    (Fault("wrong_check"), TCP_FRAMER, [(0, "150100000000" + WHOLE[12:])]),
+    (Fault("wrong_transaction"), TCP_FRAMER, [(0, "1500" + WHOLE[4:])]),
+    (Fault("wrong_unit"), TCP_FRAMER, [(0, "15010000000912" + WHOLE[14:])]),
+    (Fault("truncate", length=1), TCP_FRAMER, [(0, "15")]),
+    (Fault("truncate", length=512), TCP_FRAMER, [(0, WHOLE[:-2])]),
+    (Fault("trickle", seconds=2), TCP_FRAMER, TRICKLED),
     # CRC C8BA by the algorithm of appendix B; its complement.
-    (Fault("wrong_check"), RtuFramer("client"), [(0, RTU.hex() + "3745")]),
+    (Fault("wrong_check"), RTU_FRAMER, [(0, RTU.hex() + "3745")]),
     # LRC: 100h - (11 + 03 + 06 + 02 + 2B + 64) = 55h; its complement is AAh.
-    (
-        Fault("wrong_check"),
-        AsciiFramer(),
-        [(0, b":110306022B00000064AA\r\n".hex())],
-    ),
-    (Fault("truncate", length=8), AsciiFramer(), [(0, ASCII.hex())]),
-    (Fault("disconnect"), TcpFramer(), [(0, "")]),
-    (Fault("disconnect", length=0), TcpFramer(), [(0, "")]),
-    (Fault("disconnect", length=8), AsciiFramer(), [(0, ASCII.hex())]),
-    (Fault("disconnect", length=512), TcpFramer(), [(0, TCP.hex())]),
-    (Fault("garbage", data=b"\xff\0"), TcpFramer(), [(0, "ff00" + TCP.hex())]),
-    (Fault("garbage", data=b"\xff", place="before"), TcpFramer(), [(0, "ff" + TCP.hex())]),
-    (Fault("garbage", data=b"\xff\0", place="instead"), TcpFramer(), [(0, "ff00")]),
-    (Fault("garbage", data=b"\xff\0", place="behind"), TcpFramer(), [(0, TCP.hex() + "ff00")]),
-]
+    (Fault("wrong_check"), ASCII_FRAMER, [(0, b":110306022B00000064AA\r\n".hex())]),
+    (Fault("truncate", length=8), ASCII_FRAMER, [(0, ASCII.hex())]),
+    (Fault("disconnect"), TCP_FRAMER, [(0, "")]),
+    (Fault("disconnect", length=0), TCP_FRAMER, [(0, "")]),
+    (Fault("disconnect", length=8), ASCII_FRAMER, [(0, ASCII.hex())]),
+    (Fault("disconnect", length=512), TCP_FRAMER, [(0, WHOLE)]),
+    (Fault("garbage", data=b"\xff\0"), TCP_FRAMER, [(0, "ff00" + WHOLE)]),
+    (Fault("garbage", data=b"\xff", place="before"), TCP_FRAMER, [(0, "ff" + WHOLE)]),
+    (Fault("garbage", data=b"\xff\0", place="instead"), TCP_FRAMER, [(0, "ff00")]),
+    (Fault("garbage", data=b"\xff\0", place="behind"), TCP_FRAMER, [(0, WHOLE + "ff00")]),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("fault", "framer", "expected"), BYTES)

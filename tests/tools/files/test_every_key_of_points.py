@@ -78,17 +78,11 @@ def from_csv(folder: Path, points: list[Point]) -> list[Point]:
 
 def from_device_file(folder: Path, points: list[Point]) -> list[Point]:
     """Return the points of a unit that are written in the device file itself."""
-    text = toml_text(points)
-    for table in {each.table for each in points}:
-        # The name of the list says the table.
-        blocks = text.split("[[point]]")
-        blocks = [each.replace(f'\ntable = "{table}"', "") if f'"{table}"' in each else each
-                  for each in blocks]  # fmt: skip
-        text = "[[point]]".join(blocks)
-    heads = iter([each.table for each in points])
-    parts = text.split("[[point]]\n")
-    whole = parts[0] + "".join(f"[[unit.{next(heads)}]]\n{part}" for part in parts[1:])
-    (folder / "device.toml").write_text(f"[[unit]]\n{whole}")
+    text = "[[unit]]\n"
+    for each in points:  # the name of the list says the table
+        point = toml_text([each]).replace(f'table = "{each.table}"\n', "")
+        text += point.replace("[[point]]", f"[[unit.{each.table}]]")
+    (folder / "device.toml").write_text(text)
     device = load_device(folder / "device.toml").devices
     assert not isinstance(device, dict)
     return [device.points[each.name] for each in points]

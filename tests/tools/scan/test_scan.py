@@ -16,7 +16,6 @@ import pytest
 
 from libmodbus_py import Context, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.scan import Found, Scan, scan, search
-from libmodbus_py.tools.testing.wires import SerialWire
 from tests.interop.test_interop_pymodbus import pymodbus_serving
 from tests.support import certificates
 from tests.support.certificates import Papers
@@ -302,14 +301,6 @@ def test_libmodbus_is_one_device_over_tcp(compiled: Callable[[str], Path]) -> No
         assert found.server_id is not None
         assert found.server_id.identifier == b"\xb4"
         assert found.identification is None
-
-
-def test_libmodbus_is_found_on_a_line(compiled: Callable[[str], Path]) -> None:
-    server = compiled("server")
-    with SerialWire() as wire, program(server, "rtu", wire.server, 19200, 17) as process:
-        _port(process)
-        found = all_of(scan(f"rtu://{wire.client}?baudrate=19200", parities="E", units=[17]))
-        assert [(each.unit, each.exception) for each in found] == [(17, 2)]
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu"])

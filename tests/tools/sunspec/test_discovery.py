@@ -15,8 +15,7 @@ from sunspec2.modbus.client import SunSpecModbusClientDeviceTCP
 
 from libmodbus_py import AsyncClient, Client, RegisterMap, sunspec
 from libmodbus_py.sunspec import SunSpecError
-from libmodbus_py.tools.sunspec.discovery import BASES, _discovery, definition_of, folder, walk
-from libmodbus_py.tools.sunspec.points import ModelLayout
+from libmodbus_py.tools.sunspec import BASES, ModelLayout, _discovery, definition_of, folder, walk
 from tests.support.sunspec import chain, file_device, serving, walked
 
 DEVICES = {"inverter_123.json": 2, "device_1547.json": 14}
@@ -145,7 +144,7 @@ def test_what_is_no_client_is_refused() -> None:
 
 
 def test_without_pysunspec2_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("libmodbus_py.tools.sunspec.discovery.find_spec", lambda name: None)
+    monkeypatch.setattr("libmodbus_py.tools.sunspec.find_spec", lambda name: None)
     assert importlib.util.find_spec("sunspec2")
     with pytest.raises(ImportError, match=r"SunSpec needs pysunspec2: .* 'pysunspec2>="):
         sunspec.discover(Client("tcp://127.0.0.1:9"))

@@ -8,6 +8,7 @@ import re
 import runpy
 import subprocess
 import sys
+from collections.abc import Callable
 
 import pytest
 
@@ -39,18 +40,20 @@ def suite(pytester: pytest.Pytester) -> pytest.Pytester:
     return pytester
 
 
-def written(suite: pytest.Pytester, tests: str) -> None:
-    suite.makepyfile(HEAD + tests)
+Write = Callable[[str], object]
+
+
+@pytest.fixture
+def write(suite: pytest.Pytester) -> Write:
+    return lambda tests: suite.makepyfile(HEAD + tests)
 
 
 class TestReports:
     @pytest.mark.parametrize("options", [[], ["-n2"]], ids=["here", "in workers"])
     def test_a_failing_test_shows_what_passed_at_its_servers(
-        self, suite: pytest.Pytester, options: list[str]
+        self, suite: pytest.Pytester, write: Write, options: list[str]
     ) -> None:
-        written(
-            suite,
-            """
+        write("""
     def test_other(modbus_server):
         read(modbus_server, 3)
 
@@ -59,8 +62,7 @@ class TestReports:
         read(modbus_server)
         with modbus_faults.switch_on(Fault("exception", code=2)):
             read(modbus_server)
-            """,
-        )
+        """)
         result = suite.runpytest(*options)
         result.assert_outcomes(passed=1, failed=1)
         result.stdout.fnmatch_lines(
@@ -76,10 +78,10 @@ class TestReports:
         )
         result.stdout.no_fnmatch_line("*count=3*")
 
-    def test_so_does_one_that_fails_before_or_after(self, suite: pytest.Pytester) -> None:
-        written(
-            suite,
-            """
+    def test_so_does_one_that_fails_before_or_after(
+        self, suite: pytest.Pytester, write: Write
+    ) -> None:
+        write("""
     @pytest.fixture
     def early(modbus_server):
         read(modbus_server)
@@ -93,40 +95,35 @@ class TestReports:
 
     def test_early(early): pass
     def test_late(late): pass
-            """,
-        )
+        """)
         result = suite.runpytest()
         result.assert_outcomes(passed=1, errors=2)
         assert len(re.findall("- modbus transactions -", result.stdout.str())) == 2
         result.stdout.fnmatch_lines(["*test_early*", READ_TEXT, "*test_late*", READ_TEXT])
 
-    def test_nobody_else_shows_them(self, suite: pytest.Pytester) -> None:
-        written(
-            suite,
-            """
+    def test_nobody_else_shows_them(self, suite: pytest.Pytester, write: Write) -> None:
+        write("""
     def test_good(modbus_server): read(modbus_server)
     def test_without(): assert False
     def test_skipped(modbus_server): pytest.skip()
 
     @pytest.mark.xfail(reason="known", strict=True)
     def test_known(modbus_server): assert False
-            """,
-        )
+        """)
         result = suite.runpytest("-rA")
         result.assert_outcomes(passed=1, failed=1, skipped=1, xfailed=1)
         result.stdout.no_fnmatch_line("*modbus transactions*")
 
-    def test_the_last_fifty_and_the_beginning_of_long_ones(self, suite: pytest.Pytester) -> None:
-        written(
-            suite,
-            """
+    def test_the_last_fifty_and_the_beginning_of_long_ones(
+        self, suite: pytest.Pytester, write: Write
+    ) -> None:
+        write("""
     def test_many(modbus_server):
         with TcpContext.from_url(modbus_server.url) as plc:
             for address in range(60):
                 plc.read_holding_registers(address, 125)
         assert False
-            """,
-        )
+        """)
         lines = suite.runpytest().outlines
         found = [line for line in lines if line.startswith("unit 1: ReadHoldingRegisters(")]
         assert len(found) == 50
@@ -134,24 +131,19 @@ class TestReports:
         assert "... 10 earlier ones" in lines
         assert all(len(line) < 170 and line.endswith("...") for line in found)
 
-    def test_an_answer_that_came_late_says_so(self, suite: pytest.Pytester) -> None:
-        written(
-            suite,
-            """
+    def test_an_answer_that_came_late_says_so(self, suite: pytest.Pytester, write: Write) -> None:
+        write("""
     def test_late(modbus_server, modbus_faults):
         modbus_faults.switch_on(Fault("delay", seconds=0.2))
         read(modbus_server)
         assert False
-            """,
-        )
+        """)
         suite.runpytest().stdout.fnmatch_lines([f"{READ_TEXT} after 0.[2-9]?? s"])
 
 
 class TestLeftBehind:
-    def test_nothing_by_many_tests(self, suite: pytest.Pytester) -> None:
-        written(
-            suite,
-            """
+    def test_nothing_by_many_tests(self, suite: pytest.Pytester, write: Write) -> None:
+        write("""
     import gc
     from libmodbus_py.tools.testing.recording import RecordingServer
 
@@ -173,14 +165,11 @@ class TestLeftBehind:
         assert len(set(FOUND)) == 1, FOUND
         gc.collect()
         assert not [each for each in gc.get_objects() if isinstance(each, RecordingServer)]
-            """,
-        )
+        """)
         suite.runpytest("-q").assert_outcomes(passed=61)
 
-    def test_nothing_in_children_that_live_on(self, suite: pytest.Pytester) -> None:
-        written(
-            suite,
-            """
+    def test_nothing_in_children_that_live_on(self, suite: pytest.Pytester, write: Write) -> None:
+        write("""
     LEFT = []
 
     def test_children(modbus_server):
@@ -202,21 +191,19 @@ class TestLeftBehind:
         os.waitpid(child, 0)
         os.close(reader)
         assert [each.name for each in threading.enumerate() if "modbus" in each.name] == []
-            """,
-        )
+        """)
         # Python 3.12 warns of any fork beside threads.
         suite.runpytest_subprocess("-W", "ignore::DeprecationWarning").assert_outcomes(passed=2)
 
-    def test_nothing_when_the_run_is_interrupted(self, suite: pytest.Pytester) -> None:
-        written(
-            suite,
-            """
+    def test_nothing_when_the_run_is_interrupted(
+        self, suite: pytest.Pytester, write: Write
+    ) -> None:
+        write("""
     def test_it(modbus_server, modbus_serial_line):
         signal.signal(signal.SIGINT, signal.default_int_handler)
         read(modbus_server)
         signal.raise_signal(signal.SIGINT)
-            """,
-        )
+        """)
         suite.makeconftest(
             """
             import threading
@@ -229,10 +216,10 @@ class TestLeftBehind:
         assert result.ret == pytest.ExitCode.INTERRUPTED
         result.stdout.fnmatch_lines_random(["*KeyboardInterrupt*", "left: [[][]]"])
 
-    def test_a_test_that_hangs_is_ended_and_shows_what_passed(self, suite: pytest.Pytester) -> None:
-        written(
-            suite,
-            """
+    def test_a_test_that_hangs_is_ended_and_shows_what_passed(
+        self, suite: pytest.Pytester, write: Write
+    ) -> None:
+        write("""
     @pytest.mark.timeout(60)
     def test_hanging(modbus_server, modbus_faults):
         modbus_faults.switch_on(Fault("no_answer"))
@@ -246,8 +233,7 @@ class TestLeftBehind:
             plc.read_coils(0, 1)
 
     def test_next(modbus_server): read(modbus_server)
-            """,
-        )
+        """)
         result = suite.runpytest_subprocess()
         result.assert_outcomes(passed=1, failed=1)
         result.stdout.fnmatch_lines(["*Timeout (>60*"])
@@ -255,8 +241,8 @@ class TestLeftBehind:
 
 
 class TestOthers:
-    def test_it_can_be_switched_off(self, suite: pytest.Pytester) -> None:
-        written(suite, "\n    def test_it(modbus_server): pass\n")
+    def test_it_can_be_switched_off(self, suite: pytest.Pytester, write: Write) -> None:
+        write("\n    def test_it(modbus_server): pass\n")
         result = suite.runpytest("-p", "no:libmodbus_py")
         result.assert_outcomes(errors=1)
         result.stdout.fnmatch_lines(["*fixture 'modbus_server' not found*"])
