@@ -3,14 +3,11 @@ The command line, on top of everything: arguments become requests and servers.
 
 ::
 
-    main           the entry point, and the exit codes
-    commands       every command, and the parser of the arguments
+    main           the entry point, and how a command ends: errors, exit codes, SIGTERM
+    commands       every command, the parser of the arguments, and the layout of --help
     foreign        words of other programs, and what is typed in place of them
-    help           the layout of --help and --help-all
-    arguments      the arguments that several commands take, each declared once; what completes them
-    connecting     endpoints and clients, made of URLs and options
+    arguments      how arguments are declared; those of several commands; endpoints and clients
     output         standard output and error, files: messages, JSON, styles
-    failing        how a command ends: errors, exit codes, SIGTERM
     logs           the log of commands that run for long
     tracing        --verbose: frames in columns
     screen         a status line, lines that are drawn again in place, progress

@@ -1,5 +1,6 @@
 """
-The arguments that several commands take, each declared once, and the words that complete them.
+Arguments of commands: how they are declared, those that several commands take, what completes them,
+and the endpoints and clients that they make.
 
 Every option of URLs (`ports.schemes`) is an option of the command line under the same name, with
 hyphens. Options that are not typed are None, so that the URL or the default applies.
@@ -10,6 +11,8 @@ Completers are functions as argcomplete calls them: with the text so far, and th
 from __future__ import annotations
 
 import argparse
+import re
+from functools import partial
 
 from ..ports.schemes import (
     CLIENT_OPTIONS,
@@ -18,24 +21,28 @@ from ..ports.schemes import (
     SCHEMES,
     SECURITY_OPTIONS,
     SERIAL_OPTIONS,
+    TRANSPORTS,
+    options_of,
     shape_of,
 )
 from .foreign import place
-from .help import VerbatimHelp, make_rare
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
     from typing import Any
 
+    from ..client.blocking import Context
+    from ..ports.endpoint import Endpoint
     from ..ports.schemes import Option
 
 # fmt: off
 __all__ = [
-    "REPEATED", "SCHEMES_OF_URLS", "URLS", "add_client", "add_client_options", "add_columns",
-    "add_csv", "add_defaults", "add_json", "add_requests", "add_security_options",
-    "add_serial_options", "add_units", "add_url", "add_verbose", "completing",
-    "examples", "flag", "given", "lists_of_parities", "maps", "names_of_maps", "with_forms",
+    "OF_CLIENTS", "OF_SERVERS", "SCHEMES_OF_URLS", "URL", "URLS", "add_client",
+    "add_client_options", "add_columns", "add_forms", "add_requests", "add_security_options",
+    "add_serial_options", "add_units", "add_verbose", "connected", "declare", "endpoint_of",
+    "given", "lists_of_parities", "maps", "names_of_maps", "read_as", "refuse_given", "with_forms",
+    "with_options",
 ]
 # fmt: on
 
@@ -74,6 +81,84 @@ RARE = {
 REPEATED = ("pin",)
 """Options that may be given several times; a URL has their values with commas between."""
 
+OF_SERVERS = (*SERIAL_OPTIONS, *SECURITY_OPTIONS)
+"""The options of URLs that mean something to a server."""
+
+OF_CLIENTS = (*CLIENT_OPTIONS, *OF_SERVERS)
+"""The options of URLs that mean something to a client."""
+
+
+def declare(
+    target: Any,
+    text: str,
+    usual: Callable[[], Mapping[str, Any]] | None = None,
+    /,
+    **more: Any,
+) -> None:
+    """
+    Add arguments to a parser or a group of one, from a text as --help shows it::
+
+        URL                     a line that is not indented names an argument
+            its help            and indented lines below it are its help
+        [URL ...]               any number of words
+        --quick                 a switch
+        -o --output FILE        an option with a value, or with two
+        --watch [SECONDS]       an option whose value may be missing
+        --group NAME ...        an option that may be repeated
+        rare --encoding E       an option that --help-all shows only
+
+    `more` has what else argparse takes, by the name of an argument, and `complete`: the words that
+    complete it, or a function of them. --help adds the default values that `usual` returns. An
+    URL, N and S are converted, see `TYPES`.
+    """
+    for block in re.split(r"\n(?=\S)", text.strip()):
+        head, _, help = block.partition("\n")
+        shown = head.removeprefix("rare ")
+        flags, options = _shape(shown)
+        if options.get("metavar") in TYPES:
+            options["type"] = TYPES[options["metavar"]]
+        options |= {"help": " ".join(help.split()), **more.get(options["dest"], {})}
+        words = options.pop("complete", None)
+        action = target.add_argument(*(flags or [options.pop("dest")]), **options)
+        action.is_rare = head != shown
+        if usual is not None:
+            action.usual = usual
+        if words is not None:
+            action.completer = words if callable(words) else partial(_words, words)
+
+
+def _shape(head: str) -> tuple[list[str], dict[str, Any]]:
+    """Return the flags of an argument that is declared by a line, and what argparse takes of it."""
+    found = _HEAD.fullmatch(head)
+    assert found is not None
+    flags, value, is_many = found["flags"].split(), found["value"], bool(found["many"])
+    if is_optional := value.startswith("[") and value.endswith("]"):
+        is_many, value = value.endswith(" ...]"), value[1:-1].removesuffix(" ...")
+    words = value.split()
+    name = next((each[2:] for each in flags if each[:2] == "--"), words[0].lower() if words else "")
+    options: dict[str, Any] = {"dest": name.replace("-", "_"), "metavar": value}
+    if not flags:
+        options["nargs"] = ("*" if is_many else "?") if is_optional else "+" if is_many else None
+    elif not value:
+        options = {"dest": options["dest"], "action": "store_true"}
+    elif is_many:
+        options["action"] = "append"
+    elif is_optional:
+        options["nargs"] = "?"
+    elif words[1:]:
+        options |= {"metavar": tuple(words), "nargs": len(words)}
+    return flags, options
+
+
+TYPES: dict[str, Callable[[str], Any]] = {"URL": place, "N": int, "S": float}
+"""Placeholder of a value in --help -> the function that converts the value."""
+
+_HEAD = re.compile(r"(?P<flags>(?:-[-\w]+(?: |$))*)(?P<value>.*?)(?P<many> \.\.\.)?")
+
+
+def _words(words: Iterable[str], **_: Any) -> Iterable[str]:
+    return words
+
 
 def flag(name: str) -> str:
     """Return the option that sets something, as it is typed: ``--data-bits`` for data_bits."""
@@ -85,112 +170,27 @@ def given(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]
     return {name: value for name in names if (value := getattr(options, name, None)) is not None}
 
 
-# --- single arguments ---------------------------------------------------------------------------
+def refuse_given(options: argparse.Namespace, names: Collection[str], why: str) -> None:
+    """Raise ValueError if one of some options was typed: its name, and why it cannot be."""
+    if typed := given(options, names):
+        raise ValueError(f"{flag(next(iter(typed)))} {why}")
 
 
-def add_url(command: argparse.ArgumentParser) -> None:
-    """Add the URL of a device."""
-    command.formatter_class = VerbatimHelp
-    command.add_argument(
-        "url", type=place, metavar="URL", help="such as 192.0.2.10, 192.0.2.10:1502 or /dev/ttyUSB0"
-    )
+# --- what several commands take -----------------------------------------------------------------
 
 
-def add_verbose(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "-v", "--verbose", action="store_true", help="print every frame sent and received to stderr"
-    )
-
-
-def add_json(group: Any, text: str = "print JSON in lines") -> None:
-    """Add --json; with the name of a file the output is written there."""
-    _add_form(group, "--json", text)
-
-
-def add_csv(group: Any) -> None:
-    """Add --csv; with the name of a file the output is written there."""
-    _add_form(group, "--csv", "print CSV")
-
-
-def _add_form(group: Any, name: str, text: str) -> None:
-    text += ", or write it to a new FILE"
-    group.add_argument(name, action=_Form, nargs="?", const="", metavar="FILE", help=text)
-
-
-class _Form(argparse.Action):
-    """Sets the form of output, and the attribute `written_to`: the name of a file, or None."""
-
-    def __call__(
-        self, parser: Any, namespace: argparse.Namespace, values: Any, option_string: Any = None
-    ) -> None:
-        setattr(namespace, self.dest, True)
-        namespace.written_to = values or None
-
-
-def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[str]:
-    """
-    Return the words typed, changed so that --csv and --json take only a file as their value.
-
-    The word behind is a file only if its suffix or its beginning says so; a path below /dev is a
-    serial port.
-    """
-    options = parser._option_string_actions
-    end = words.index("--") if "--" in words else len(words)
-    found = [*words]
-    for at, word in enumerate(words[:end]):
-        following = words[at + 1] if at + 1 < len(words) else ""
-        is_path = following.startswith(("/", "./", "../")) and not following.startswith("/dev/")
-        is_file = is_path or following.lower().endswith(SUFFIXES)
-        if isinstance(options.get(word), _Form) and not is_file:
-            found[at] = f"{word}="
-    return found
-
-
-def add_columns(group: Any) -> argparse.Action:
-    """Add the headings of columns of register maps in CSV."""
-    action: argparse.Action = group.add_argument(
-        "--column",
-        dest="columns",
-        action="append",
-        type=_column,
-        default=[],
-        metavar="KEY=HEADING",
-        help="the heading of a column of the map that is not recognised, such as"
-        " name=Bezeichnung; may be repeated",
-    )
-    return action
-
-
-def _column(text: str) -> tuple[str, str]:
-    key, _, heading = text.partition("=")
-    if key and heading:
-        return key, heading
-    raise argparse.ArgumentTypeError(f"must be KEY=HEADING, such as name=Bezeichnung, not {text!r}")
-
-
-def _read_as(option: Option) -> Callable[[str], Any]:
-    """Return the function that converts what is typed, for argparse."""
-
-    def read(text: str) -> Any:
-        try:
-            return option.convert(text)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"must be {option.wanted}, not {text!r}") from None
-
-    return read
-
-
-# --- groups of options --------------------------------------------------------------------------
+URL = "URL\n  such as 192.0.2.10, 192.0.2.10:1502 or /dev/ttyUSB0\n"
+"""The declaration of the URL of a device."""
 
 
 def add_client(command: argparse.ArgumentParser, *, several: bool = False) -> None:
-    """Add what a client takes, or one that asks several units, one after the other."""
-    add_url(command)
+    """Add the URL and the options of a client."""
+    declare(command, URL)
     add_requests(command, several=several)
 
 
 def add_requests(command: argparse.ArgumentParser, *, several: bool = False) -> None:
-    """Add the options of `add_client`, for a command whose own groups come before them."""
+    """Add the options of a client, or of one that asks several units, one after the other."""
     group = command.add_argument_group("requests")
     if several:
         add_units(group, "unit to ask, 0..255, or several, such as 1-9,17 (1)")
@@ -200,36 +200,86 @@ def add_requests(command: argparse.ArgumentParser, *, several: bool = False) -> 
     add_security_options(command)
 
 
+def add_verbose(command: argparse.ArgumentParser) -> None:
+    """Add -v."""
+    declare(command, "-v --verbose\n  print every frame sent and received to stderr")
+
+
 def add_units(group: Any, text: str) -> None:
     """Add -u with a list of units."""
-    group.add_argument(
-        "-u", "--unit", "--units", dest="units", type=_units, metavar="LIST", help=text
-    )
+
+    def units(text: str) -> list[int]:
+        from ..protocol.plain import units_of
+
+        try:
+            return list(dict.fromkeys(units_of(text)))
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    declare(group, f"-u --unit --units LIST\n  {text}", unit={"dest": "units", "type": units})
 
 
-def _units(text: str) -> list[int]:
-    from ..protocol.plain import units_of
+def add_columns(group: Any, rare: str = "rare ") -> None:
+    """Add the headings of columns of register maps in CSV."""
 
-    try:
-        return list(dict.fromkeys(units_of(text)))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
+    def column(text: str) -> tuple[str, str]:
+        key, _, heading = text.partition("=")
+        if key and heading:
+            return key, heading
+        wanted = f"must be KEY=HEADING, such as name=Bezeichnung, not {text!r}"
+        raise argparse.ArgumentTypeError(wanted)
+
+    text = """--column KEY=HEADING ...
+        the heading of a column of the map that is not recognised, such as name=Bezeichnung; may be
+        repeated"""
+    declare(group, rare + text, column={"dest": "columns", "type": column, "default": []})
+
+
+class _Form(argparse.Action):
+    """Sets the form of output, and the attribute `written_to`: the name of a file, or None."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: Any = None) -> None:
+        setattr(namespace, self.dest, True)
+        namespace.written_to = values or None
+
+
+def add_forms(command: Any, csv: str = "", json: str = "print JSON in lines") -> None:
+    """Add --json, and --csv if there is a text for it; with a file the output is written there."""
+    for name, text in (("csv", csv), ("json", json)):
+        if text:
+            help = f"--{name} [FILE]\n  {text}, or write it to a new FILE"
+            declare(command, help, **{name: {"action": _Form, "const": ""}})
+
+
+def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[str]:
+    """
+    Return the words typed, changed so that --csv and --json take only a file as their value.
+
+    The word behind is a file only if its suffix or its beginning says so; a path below /dev is a
+    serial port.
+    """
+    end = words.index("--") if "--" in words else len(words)
+    found = [*words]
+    for at, word in enumerate(words[:end]):
+        following = words[at + 1] if at + 1 < len(words) else ""
+        is_path = following.startswith(("/", "./", "../")) and not following.startswith("/dev/")
+        is_file = is_path or following.lower().endswith(SUFFIXES)
+        if isinstance(parser._option_string_actions.get(word), _Form) and not is_file:
+            found[at] = f"{word}="
+    return found
 
 
 def add_client_options(
-    group: Any, *, without: Collection[str] = (), defaults: Callable[[], Mapping[str, str]] = dict
+    group: Any, *, without: Collection[str] = (), usual: Callable[[], Mapping[str, Any]] = dict
 ) -> None:
-    """Add the options of clients; `defaults` returns texts in place of the defaults of clients."""
-    options = {name: each for name, each in CLIENT_OPTIONS.items() if name not in without}
-    added = _add(group, options)
-    add_defaults(added, lambda: {**_of_clients(), **defaults()})
+    """Add the options of clients; `usual` returns texts in place of their default values."""
+    _add(group, CLIENT_OPTIONS, lambda: {**_of_clients(), **usual()}, without)
 
 
 def add_serial_options(command: argparse.ArgumentParser, *, without: Collection[str] = ()) -> Any:
     """Add the settings of serial ports, and return their group."""
     group = command.add_argument_group("serial port")
-    options = {name: each for name, each in SERIAL_OPTIONS.items() if name not in without}
-    add_defaults(_add(group, options), _of_serial_ports)
+    _add(group, SERIAL_OPTIONS, _of_serial_ports, without)
     return group
 
 
@@ -238,33 +288,44 @@ def add_security_options(command: argparse.ArgumentParser) -> None:
     _add(command.add_argument_group("certificates, for tls://"), SECURITY_OPTIONS)
 
 
-def _add(group: Any, options: Mapping[str, Option]) -> list[argparse.Action]:
-    added: list[argparse.Action] = []
+def _add(
+    group: Any,
+    options: Mapping[str, Option],
+    usual: Callable[[], Mapping[str, Any]] | None = None,
+    without: Collection[str] = (),
+) -> None:
     for name, option in options.items():
-        flags = [*filter(None, [SHORT.get(name)]), flag(name)]
-        flags += [flag(other) for other, known in OTHER_NAMES.items() if known == name]
-        others: dict[str, Any] = {"dest": name, "help": option.text}
+        if name in without:
+            continue
+        others = [flag(other) for other, known in OTHER_NAMES.items() if known == name]
+        flags = [*filter(None, [SHORT.get(name)]), flag(name), *others]
+        head = " ".join([*["rare"] * (name in RARE), *flags, *filter(None, [option.placeholder])])
+        more: dict[str, Any] = {"type": read_as(option)}
         if not option.placeholder:
-            others["action"] = argparse.BooleanOptionalAction
-        else:
-            others |= {"metavar": option.placeholder, "type": _read_as(option)}
+            more = {"action": argparse.BooleanOptionalAction}
         if name in REPEATED:
-            others |= {"action": "append", "help": f"{option.text}; may be repeated"}
-        added.append(group.add_argument(*flags, **others))
-        if name in RARE:
-            make_rare(added[-1])
+            more["action"] = "append"
         if name == "parity":
-            completing(added[-1], PARITY_WORDS)
-    return added
+            more["complete"] = PARITY_WORDS
+        repeated = "; may be repeated" * (name in REPEATED)
+        declare(group, f"{head}\n  {option.text}{repeated}", usual, **{name: more})
 
 
-# --- defaults -----------------------------------------------------------------------------------
+def read_as(option: Option, separator: str | None = None) -> Callable[[str], Any]:
+    """Return the function that converts what is typed: a value, or several with a separator."""
 
+    def read(text: str) -> Any:
+        values = []
+        for part in text.split(separator) if separator else [text]:
+            try:
+                values.append(option.convert(part.strip() if separator else part))
+            except ValueError:
+                which = f"{part!r} must be {option.wanted}"
+                text = which if separator else f"must be {option.wanted}, not {text!r}"
+                raise argparse.ArgumentTypeError(text) from None
+        return values if separator else values[0]
 
-def add_defaults(actions: list[argparse.Action], defaults: Callable[[], Mapping[str, Any]]) -> None:
-    """Make --help add default values, by the names of options; `defaults` is called only then."""
-    for action in actions:
-        action.usual = lambda name: defaults().get(name)  # type: ignore[attr-defined]
+    return read
 
 
 def _of_clients() -> dict[str, Any]:
@@ -289,26 +350,10 @@ def _of_serial_ports() -> dict[str, Any]:
 PARITY_WORDS = [word for word in PARITIES if len(word) > 1]
 
 
-def completing(
-    action: argparse.Action, completer: Iterable[str] | Callable[..., Iterable[str]]
-) -> argparse.Action:
-    """Set the words that complete an argument, or a function of them; return the argument."""
-    found = completer if callable(completer) else lambda **_: completer
-    action.completer = found  # type: ignore[attr-defined]
-    return action
-
-
 def lists_of_parities(prefix: str, **_: Any) -> list[str]:
     """Return the words that continue a list of parities that was begun."""
     before, comma, _last = prefix.rpartition(",")
     return [f"{before}{comma}{each}" for each in PARITY_WORDS if each not in before.split(",")]
-
-
-def examples(**_: Any) -> list[str]:
-    """Return the device files that come with the package."""
-    from ..tools.simulator.example_files import DEVICES
-
-    return [*DEVICES]
 
 
 def names_of_maps(**_: Any) -> list[str]:
@@ -323,3 +368,50 @@ def maps(prefix: str, **_: Any) -> list[str]:
     from argcomplete.completers import FilesCompleter
 
     return [*names_of_maps(), *FilesCompleter((".csv", ".toml"))(prefix)]
+
+
+# --- endpoints and clients ----------------------------------------------------------------------
+
+
+def endpoint_of(options: argparse.Namespace) -> Endpoint:
+    """Return where to connect: the URL, with the options that were typed."""
+    return with_options([options.url], options)[0]
+
+
+def connected(options: argparse.Namespace) -> Context:
+    """Make the client; it connects when it is used."""
+    from ..client.blocking import Context
+
+    hooks: dict[str, Any] = {}
+    if options.verbose:
+        from .tracing import Tracing
+
+        hooks["trace"] = Tracing()
+    return Context.from_url(endpoint_of(options).url, **hooks)
+
+
+def with_options(
+    urls: Iterable[str], options: argparse.Namespace, names: Collection[str] = OF_CLIENTS
+) -> list[Endpoint]:
+    """Return the endpoints of URLs, each with those of the named options that apply to it."""
+    from dataclasses import replace
+
+    from ..ports.endpoint import parse
+
+    endpoints = [parse(url) for url in urls]
+    typed = given(options, names)
+    typed |= {name: ",".join(typed[name]) for name in REPEATED if name in typed}
+    useful = {name for each in endpoints for name in options_of(each.scheme)}
+    for transport, rules in TRANSPORTS.items():
+        useless = [name for name in typed if name in rules.options and name not in useful]
+        if useless:
+            wanted = "serial ports" if rules.is_serial else f"{transport}:// URLs"
+            places = ", ".join(map(str, endpoints))
+            raise ValueError(f"{flag(useless[0])} applies to {wanted} only, not to {places}")
+    client = {name: value for name, value in typed.items() if name in CLIENT_OPTIONS}
+    found = []
+    for each in endpoints:
+        own = {name: typed[name] for name in options_of(each.scheme) if name in typed}
+        settings, of_client = {**each.options, **own}, {**each.client_options, **client}
+        found.append(replace(each, options=settings, client_options=of_client))
+    return found

@@ -9,9 +9,8 @@ import re
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
-from .help import VerbatimHelp
+from .arguments import declare
 
 __all__ = ["add_command"]
 
@@ -25,6 +24,16 @@ ENDPOINT = "tls://127.0.0.1:1802"
 AUTHORITY_DAYS = 3650
 """Ten years: the authority of machines outlives their certificates, which are made again."""
 
+DESCRIPTION = """\
+Make certificates of an authority, a server, clients with roles and a client
+without one. They are for trials only: the key of the authority is in the same
+folder.
+
+With MACHINE, make those of an authority and of each machine instead. Copy
+DIR/MACHINE/ (ca.pem, server.pem, server-key.pem) to the machine, and keep
+DIR/ca-key.pem. The authority is made once; a machine gets a new certificate
+each time."""
+
 EXAMPLES = """\
 examples:
   libmodbus-py certificates papers --role Operator --role Engineer --days 30
@@ -34,56 +43,33 @@ examples:
       --cert papers/server.pem --key papers/server-key.pem"""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    command = commands.add_parser(
-        "certificates",
-        description="Make certificates of an authority, a server, clients with roles and a client\n"
-        "without one. They are for trials only: the key of the authority is in the same\n"
-        "folder.\n\n"
-        "With MACHINE, make those of an authority and of each machine instead. Copy\n"
-        "DIR/MACHINE/ (ca.pem, server.pem, server-key.pem) to the machine, and keep\n"
-        "DIR/ca-key.pem. The authority is made once; a machine gets a new certificate\n"
-        "each time.",
-        epilog=EXAMPLES,
-        formatter_class=VerbatimHelp,
-    )
-    command.add_argument(
-        "directory",
-        metavar="DIR",
-        type=Path,
-        help="folder for the files; existing files are not overwritten",
-    )
-    command.add_argument(
-        "machines", metavar="MACHINE", nargs="*", help="name or address of a machine of a fleet"
-    )
-    command.add_argument(
-        "--host",
-        dest="hosts",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help=f"name or address of the server, besides {', '.join(HOSTS)}; may be repeated",
-    )
-    command.add_argument(
-        "--role",
-        dest="roles",
-        action="append",
-        metavar="NAME",
-        help=f"role of a client; may be repeated ({', '.join(ROLES)})",
-    )
-    command.add_argument(
-        "--days", type=int, default=365, metavar="N", help="days of validity (365)"
-    )
+ARGUMENTS = f"""
+DIR
+    folder for the files; existing files are not overwritten
+[MACHINE ...]
+    name or address of a machine of a fleet
+--host NAME ...
+    name or address of the server, besides {", ".join(HOSTS)}; may be repeated
+--role NAME ...
+    role of a client; may be repeated ({", ".join(ROLES)})
+--days N
+    days of validity (365)
+"""
+
+
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    command.description, command.epilog = DESCRIPTION, EXAMPLES
+    declare(command, ARGUMENTS, dir={"type": Path}, days={"default": 365})
     command.set_defaults(run=_make)
 
 
 def _make(options: argparse.Namespace) -> int:
-    if not options.machines:
+    if not options.machine:
         return _make_for_trials(options)
-    if options.hosts or options.roles:
+    if options.host or options.role:
         raise ValueError("--host and --role are for trials, without MACHINE")
-    return _make_for_machines(options.directory, dict.fromkeys(options.machines), options.days)
+    return _make_for_machines(options.dir, dict.fromkeys(options.machine), options.days)
 
 
 def _make_for_machines(directory: Path, machines: Iterable[str], days: int) -> int:
@@ -109,7 +95,7 @@ def _make_for_machines(directory: Path, machines: Iterable[str], days: int) -> i
 def _make_for_trials(options: argparse.Namespace) -> int:
     from ..tools.certificates import make, write
 
-    hosts = tuple(dict.fromkeys([*HOSTS, *options.hosts]))
+    hosts = tuple(dict.fromkeys([*HOSTS, *(options.host or ())]))
     days = options.days
     authority = make("Modbus trial authority", is_authority=True, days=days)
     made = {
@@ -123,13 +109,13 @@ def _make_for_trials(options: argparse.Namespace) -> int:
             "a client without a role",
         ),
     }
-    for role in options.roles or ROLES:
+    for role in options.role or ROLES:
         file = re.sub(r"\W+", "-", role.lower()).strip("-")
         if not file or file in made:
             raise ValueError(f"--role {role!r} gives no file name of its own, but {file!r}")
         identity = make(f"Modbus trial {role}", authority, role=role, days=days)
         made[file] = identity, f"a client with the role {role}"
-    paths = write(options.directory, {file: identity for file, (identity, _) in made.items()})
+    paths = write(options.dir, {file: identity for file, (identity, _) in made.items()})
     for file, (certificate, key) in paths.items():
         print(f"{certificate}, {key.name}: {made[file][1]}")
 

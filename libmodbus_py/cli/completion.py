@@ -9,9 +9,9 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
+from .arguments import declare
 from .commands import COMMANDS, whole_parser
 from .foreign import is_place
-from .help import VerbatimHelp
 from .output import PROGRAM
 
 __all__ = ["add_command", "complete"]
@@ -26,17 +26,11 @@ examples:
   libmodbus-py completion fish > ~/.config/fish/completions/libmodbus-py.fish"""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    command = commands.add_parser(
-        "completion",
-        description="Print a script that makes a shell complete commands, options and names.",
-        epilog=EXAMPLES,
-        formatter_class=VerbatimHelp,
-    )
-    command.add_argument(
-        "shell", choices=SHELLS, metavar="SHELL", help=f"one of {', '.join(SHELLS)}"
-    )
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    command.description = "Print a script that makes a shell complete commands, options and names."
+    command.epilog = EXAMPLES
+    declare(command, f"SHELL\n  one of {', '.join(SHELLS)}", shell={"choices": SHELLS})
     command.set_defaults(run=_print)
 
 

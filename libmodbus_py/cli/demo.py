@@ -65,9 +65,9 @@ To try next, the second and the third in another terminal:
   {program} identify 127.0.0.1:1502"""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    commands.add_parser("demo").set_defaults(run=_demo)
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare that it has no arguments."""
+    command.set_defaults(run=_demo)
 
 
 def _demo(_: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from ..protocol.plain import time_text
-from .help import make_rare
+from .arguments import declare
 from .output import log_line
 
 __all__ = ["add_arguments", "called_before_lines", "logged"]
@@ -24,23 +24,18 @@ PACKAGE = "libmodbus_py"
 LEVELS = ("debug", "info", "warning", "error")
 
 
+OPTIONS = f"""
+--log LEVEL
+    lowest level to log: {", ".join(LEVELS)}; debug logs every frame. Each line begins with the time
+rare --log-format FORMAT
+    json, one object in each line; or text
+"""
+
+
 def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Add the options to argparse."""
+    """Declare the options."""
     group = command.add_argument_group("log, on stderr")
-    group.add_argument(
-        "--log",
-        choices=LEVELS,
-        metavar="LEVEL",
-        help=f"lowest level to log: {', '.join(LEVELS)}; debug logs every frame."
-        " Each line begins with the time",
-    )
-    form = group.add_argument(
-        "--log-format",
-        choices=("json", "text"),
-        metavar="FORMAT",
-        help="json, one object in each line; or text",
-    )
-    make_rare(form)
+    declare(group, OPTIONS, log={"choices": LEVELS}, log_format={"choices": ("json", "text")})
 
 
 @contextlib.contextmanager

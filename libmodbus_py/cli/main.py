@@ -1,21 +1,24 @@
 """
-The entry point of the command line, and its exit codes.
+The entry point of the command line, and how a command ends.
 
 The exit code is 0, 1 if the device or the line failed, 2 for wrong usage, 130 after Ctrl-C. An
-error is one line on stderr. SIGTERM ends the process as such, after what Ctrl-C does.
+error is one line on stderr. SIGTERM ends the process as such, after what Ctrl-C does, so that
+serial ports get their settings back, and files are complete.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import sys
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
-__all__ = ["INTERRUPTED", "main"]
+__all__ = ["INTERRUPTED", "CommandError", "advice", "main"]
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as in shells."""
@@ -29,11 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     # Everything is imported within the try, where Ctrl-C is caught.
     try:
-        from . import output
-        from .failing import ended_by_sigterm
+        from .output import prepare
 
-        output.prepare()
-        with ended_by_sigterm():
+        prepare()
+        with _ended_by_sigterm():
             try:
                 return _run(sys.argv[1:] if arguments is None else arguments)
             finally:
@@ -44,9 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # While a class is made, Python 3.11 replaces KeyboardInterrupt.
         if isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             return INTERRUPTED
-        from .failing import failed
-
-        return failed(error)
+        return _failed(error)
 
 
 def _run(arguments: Sequence[str]) -> int:
@@ -67,3 +67,75 @@ def _run(arguments: Sequence[str]) -> int:
     except (ValueError, TypeError) as error:
         parser: argparse.ArgumentParser = options.parser
         parser.error(str(error))
+
+
+# --- how a command ends -------------------------------------------------------------------------
+
+
+class CommandError(Exception):
+    """A command failed, and not because of wrong usage."""
+
+
+def _failed(error: Exception) -> int:
+    """Print an error, and return the exit code."""
+    from ..protocol.errors import ModbusError
+    from .output import abandon, complain
+
+    if isinstance(error, ModbusError | CommandError | ImportError):
+        text = f"{error}{advice(error)}"
+    elif isinstance(error, OSError):
+        abandon()
+        text = f"{error.filename or 'standard output'}: {error.strerror or error}"
+    else:
+        from traceback import extract_tb
+
+        place = extract_tb(error.__traceback__)[-1]
+        text = f"unexpected {error!r} ({os.path.basename(place.filename)}, line {place.lineno})"
+    if not isinstance(error, BrokenPipeError):
+        # After a broken pipe nothing reads the output any more, as with `head`.
+        with contextlib.suppress(OSError):
+            complain(text.replace("\n", " "))
+    return 1
+
+
+def advice(error: Exception) -> str:
+    """Return what to try after a failure; empty if nothing is known that would help."""
+    from ..protocol.errors import NO_UNIT, ModbusError, ModbusTimeoutError
+    from .output import PROGRAM
+
+    is_silent = isinstance(error, ModbusTimeoutError) and not error.received
+    if not (is_silent or isinstance(error, NO_UNIT)) or not isinstance(error, ModbusError):
+        return ""
+    if not error.endpoint:
+        return ""
+    place = error.endpoint.removeprefix("tcp://").removesuffix(":502").removeprefix("rtu://")
+    return f"; {PROGRAM} scan {place.partition('?')[0]} finds the units that answer"
+
+
+@contextlib.contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
+    """
+    Raise KeyboardInterrupt in the block when SIGTERM comes, and end the process by it afterwards.
+
+    A second SIGTERM ends the process at once. Commands that serve replace this with their own
+    handlers. A process that ignores SIGTERM continues to, and a thread other than the main one
+    changes nothing.
+    """
+    has_come = False
+
+    def terminate(number: int, frame: object) -> None:
+        nonlocal has_come
+        has_come = True
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        raise KeyboardInterrupt
+
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        with contextlib.suppress(ValueError):
+            signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        if signal.getsignal(signal.SIGTERM) is terminate:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        if has_come:
+            signal.raise_signal(signal.SIGTERM)

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import pytest
 
 from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py.cli.arguments import endpoint_of
 from libmodbus_py.cli.commands import parsed
-from libmodbus_py.cli.connecting import endpoint_of
 from libmodbus_py.ports.schemes import (
     CLIENT_OPTIONS,
     SECURITY_OPTIONS,

@@ -26,7 +26,7 @@ from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE, TABLES
 from ...protocol.values import ValueType, parse_reference, value_type
 from ...protocol.words import REFERENCE_TABLES, close_word, plain, table_named
 from ...protocol.words import TABLE_WORDS as VENDORS
-from ..failing import advice
+from ..main import advice
 
 if TYPE_CHECKING:
     from ...maps.point import Point

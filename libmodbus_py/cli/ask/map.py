@@ -10,9 +10,7 @@ from textwrap import fill
 from typing import Any
 
 from .. import arguments
-from ..arguments import completing, maps, names_of_maps
-from ..foreign import place
-from ..help import VerbatimHelp
+from ..arguments import declare, maps, names_of_maps
 from ..output import complain
 
 __all__ = ["add_command"]
@@ -83,34 +81,54 @@ examples:
 {arguments.URLS}"""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    command = commands.add_parser("map", epilog=EXAMPLES, formatter_class=VerbatimHelp)
+DEVICE = """
+--device URL
+    read all points of this device, and print those that it refuses
+"""
+
+SEARCH = """
+--search WORD ...
+    print those alone whose name or description, which begins with the vendor, has all these words
+"""
+
+OF_OUTPUT = "-o --output FILE\n  a new file, .toml or .csv (TOML, printed)"
+
+OF_CLASS_OUTPUT = """
+-o --output FILE
+    a .py file, new or written by this command before (printed)
+"""
+
+
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments of each action."""
+    command.epilog = EXAMPLES
     actions = command.add_subparsers(metavar="ACTION", required=True)
 
     def add(name: str, about: str, epilog: str, more: str = "") -> Any:
-        action = actions.add_parser(
-            name,
-            help=about,
-            description=f"{fill(about[0].upper() + about[1:] + more, 79)}.",
-            epilog=epilog,
-            formatter_class=VerbatimHelp,
-        )
-        action.set_defaults(run=partial(_run, name), parser=action)
+        text = f"{fill(about[0].upper() + about[1:] + more, 79)}."
+        action = actions.add_parser(name, help=about, description=text, epilog=epilog)
+        action.set_defaults(run=partial(_run, name))
         return action
 
-    _add_check(add("check", CHECK, OF_CHECK))
-    _add_list(add("list", LIST, OF_LIST, "; --map takes their names"))
-    _add_class(add("class", CLASS, OF_CLASS))
+    check = add("check", CHECK, OF_CHECK)
+    declare(check, f"FILE ...\n  {OF_FILE}", file={"dest": "files", "complete": maps})
+    arguments.add_columns(check, rare="")
+    declare(check, DEVICE)
+    arguments.add_requests(check)
+    search = {"action": "store", "nargs": "+", "default": [], "complete": names_of_maps}
+    declare(add("list", LIST, OF_LIST, "; --map takes their names"), SEARCH, search=search)
+    made = add("class", CLASS, OF_CLASS)
+    declare(made, f"FILE\n  {OF_FILE}", file={"complete": maps})
+    arguments.add_columns(made, rare="")
+    declare(made, OF_CLASS_OUTPUT)
     device = add("from-device", FROM_DEVICE, OF_DEVICE, TO_FILL_IN)
-    arguments.add_url(device)
-    _add_output(device)
-    arguments.add_client_options(device.add_argument_group("requests"), defaults=_timeouts)
+    declare(device, f"{arguments.URL}{OF_OUTPUT}")
+    arguments.add_client_options(device.add_argument_group("requests"), usual=_timeouts)
     arguments.add_serial_options(device)
     arguments.add_security_options(device)
     from_sunspec = add("from-sunspec", FROM_SUNSPEC, OF_SUNSPEC)
     arguments.add_client(from_sunspec)
-    _add_output(from_sunspec)
+    declare(from_sunspec, OF_OUTPUT)
 
 
 def _run(name: str, options: argparse.Namespace) -> int:
@@ -125,43 +143,6 @@ def _run(name: str, options: argparse.Namespace) -> int:
         "from-sunspec": map_actions.from_sunspec,
     }
     return run[name](options)
-
-
-def _add_check(check: argparse.ArgumentParser) -> None:
-    completing(check.add_argument("files", metavar="FILE", nargs="+", help=OF_FILE), maps)
-    arguments.add_columns(check)
-    check.add_argument(
-        "--device",
-        metavar="URL",
-        type=place,
-        help="read all points of this device, and print those that it refuses",
-    )
-    arguments.add_requests(check)
-
-
-def _add_list(listed: argparse.ArgumentParser) -> None:
-    search = listed.add_argument(
-        "--search",
-        metavar="WORD",
-        nargs="+",
-        default=[],
-        help="print those alone whose name or description, which begins with the vendor, has all"
-        " these words",
-    )
-    completing(search, names_of_maps)
-
-
-def _add_class(typed: argparse.ArgumentParser) -> None:
-    completing(typed.add_argument("file", metavar="FILE", help=OF_FILE), maps)
-    arguments.add_columns(typed)
-    help = "a .py file, new or written by this command before (printed)"
-    typed.add_argument("-o", "--output", metavar="FILE", help=help)
-
-
-def _add_output(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "-o", "--output", metavar="FILE", help="a new file, .toml or .csv (TOML, printed)"
-    )
 
 
 def _timeouts() -> dict[str, str]:

@@ -22,10 +22,8 @@ from ...tools.files.map_file import contents_of, load_map, remarks
 from ...tools.files.map_texts import MARK, class_text, csv_text, toml_text
 from ...tools.scan.search import Extent, search
 from ...tools.simulator.example_files import map_file
-from ..arguments import flag, given
-from ..connecting import OF_CLIENTS, connected, endpoint_of
-from ..failing import CommandError
-from ..main import INTERRUPTED
+from ..arguments import OF_CLIENTS, connected, endpoint_of, refuse_given
+from ..main import INTERRUPTED, CommandError
 from ..output import PROGRAM, complain, counted, written_to
 from ..screen import Status, missing, progress
 
@@ -47,8 +45,7 @@ def check(options: argparse.Namespace) -> int:
     """
     columns = dict(options.columns)
     if options.device is None:
-        if typed := given(options, OF_CLIENTS):
-            raise ValueError(f"{flag(next(iter(typed)))} needs --device")
+        refuse_given(options, OF_CLIENTS, "needs --device")
         return max([_check_file(file, columns) for file in options.files])
     options.url = options.device
     with closing(connected(options)) as context:

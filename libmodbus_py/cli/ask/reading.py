@@ -23,8 +23,8 @@ from ...maps.plan import Plan
 from ...maps.watched import PointIntervals, Totals
 from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, ModbusError
-from ..connecting import connected, endpoint_of
-from ..failing import CommandError, advice
+from ..arguments import connected, endpoint_of
+from ..main import CommandError, advice
 from ..output import complain, counted
 from ..screen import Status
 from ..serve import over_http

@@ -15,7 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from .. import arguments
-from ..arguments import completing
+from ..arguments import declare
 from ..output import print_json
 
 if TYPE_CHECKING:
@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from .units import Named
 
 __all__ = ["add_command"]
+
+IDENTIFY = """\
+Print the device identification (function 43/14) and the server id
+(function 17). Devices have one, both or neither; with neither the exit code
+is 1."""
 
 OF_IDENTIFY = """\
 examples:
@@ -46,30 +51,53 @@ examples:
   libmodbus-py raw 'tcp://192.0.2.10?unit=7&timeout=0.5' 100"""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command that is wanted to argparse."""
-    add = {"identify": _add_identify, "diagnose": _add_diagnose, "raw": _add_raw}
-    add[commands.name](commands)
+LEVEL = """
+--level L
+    basic, regular, extended, or the number of one object (regular)
+"""
+
+DIAGNOSE = """\
+Print the exception status (function 7), the counters (8), the event
+counter (11) and the event log (12), as far as the device has them. Nothing in
+the device changes, unless SUB-FUNCTION is given and changes something."""
+
+SUB_FUNCTION = """
+[SUB-FUNCTION]
+    sub-function of function 8, by name or number, such as clear-counters or 10
+[DATA]
+    data of the sub-function, 0..65535 (0)
+"""
+
+RAW = """\
+Send a function code and its data as they are. The response is printed in
+hexadecimal, and decoded if the function is known."""
+
+FUNCTION = """
+FUNCTION
+    function code, 1..127, or 03 before single bytes
+[HEX ...]
+    data after the function code, in hexadecimal
+"""
 
 
-def _add_identify(commands: Any) -> None:
-    command = commands.add_parser(
-        "identify",
-        description="Print the device identification (function 43/14) and the server id\n"
-        "(function 17). Devices have one, both or neither; with neither the exit code\n"
-        "is 1.",
-        epilog=f"{OF_IDENTIFY}\n\n{arguments.URLS}",
-    )
-    arguments.add_client(command, several=True)
-    level = command.add_argument(
-        "--level",
-        default="regular",
-        metavar="L",
-        help="basic, regular, extended, or the number of one object (regular)",
-    )
-    completing(level, ["basic", "regular", "extended"])
-    arguments.add_json(command)
-    command.set_defaults(run=_identify)
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments of identify, diagnose or raw."""
+    name = command.prog.rpartition(" ")[2]
+    arguments.add_client(command, several=name != "raw")
+    if name == "raw":
+        declare(command, FUNCTION, hex={"dest": "data"})
+        text, examples, run = RAW, OF_RAW, _raw
+    elif name == "diagnose":
+        declare(command, SUB_FUNCTION, data={"default": "0"})
+        text, examples, run = DIAGNOSE, OF_DIAGNOSE, _diagnose
+    else:
+        levels = {"default": "regular", "complete": ["basic", "regular", "extended"]}
+        declare(command, LEVEL, level=levels)
+        text, examples, run = IDENTIFY, OF_IDENTIFY, _identify
+    if name != "raw":
+        arguments.add_forms(command)
+    command.description, command.epilog = text, f"{examples}\n\n{arguments.URLS}"
+    command.set_defaults(run=run)
 
 
 def _identify(options: argparse.Namespace) -> int:
@@ -99,35 +127,9 @@ def _identify(options: argparse.Namespace) -> int:
 # --- diagnose ------------------------------------------------------------------------
 
 
-def _add_diagnose(commands: Any) -> None:
-    command = commands.add_parser(
-        "diagnose",
-        description="Print the exception status (function 7), the counters (8), the event\n"
-        "counter (11) and the event log (12), as far as the device has them. Nothing in\n"
-        "the device changes, unless SUB-FUNCTION is given and changes something.",
-        epilog=f"{OF_DIAGNOSE}\n\n{arguments.URLS}",
-    )
-    arguments.add_client(command, several=True)
-    command.add_argument(
-        "sub_function",
-        metavar="SUB-FUNCTION",
-        nargs="?",
-        help="sub-function of function 8, by name or number, such as clear-counters or 10",
-    )
-    command.add_argument(
-        "data",
-        metavar="DATA",
-        nargs="?",
-        default="0",
-        help="data of the sub-function, 0..65535 (0)",
-    )
-    arguments.add_json(command)
-    command.set_defaults(run=_diagnose)
-
-
 def _diagnose(options: argparse.Namespace) -> int:
     from ...protocol.plain import number_of
-    from ..connecting import connected
+    from ..arguments import connected
     from .units import ask_units, client_of, fail, report_units, units_of
 
     if options.sub_function is None:
@@ -208,28 +210,11 @@ def _name(sub: int) -> str:
 # --- raw -----------------------------------------------------------------------------
 
 
-def _add_raw(commands: Any) -> None:
-    command = commands.add_parser(
-        "raw",
-        description="Send a function code and its data as they are. The response is printed in\n"
-        "hexadecimal, and decoded if the function is known.",
-        epilog=f"{OF_RAW}\n\n{arguments.URLS}",
-    )
-    arguments.add_client(command)
-    command.add_argument(
-        "function", metavar="FUNCTION", help="function code, 1..127, or 03 before single bytes"
-    )
-    command.add_argument(
-        "data", metavar="HEX", nargs="*", help="data after the function code, in hexadecimal"
-    )
-    command.set_defaults(run=_raw)
-
-
 def _raw(options: argparse.Namespace) -> int:
     from ...protocol.errors import ModbusError
     from ...protocol.pdu import RawRequest, decode_request
     from ...protocol.plain import number_of
-    from ..connecting import connected
+    from ..arguments import connected
 
     function = options.function
     words = [function, *options.data]

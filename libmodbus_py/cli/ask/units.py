@@ -18,8 +18,8 @@ from ...protocol.errors import (
     ModbusConnectionError,
     ModbusError,
 )
-from ..connecting import connected, endpoint_of
-from ..failing import CommandError, advice
+from ..arguments import connected, endpoint_of
+from ..main import CommandError, advice
 from ..output import complain, print_json
 
 # fmt: off

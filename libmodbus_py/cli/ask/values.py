@@ -11,8 +11,7 @@ from typing import Any, get_args
 from ...protocol.checks import DURATION, duration_of
 from ...protocol.words import BitsType, NumberType, Order, TimeType
 from .. import arguments
-from ..arguments import completing, maps
-from ..help import make_rare
+from ..arguments import declare, maps
 from ..serve import over_http
 
 __all__ = ["add_command", "names"]
@@ -23,12 +22,29 @@ WHAT is one of
   REFERENCE      such as 40123, which is holding register 122
   NAME           a point of the register map that --map gives"""
 
+READ = f"""\
+Read values of a device, in as few requests as possible.
+
+{WHAT}
+and may be followed by a number of values (1). Several may follow each other.
+An address may have a type (hr 100:float32) and be a range (hr 100-105).
+With --map and without WHAT, all points of the map are read."""
+
 READING = """\
 examples:
   libmodbus-py read 192.0.2.10 hr 0-9 coils 0 8 hr 100:float32
   libmodbus-py read /dev/ttyUSB0 -b 9600 -p none -u 7 30001 2 --type float32
   libmodbus-py read 192.0.2.10 -u 1-3,17 --map meter.csv voltage current --watch
   libmodbus-py read 'tcp://192.0.2.10?unit=7&timeout=0.5' ir 0 9 --csv log.csv"""
+
+WRITE = f"""\
+Write values to a device, one request for each WHAT. All values are
+checked before the first request.
+
+{WHAT}
+followed by its values, as in hr 10 5 6, or 40011=5. Several may follow each
+other. Values of coils are 0, 1, off, on, false and true. After -- a text may
+begin with -; options must be before it."""
 
 WRITING = """\
 examples:
@@ -38,101 +54,92 @@ examples:
   libmodbus-py write 'tcp://192.0.2.10?unit=7&timeout=0.5' hr 4 --mask 0xFFF0 5"""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command that is wanted to argparse."""
-    add = _add_read if commands.name == "read" else _add_write
-    add(commands)
+OF_READ = """
+[WHAT ...]
+    the values to read
+--group NAME ...
+    read the points of a group of the map; may be repeated
+"""
+
+OF_VALUES = f"""
+--type T
+    type: {", ".join((*get_args(NumberType), *get_args(BitsType)))}, string:N%s
+--order O
+    byte order: {", ".join(get_args(Order))}
+rare --encoding E
+    encoding of text
+rare --padding C
+    character that fills up text
+"""
+
+OF_MAPS = """
+--map FILE
+    register map, CSV or TOML, or an example such as meter
+"""
+
+OF_WATCH = """
+--watch [SECONDS]
+    poll until Ctrl-C, each second unless given; on a terminal in a table
+--count N
+    end after N polls; implies --watch
+--for SECONDS
+    end after a time, such as 90 or 1h30m; implies --watch
+"""
+
+OF_WRITE = """
+--multiple
+    write single values with functions 15 and 16, not with 5 and 6
+"""
+
+OF_REGISTERS = """
+--mask AND OR
+    in place of values: keep the bits of AND, take the others from OR (function 22)
+--and-read ADDRESS COUNT
+    holding registers that are read after the write, by the same request (23)
+"""
+
+OF_SENDING = """
+--verify
+    read back what was written, and compare; the exit code is 1 if anything differs
+--dry-run
+    print the frames instead of sending them
+"""
 
 
-def _add_read(commands: Any) -> None:
-    command = commands.add_parser(
-        "read",
-        description="Read values of a device, in as few requests as possible.\n\n"
-        f"{WHAT}\n"
-        "and may be followed by a number of values (1). Several may follow each other.\n"
-        "An address may have a type (hr 100:float32) and be a range (hr 100-105).\n"
-        "With --map and without WHAT, all points of the map are read.",
-        epilog=f"{READING}\n\n{arguments.URLS}",
-    )
-    arguments.add_url(command)
-    what = command.add_argument("what", metavar="WHAT", nargs="*", help="the values to read")
-    completing(what, names)
-    command.add_argument(
-        "--group",
-        metavar="NAME",
-        action="append",
-        help="read the points of a group of the map; may be repeated",
-    )
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments of read or write."""
+    (_add_read if command.prog.endswith(" read") else _add_write)(command)
+
+
+def _add_read(command: argparse.ArgumentParser) -> None:
+    command.description, command.epilog = READ, f"{READING}\n\n{arguments.URLS}"
+    declare(command, f"{arguments.URL}{OF_READ}", what={"complete": names})
     _add_item_arguments(command, ", or all, which shows every interpretation")
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
-    form.add_argument("--hex", action="store_true", help="print registers in hexadecimal")
-    arguments.add_csv(form)
-    arguments.add_json(form)
-    group.add_argument(
-        "--watch",
-        nargs="?",
-        const=1.0,
-        type=_seconds,
-        metavar="SECONDS",
-        help="poll until Ctrl-C, each second unless given; on a terminal in a table",
-    )
-    group.add_argument(
-        "--count", type=_polls, metavar="N", help="end after N polls; implies --watch"
-    )
-    group.add_argument(
-        "--for",
-        dest="lasts",
-        type=_seconds,
-        metavar="SECONDS",
-        help="end after a time, such as 90 or 1h30m; implies --watch",
+    declare(form, "--hex\n  print registers in hexadecimal")
+    arguments.add_forms(form, "print CSV")
+    declare(
+        group,
+        OF_WATCH,
+        watch={"const": 1.0, "type": _seconds},
+        count={"type": _polls},
+        **{"for": {"dest": "lasts", "type": _seconds}},
     )
     over_http.add_page(group, "the values of --watch")
     arguments.add_requests(command, several=True)
     command.set_defaults(run=_read)
 
 
-def _add_write(commands: Any) -> None:
-    command = commands.add_parser(
-        "write",
-        description="Write values to a device, one request for each WHAT. All values are\n"
-        f"checked before the first request.\n\n{WHAT}\n"
-        "followed by its values, as in hr 10 5 6, or 40011=5. Several may follow each\n"
-        "other. Values of coils are 0, 1, off, on, false and true. After -- a text may\n"
-        "begin with -; options must be before it.",
-        epilog=f"{WRITING}\n\n{arguments.URLS}",
-    )
-    arguments.add_url(command)
-    what = command.add_argument("what", metavar="WHAT VALUE", nargs="+", help="the values to write")
-    completing(what, names)
+def _add_write(command: argparse.ArgumentParser) -> None:
+    command.description, command.epilog = WRITE, f"{WRITING}\n\n{arguments.URLS}"
+    text = f"{arguments.URL}WHAT VALUE ...\n  the values to write"
+    declare(command, text, what={"nargs": "+", "complete": names})
     _add_item_arguments(command)
     group = command.add_argument_group("writing")
-    group.add_argument(
-        "--multiple",
-        action="store_true",
-        help="write single values with functions 15 and 16, not with 5 and 6",
-    )
-    special = group.add_mutually_exclusive_group()
-    special.add_argument(
-        "--mask",
-        nargs=2,
-        metavar=("AND", "OR"),
-        help="in place of values: keep the bits of AND, take the others from OR (function 22)",
-    )
-    special.add_argument(
-        "--and-read",
-        nargs=2,
-        metavar=("ADDRESS", "COUNT"),
-        help="holding registers that are read after the write, by the same request (23)",
-    )
-    group.add_argument(
-        "--verify",
-        action="store_true",
-        help="read back what was written, and compare; the exit code is 1 if anything differs",
-    )
-    group.add_argument(
-        "--dry-run", action="store_true", help="print the frames instead of sending them"
-    )
+    declare(group, OF_WRITE)
+    declare(group.add_mutually_exclusive_group(), OF_REGISTERS)
+    declare(group, OF_SENDING)
     arguments.add_requests(command)
     command.set_defaults(run=_write)
 
@@ -140,22 +147,12 @@ def _add_write(commands: Any) -> None:
 def _add_item_arguments(command: argparse.ArgumentParser, more: str = "") -> None:
     """Add the arguments that say how values are stored in a device."""
     group = command.add_argument_group("values")
-    types = ", ".join((*get_args(NumberType), *get_args(BitsType)))
-    orders = ", ".join(get_args(Order))
-    kind = group.add_argument("--type", metavar="T", help=f"type: {types}, string:N{more}")
-    completing(kind, [*get_args(NumberType), *get_args(BitsType), *get_args(TimeType), "string:"])
-    order = group.add_argument("--order", metavar="O", help=f"byte order: {orders}")
-    encoding = group.add_argument("--encoding", metavar="E", help="encoding of text")
-    padding = group.add_argument("--padding", metavar="C", help="character that fills up text")
-    make_rare(encoding, padding)
-    arguments.add_defaults([order, encoding, padding], _of_reads)
-    completing(order, get_args(Order))
-    text = "register map, CSV or TOML, or an example such as meter"
-    completing(group.add_argument("--map", metavar="FILE", help=text), maps)
-    make_rare(arguments.add_columns(group))
-    group.add_argument(
-        "--count-from-1", action="store_true", help="addresses count from 1, both typed and printed"
-    )
+    types = [*get_args(NumberType), *get_args(BitsType), *get_args(TimeType), "string:"]
+    orders = {"complete": get_args(Order)}
+    declare(group, OF_VALUES % more, _of_reads, type={"complete": types}, order=orders)
+    declare(group, OF_MAPS, map={"complete": maps})
+    arguments.add_columns(group)
+    declare(group, "--count-from-1\n  addresses count from 1, both typed and printed")
 
 
 def _of_reads() -> dict[str, Any]:

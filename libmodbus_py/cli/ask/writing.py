@@ -16,8 +16,8 @@ from ...protocol import pdu
 from ...protocol.errors import ModbusError
 from ...protocol.framing import Frame, make_framer
 from ...protocol.plain import bit_of, number_of, value_of
-from ..connecting import connected, endpoint_of
-from ..failing import CommandError
+from ..arguments import connected, endpoint_of
+from ..main import CommandError
 from ..output import complain, counted
 from .formatters import aligned, result_of
 from .items import Item, Words, reason_of

@@ -18,9 +18,7 @@ from ...protocol.plain import clock_text, plain, time_text
 from ...tools.listener.listener import listen
 from ...tools.listener.transaction import Transaction
 from .. import arguments
-from ..connecting import with_options
-from ..foreign import place
-from ..help import VerbatimHelp
+from ..arguments import declare, with_options
 from ..output import print_json, styled
 
 __all__ = ["add_command"]
@@ -35,7 +33,14 @@ _shown.maxlist = _shown.maxtuple = _shown.maxdict = 16
 _shown.maxstring = _shown.maxother = 200
 
 
-EXAMPLES = """\
+DESCRIPTION = """\
+Print every transaction on a line, and a summary after Ctrl-C. Nothing is
+sent. Traffic in TLS cannot be read; libmodbus-py gateway -v shows the requests
+that it forwards from tls:// to tls://."""
+
+EPILOG = """\
+The exit code is 0, or 1 if the capture could not be written to the end.
+
 examples:
   libmodbus-py listen /dev/ttyUSB0
   libmodbus-py listen /dev/ttyUSB0 -b 9600 -p none -u 1-9 --capture line.pcapng
@@ -49,32 +54,21 @@ URL: rtu:///dev/ttyUSB0 or ascii:///dev/ttyUSB0, or just /dev/ttyUSB0;
      shells interpret &. An option overrides the setting in the URL."""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    command = commands.add_parser(
-        "listen",
-        description="Print every transaction on a line, and a summary after Ctrl-C. Nothing is\n"
-        "sent. Traffic in TLS cannot be read; libmodbus-py gateway -v shows the requests\n"
-        "that it forwards from tls:// to tls://.",
-        epilog="The exit code is 0, or 1 if the capture could not be written to the end.\n\n"
-        f"{EXAMPLES}",
-        formatter_class=VerbatimHelp,
-    )
-    command.add_argument(
-        "url",
-        type=place,
-        metavar="URL",
-        help="where to listen, or a capture to read: FILE.pcapng",
-    )
-    command.add_argument(
-        "--between",
-        metavar="URL",
-        help="connect to this device, and forward requests and answers between it and clients",
-    )
-    command.add_argument(
-        "--capture", metavar="FILE.pcapng", help="write what is heard to a file for Wireshark"
-    )
-    arguments.add_json(command)
+ARGUMENTS = """
+URL
+    where to listen, or a capture to read: FILE.pcapng
+--between URL
+    connect to this device, and forward requests and answers between it and clients
+--capture FILE.pcapng
+    write what is heard to a file for Wireshark
+"""
+
+
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    command.description, command.epilog = DESCRIPTION, EPILOG
+    declare(command, ARGUMENTS)
+    arguments.add_forms(command)
     arguments.add_units(command, "print the transactions of these units only, such as 1-9,17")
     arguments.add_serial_options(command)
     command.set_defaults(run=_listen)
@@ -85,9 +79,9 @@ def _listen(options: argparse.Namespace) -> int:
     place = options.url
     if "://" in place or not place.endswith(".pcapng"):  # the path of a device is a URL, too
         place = with_options([place], options, SERIAL_OPTIONS)[0].url
-    elif settings := arguments.given(options, SERIAL_OPTIONS):
-        name = arguments.flag(next(iter(settings)))
-        raise ValueError(f"{name} applies to serial ports only, not to {place}")
+    else:
+        why = f"applies to serial ports only, not to {place}"
+        arguments.refuse_given(options, SERIAL_OPTIONS, why)
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with listen(place, between=options.between, capture=options.capture) as line:
 

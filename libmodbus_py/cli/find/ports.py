@@ -6,16 +6,22 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from typing import Any
 
 from ...ports.serial_devices import SerialDevice, serial_devices
 from .. import arguments
-from ..help import VerbatimHelp
+from ..arguments import declare
 from ..output import harmless, print_json
 
 __all__ = ["add_command"]
 
-EXAMPLES = """\
+DESCRIPTION = """\
+List the serial ports of this machine, and what the system knows of them.
+Nothing is sent, and no setting is changed. The name in /dev/serial/by-id stays
+the same when ports change their numbers."""
+
+EPILOG = """\
+The exit code is 0, or 1 if there is no serial port.
+
 examples:
   libmodbus-py ports
   libmodbus-py ports --all
@@ -25,22 +31,11 @@ examples:
 COLUMNS = ("path", "state", "driver", "vendor", "product", "serial_number", "stable_path")
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    command = commands.add_parser(
-        "ports",
-        description="List the serial ports of this machine, and what the system knows of them.\n"
-        "Nothing is sent, and no setting is changed. The name in /dev/serial/by-id stays\n"
-        "the same when ports change their numbers.",
-        epilog=f"The exit code is 0, or 1 if there is no serial port.\n\n{EXAMPLES}",
-        formatter_class=VerbatimHelp,
-    )
-    command.add_argument(
-        "--all", action="store_true", help="list those without a USB device too, such as ttyS0"
-    )
-    form = command.add_mutually_exclusive_group()
-    arguments.add_csv(form)
-    arguments.add_json(form)
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    command.description, command.epilog = DESCRIPTION, EPILOG
+    declare(command, "--all\n  list those without a USB device too, such as ttyS0")
+    arguments.add_forms(command.add_mutually_exclusive_group(), "print CSV")
     command.set_defaults(run=_ports)
 
 

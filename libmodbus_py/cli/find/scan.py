@@ -9,7 +9,7 @@ import argparse
 import re
 import socket
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from ipaddress import ip_network
 from typing import Any
@@ -31,7 +31,7 @@ from ...tools.scan.probe import (
 from ...tools.scan.scan import Found, Progress, Scan, scan
 from ...tools.scan.search import MOST_REQUESTS, Extent, Searching, search
 from .. import arguments
-from ..connecting import endpoint_of
+from ..arguments import declare, endpoint_of
 from ..main import INTERRUPTED
 from ..output import counted, print_json
 from ..screen import Status, duration, missing, progress
@@ -57,7 +57,16 @@ QUICK_BAUDRATES = tuple(dict.fromkeys(baudrate for baudrate, _ in USUAL))
 QUICK_PARITIES = tuple(dict.fromkeys(parity for _, parity in USUAL))
 
 
+DESCRIPTION = """\
+Ask each unit for one register at each setting of the line, and print those
+that answer; usual settings and units come first. Nothing is written. A baud
+rate, parity, unit or timeout in the URL limits the search to it. A range such
+as 192.0.2.0/24 tries each host, and scans those that accept a connection."""
+
 EXAMPLES = """\
+The exit code is 0 if a unit was found, 1 if none was found or the line failed,
+130 on Ctrl-C.
+
 examples:
   libmodbus-py scan /dev/ttyUSB0 --quick
   libmodbus-py scan /dev/ttyUSB0 -b 9600,19200 -p none,even -u 1-20,42
@@ -65,76 +74,46 @@ examples:
   libmodbus-py scan 192.0.2.0/24 --timeout 300ms"""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    command = commands.add_parser(
-        "scan",
-        description="Ask each unit for one register at each setting of the line, and print those\n"
-        "that answer; usual settings and units come first. Nothing is written. A baud\n"
-        "rate, parity, unit or timeout in the URL limits the search to it. A range such\n"
-        "as 192.0.2.0/24 tries each host, and scans those that accept a connection.",
-        epilog="The exit code is 0 if a unit was found, 1 if none was found or the line failed,\n"
-        f"130 on Ctrl-C.\n\n{EXAMPLES}\n\n{arguments.URLS}",
-    )
-    arguments.add_url(command)
+ARGUMENTS = f"""
+--quick
+    try usual settings and units only: {",".join(map(str, QUICK_BAUDRATES))};
+    {",".join(QUICK_PARITIES)}; {{}}
+--yes
+    try more than 1024 hosts without a question
+--deep
+    find the tables and ranges of each unit, in at most {MOST_REQUESTS} requests to each
+"""
+
+OF_LINES = f"""
+-b --baudrate --baudrates LIST
+    baud rates to try ({",".join(map(str, BAUDRATES))})
+-p --parity --parities LIST
+    parities to try, such as none,even ({",".join(PARITIES)}); none is tried with 2 stop bits, which
+    finds devices with 1 stop bit too
+"""
+
+
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    command.description, command.epilog = DESCRIPTION, f"{EXAMPLES}\n\n{arguments.URLS}"
+    declare(command, arguments.URL)
     arguments.add_units(command, "units to ask, such as 1,5,9-12 (1-247; on networks also 255)")
-    command.add_argument(
-        "--quick",
-        action="store_true",
-        help=f"try usual settings and units only: {','.join(map(str, QUICK_BAUDRATES))};"
-        f" {','.join(QUICK_PARITIES)}; {_units(USUAL_UNITS)}",
-    )
-    command.add_argument(
-        "--yes", action="store_true", help="try more than 1024 hosts without a question"
-    )
-    command.add_argument(
-        "--deep",
-        action="store_true",
-        help="find the tables and ranges of each unit, in at most "
-        f"{MOST_REQUESTS} requests to each",
-    )
-    arguments.add_json(command, "print JSON, one object in the end")
+    declare(command, ARGUMENTS.format(_units(USUAL_UNITS)))
+    arguments.add_forms(command, json="print JSON, one object in the end")
     arguments.add_client_options(
         command.add_argument_group("requests"),
         without=("unit",),
-        defaults=lambda: {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"},
+        usual=lambda: {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"},
     )
+    baudrate, parity = (
+        {"dest": dest, "type": arguments.read_as(SERIAL_OPTIONS[name], ",")}
+        for name, dest in (("baudrate", "baudrates"), ("parity", "parities"))
+    )
+    parity["complete"] = arguments.lists_of_parities
     group = arguments.add_serial_options(command, without=("baudrate", "parity"))
-    group.add_argument(
-        *("-b", "--baudrate", "--baudrates"),
-        dest="baudrates",
-        type=_list_of("baudrate"),
-        metavar="LIST",
-        help=f"baud rates to try ({','.join(map(str, BAUDRATES))})",
-    )
-    parities = group.add_argument(
-        *("-p", "--parity", "--parities"),
-        dest="parities",
-        type=_list_of("parity"),
-        metavar="LIST",
-        help=f"parities to try, such as none,even ({','.join(PARITIES)}); none is tried with 2"
-        " stop bits, which finds devices with 1 stop bit too",
-    )
-    arguments.completing(parities, arguments.lists_of_parities)
+    declare(group, OF_LINES, baudrate=baudrate, parity=parity)
     arguments.add_security_options(command)
     command.set_defaults(run=_scan)
-
-
-def _list_of(name: str) -> Callable[[str], list[Any]]:
-    """Return a function that reads values of an option of serial ports, with commas between."""
-    option = SERIAL_OPTIONS[name]
-
-    def read(text: str) -> list[Any]:
-        values = []
-        for part in text.split(","):
-            try:
-                values.append(option.convert(part.strip()))
-            except ValueError:
-                wanted = f"{part!r} must be {option.wanted}"
-                raise argparse.ArgumentTypeError(wanted) from None
-        return values
-
-    return read
 
 
 def _scan(options: argparse.Namespace) -> int:

@@ -11,13 +11,19 @@ from functools import partial
 from typing import Any
 
 from .. import arguments
+from ..arguments import connected, declare
 from ..ask.units import ask_units, client_of, fail, units_of
-from ..connecting import connected
 from ..output import complain, harmless, print_json
 
 __all__ = ["add_command"]
 
+DESCRIPTION = """\
+Print the SunSpec models of a device, and their values with units.
+Values that the device has not implemented are left out of the table."""
+
 EXAMPLES = """\
+It needs the package pysunspec2.
+
 examples:
   libmodbus-py sunspec 192.0.2.10
   libmodbus-py sunspec 192.0.2.10 --base 40000 --json
@@ -25,24 +31,13 @@ examples:
   libmodbus-py sunspec 192.0.2.10 --csv > inverter.csv"""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    command = commands.add_parser(
-        "sunspec",
-        description="Print the SunSpec models of a device, and their values with units.\n"
-        "Values that the device has not implemented are left out of the table.",
-        epilog=f"It needs the package pysunspec2.\n\n{EXAMPLES}\n\n{arguments.URLS}",
-    )
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    command.description, command.epilog = DESCRIPTION, f"{EXAMPLES}\n\n{arguments.URLS}"
     arguments.add_client(command, several=True)
-    command.add_argument(
-        "--base",
-        type=int,
-        metavar="A",
-        help="the address at which the models begin (0, 40000 and 50000 are tried)",
-    )
-    form = command.add_mutually_exclusive_group()
-    arguments.add_csv(form)
-    arguments.add_json(form)
+    text = "the address at which the models begin (0, 40000 and 50000 are tried)"
+    declare(command, f"--base A\n  {text}", base={"type": int})
+    arguments.add_forms(command.add_mutually_exclusive_group(), "print CSV")
     command.set_defaults(run=_sunspec)
 
 

@@ -33,8 +33,8 @@ from ...services.workers.pushing import Pushed, changes, connections_of, push, s
 from ...services.workers.records import BUCKET, Connection, FleetSettings, in_key
 from ...services.workers.status import fleet_status, is_polled, tables
 from .. import arguments
-from ..failing import CommandError
-from ..help import VerbatimHelp
+from ..arguments import declare
+from ..main import CommandError
 from ..output import complain, print_json
 from .running import Hangup, notify_ready
 
@@ -42,12 +42,30 @@ __all__ = ["add_arguments", "add_command", "poll"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-EXAMPLES = """\
+DESCRIPTION = "Print the workers that poll a fleet together, and the devices that each polls."
+
+EPILOG = """\
+The exit code is 0, or 1 if the engine does not answer or no worker polls a
+part of the fleet.
+
 examples:
   libmodbus-py fleet status --engine nats://192.0.2.1
   libmodbus-py fleet status --engine nats://192.0.2.1,nats://192.0.2.2
   libmodbus-py fleet status --engine nats://192.0.2.1 --json
   libmodbus-py fleet status --engine tls://192.0.2.1"""
+
+ENGINE = """
+--engine URLS
+    the NATS servers (with JetStream) through which workers share devices:
+    nats://HOST[,nats://HOST...]"""
+
+OF_WORKERS = """
+--push
+    write the devices of FILE to the engine, then exit
+--zone NAME ...
+    poll devices of this zone too, besides those without a zone; may be repeated
+--worker NAME
+    name of this worker, in place of the host's"""
 
 Exposed = Callable[[Fleet], contextlib.AbstractContextManager[Any]]
 
@@ -64,49 +82,20 @@ PAUSE = 0.5
 ELECTION = 30.0
 
 
-def add_command(commands: Any) -> None:
-    """Add the command fleet to argparse."""
-    command = commands.add_parser(
-        "fleet",
-        description="Print the workers that poll a fleet together, and the devices that each"
-        " polls.",
-        epilog="The exit code is 0, or 1 if the engine does not answer or no worker polls a\n"
-        f"part of the fleet.\n\n{EXAMPLES}",
-        formatter_class=VerbatimHelp,
-    )
-    command.add_argument("what", choices=["status"], help="print the status of the fleet")
-    _add_engine(command, required=True)
-    arguments.add_json(command)
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments of the command fleet."""
+    command.description, command.epilog = DESCRIPTION, EPILOG
+    text = f"STATUS\n  print the status of the fleet\n{ENGINE}"
+    what = {"dest": "what", "metavar": None, "choices": ["status"]}
+    declare(command, text, status=what, engine={"required": True})
+    arguments.add_forms(command)
     command.set_defaults(run=_fleet)
 
 
 def add_arguments(command: argparse.ArgumentParser) -> None:
-    """Add the options of poll for several machines to argparse."""
+    """Declare the options of poll for several machines."""
     group = command.add_argument_group("several machines")
-    _add_engine(group, required=False)
-    group.add_argument(
-        "--push", action="store_true", help="write the devices of FILE to the engine, then exit"
-    )
-    group.add_argument(
-        "--zone",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="poll devices of this zone too, besides those without a zone; may be repeated",
-    )
-    group.add_argument(
-        "--worker", default="", metavar="NAME", help="name of this worker, in place of the host's"
-    )
-
-
-def _add_engine(command: Any, *, required: bool) -> None:
-    command.add_argument(
-        "--engine",
-        metavar="URLS",
-        required=required,
-        help="the NATS servers (with JetStream) through which workers share devices:"
-        " nats://HOST[,nats://HOST...]",
-    )
+    declare(group, f"{ENGINE}{OF_WORKERS}", zone={"default": []}, worker={"default": ""})
 
 
 def poll(

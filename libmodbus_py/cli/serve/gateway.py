@@ -9,7 +9,7 @@ import contextlib
 import inspect
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ...client.asynchronous import IN_FLIGHT, MAX_PAUSE
 from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
@@ -18,9 +18,7 @@ from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import Route, parse_route
 from ...tools.files.texts import compared, reread
 from .. import arguments, logs
-from ..connecting import with_options
-from ..foreign import place
-from ..help import VerbatimHelp
+from ..arguments import declare, with_options
 from . import over_http
 from .running import add_audit, add_limits, starting
 
@@ -38,67 +36,59 @@ OF_DEVICES = tuple(name for name in CLIENT_OPTIONS if name not in ("unit", "nati
 ROUTE = "[UNITS[:DEVICE_UNITS]=]URL"
 
 
-EXAMPLES = """\
+EPILOG = f"""\
 examples:
   libmodbus-py gateway tcp://0.0.0.0:502 --to rtu:///dev/ttyUSB0
   libmodbus-py gateway 127.0.0.1:1502 --to /dev/ttyUSB0 -b 9600 -p none -u 1-10
   libmodbus-py gateway 0.0.0.0:502 --to 1-10=192.0.2.10 --to 11:1=192.0.2.11
-  libmodbus-py gateway --config gateway.toml --metrics 127.0.0.1:9400"""
+  libmodbus-py gateway --config gateway.toml --metrics 127.0.0.1:9400
+
+{arguments.SCHEMES_OF_URLS}
+     The URL of a route can set the options of its requests, as in
+     --to "1-10=tcp://192.0.2.10?timeout=0.5"; an option overrides all URLs."""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    command = commands.add_parser(
-        "gateway",
-        description="Forward requests of clients to devices on other lines, and the answers back.",
-        epilog=f"{EXAMPLES}\n\n{arguments.SCHEMES_OF_URLS}\n"
-        "     The URL of a route can set the options of its requests, as in\n"
-        '     --to "1-10=tcp://192.0.2.10?timeout=0.5"; an option overrides all URLs.',
-        formatter_class=VerbatimHelp,
+ARGUMENTS = f"""
+[URL ...]
+    where to listen, such as tcp://0.0.0.0:502
+--to {ROUTE} ...
+    forward requests to these units, or to all, to this URL; may be repeated
+"""
+
+OF_WAITING = """
+--own-units UNITS
+    units with the statistics of the gateway itself
+--queue N
+    waiting requests per client
+--longest-wait S
+    seconds that a request may wait
+--writes-first
+    let writes overtake waiting reads
+"""
+
+
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    command.description = (
+        "Forward requests of clients to devices on other lines, and the answers back."
     )
-    command.add_argument(
-        "urls",
-        type=place,
-        metavar="URL",
-        nargs="*",
-        help="where to listen, such as tcp://0.0.0.0:502",
-    )
-    command.add_argument(
-        "--to",
-        action="append",
-        metavar=ROUTE,
-        help="forward requests to these units, or to all, to this URL; may be repeated",
-    )
+    command.epilog = EPILOG
+    declare(command, ARGUMENTS, url={"dest": "urls"})
     arguments.add_units(command, "units of each --to that names none, such as 1-10,17 (all)")
-    command.add_argument("--config", metavar="FILE", help="read routes and options from a file")
+    declare(command, "--config FILE\n  read routes and options from a file")
     over_http.add_metrics(command)
     over_http.add_page(command, "lines, units and clients")
     arguments.add_verbose(command)
     logs.add_arguments(command)
-    waiting = command.add_argument_group("waiting requests")
-    added = [
-        waiting.add_argument(
-            "--own-units", metavar="UNITS", help="units with the statistics of the gateway itself"
-        ),
-        waiting.add_argument("--queue", type=int, metavar="N", help="waiting requests per client"),
-        waiting.add_argument(
-            "--longest-wait", type=float, metavar="S", help="seconds that a request may wait"
-        ),
-    ]
-    waiting.add_argument(
-        "--writes-first",
-        action="store_true",
-        default=None,
-        help="let writes overtake waiting reads",
-    )
     usual = inspect.signature(Gateway).parameters
     own_units = ",".join(map(str, usual["own_units"].default))
     defaults = {name: usual[name].default for name in OPTIONS} | {"own_units": own_units}
-    arguments.add_defaults(added, lambda: defaults)
+    group = command.add_argument_group("waiting requests")
+    declare(group, OF_WAITING, lambda: defaults, writes_first={"default": None})
     arguments.add_client_options(
         command.add_argument_group("requests to the devices"),
         without=("unit", "native"),
-        defaults=lambda: {"max_in_flight": str(IN_FLIGHT), "max_pause": f"{MAX_PAUSE:g}"},
+        usual=lambda: {"max_in_flight": str(IN_FLIGHT), "max_pause": f"{MAX_PAUSE:g}"},
     )
     add_limits(command)
     add_audit(command)
@@ -115,9 +105,9 @@ def _gateway(options: argparse.Namespace) -> int:
         urls = options.urls or list(file.listen if file else ())
         if file is not None and not urls:
             raise ValueError(f"{options.config}: listen is missing, and no URL is given")
-        if file is not None and (typed := arguments.given(options, ("units", *OF_DEVICES))):
-            name = arguments.flag(next(iter(typed)))
-            raise ValueError(f"{name} needs --to: {options.config} has its own routes")
+        if file is not None:
+            why = f"needs --to: {options.config} has its own routes"
+            arguments.refuse_given(options, ("units", *OF_DEVICES), why)
         routes = [parse_route(text, options.units) for text in options.to or ()]
         urls, routes = _overridden(urls, routes, options)
         usual = file.options if file else {}

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any, TextIO
 
-from ..help import make_rare
+from ..arguments import declare
 from ..output import complain, inform
 
 if TYPE_CHECKING:
@@ -24,56 +24,28 @@ __all__ = ["add_metrics", "add_page", "exposed", "shown", "tables_shown"]
 
 Address = tuple[str, int]
 
-PAGE = ("127.0.0.1", 8080)
-
 TOKEN = "LIBMODBUS_PY_PAGE_TOKEN"
 """The environment variable that has the token of the page."""
 
 
-class _Once(argparse.Action):
-    """Sets an address, and refuses a second one; argparse alone would forget the first."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
-        if getattr(namespace, self.dest) is not None:
-            raise argparse.ArgumentError(self, "may be given once: there is one address for all")
-        setattr(namespace, self.dest, values)
-
-
 def add_metrics(command: argparse.ArgumentParser) -> None:
-    """Add the option for metrics to argparse."""
-    command.add_argument(
-        "--metrics",
-        action=_Once,
-        type=_address,
-        metavar="HOST:PORT",
-        help="serve metrics for Prometheus at this address, over HTTP",
-    )
+    """Declare the option for metrics."""
+    text = "serve metrics for Prometheus at this address, over HTTP"
+    declare(command, f"--metrics HOST:PORT\n  {text}", metrics={"type": _address})
+
+
+OF_PAGE = f"""
+--page [HOST:PORT]
+    serve a live page of %s at this address, over HTTP (127.0.0.1:8080)
+rare --page-token FILE
+    file with the token of the page, 22 or more letters, digits, - or _, so that its URL stays the
+    same; unless given, {TOKEN} in the environment, or a new one
+"""
 
 
 def add_page(command: argparse._ActionsContainer, what: str = "the devices") -> None:
-    """Add the options for a page that shows `what` to argparse."""
-    command.add_argument(
-        "--page",
-        action=_Once,
-        type=_address,
-        nargs="?",
-        const=PAGE,
-        metavar="HOST:PORT",
-        help="serve a live page of {} at this address, over HTTP ({}:{})".format(what, *PAGE),
-    )
-    token = command.add_argument(
-        "--page-token",
-        metavar="FILE",
-        help="file with the token of the page, 22 or more letters, digits, - or _, so that its URL"
-        f" stays the same; unless given, {TOKEN} in the environment, or a new one",
-    )
-    make_rare(token)
+    """Declare the options for a page that shows `what`."""
+    declare(command, OF_PAGE % what, page={"type": _address, "const": ("127.0.0.1", 8080)})
 
 
 def _address(text: str) -> Address:

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ...protocol.logs import HarmlessLogger
 from ...server.running import Handler, frozen_garbage, signal_handlers
@@ -28,8 +28,8 @@ from ...services.tasks import WriterThread
 from ...system import allow_all_descriptors
 from ...tools.files.texts import compared
 from .. import arguments, logs, tracing
-from ..failing import CommandError
-from ..help import VerbatimHelp
+from ..arguments import declare
+from ..main import CommandError
 from ..output import complain, inform
 from ..screen import Redrawn, Status
 from . import fleet as workers
@@ -52,7 +52,16 @@ ON_TIME = 0.1
 
 STANDARD_OUTPUT = "-"
 
-EXAMPLES = """\
+DESCRIPTION = """\
+Poll the devices of a fleet file, and write the readings to the outputs of
+the file. Without an output, readings are printed as lines of JSON, except on
+a terminal."""
+
+EPILOG = """\
+The exit code is 0, or 1 if a device did not answer --once or --check, an output
+did not take all readings of --once, a line cannot keep its intervals, or the
+standard output was closed.
+
 examples:
   libmodbus-py poll fleet.toml --check
   libmodbus-py poll fleet.toml --once --csv
@@ -62,36 +71,23 @@ examples:
 FILES = {name: kind for name, kind in KINDS.items() if kind.form}
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    command = commands.add_parser(
-        "poll",
-        description="Poll the devices of a fleet file, and write the readings to the outputs of\n"
-        "the file. Without an output, readings are printed as lines of JSON, except on\n"
-        "a terminal.",
-        epilog="The exit code is 0, or 1 if a device did not answer --once or --check, an output\n"
-        "did not take all readings of --once, a line cannot keep its intervals, or the\n"
-        f"standard output was closed.\n\n{EXAMPLES}",
-        formatter_class=VerbatimHelp,
-    )
-    command.add_argument("file", metavar="FILE", help="fleet file, such as fleet.toml")
-    mode = command.add_mutually_exclusive_group()
-    mode.add_argument("--once", action="store_true", help="poll each device once, then exit")
-    mode.add_argument(
-        "--check",
-        action="store_true",
-        help="ask each device once, and print the results as a table",
-    )
+MODES = """
+--once
+    poll each device once, then exit
+--check
+    ask each device once, and print the results as a table
+"""
+
+
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    command.description, command.epilog = DESCRIPTION, EPILOG
+    declare(command, "FILE\n  fleet file, such as fleet.toml")
+    declare(command.add_mutually_exclusive_group(), MODES)
+    more = {"action": "append", "const": STANDARD_OUTPUT, "default": []}
     for name, (_, _, form) in FILES.items():
-        command.add_argument(
-            f"--{name}",
-            nargs="?",
-            action="append",
-            const=STANDARD_OUTPUT,
-            default=[],
-            metavar="PATH",
-            help=f"append readings to a file as {form}; without PATH, print them; may be repeated",
-        )
+        text = f"append readings to a file as {form}; without PATH, print them; may be repeated"
+        declare(command, f"--{name} [PATH]\n  {text}", **{name: more})
     over_http.add_metrics(command)
     over_http.add_page(command, "the values and the devices")
     workers.add_arguments(command)

@@ -27,8 +27,7 @@ from ...server.audit import Audit, AuditFile
 from ...server.limits import FULL_POLICIES, Limits
 from ...server.serving import Running, Serving
 from .. import logs
-from ..arguments import add_defaults, flag, given
-from ..help import make_rare
+from ..arguments import declare, given
 from ..output import complain, inform
 from ..tracing import print_frame
 from .over_http import exposed, shown
@@ -66,7 +65,7 @@ class _ServingCommand:
         self._trail = trail
         self._options = options
         self._hangup = hangup
-        limits = given(options, [*LIMITS, "when_full", "allow"])
+        limits = given(options, [each.name for each in fields(Limits)])
         if limits.get("idle_timeout") == math.inf:
             limits["idle_timeout"] = None
         if limits:
@@ -209,71 +208,54 @@ def _has_terminal() -> bool:
 
 # --- options ----------------------------------------------------------------------------------
 
-# fmt: off
-LIMITS: dict[str, tuple[Callable[[str], Any], str, str]] = {
-    "max_connections": (
-        int, "N", "maximum number of TCP connections; by default what the open-file limit allows"
-    ),
-    "connections_per_address": (
-        int, "N", "maximum number of TCP connections per address; by default a tenth of all"
-    ),
-    "frame_timeout": (float, "S", "seconds from the first byte of a frame to the last"),
-    "handshake_timeout": (float, "S", "seconds for a TLS handshake"),
-    "certificate_interval": (
-        float, "S", "seconds between checks of the certificates of open TLS connections"
-    ),
-    "idle_timeout": (
-        float, "S", "seconds without a request after which a connection is closed, or inf"
-    ),
-    "max_unsent": (
-        int, "BYTES", "bytes of responses buffered for a client that does not read them"
-    ),
-    "requests_per_second": (
-        float, "N", "requests answered per address; by default all, over UDP 1000"
-    ),
-}
-"""Field of `Limits` -> type, placeholder and text of the option."""
-# fmt: on
+OF_LIMITS = """
+rare --max-connections N
+    maximum number of TCP connections; by default what the open-file limit allows
+rare --connections-per-address N
+    maximum number of TCP connections per address; by default a tenth of all
+rare --frame-timeout S
+    seconds from the first byte of a frame to the last
+rare --handshake-timeout S
+    seconds for a TLS handshake
+rare --certificate-interval S
+    seconds between checks of the certificates of open TLS connections
+rare --idle-timeout S
+    seconds without a request after which a connection is closed, or inf
+rare --max-unsent BYTES
+    bytes of responses buffered for a client that does not read them
+rare --requests-per-second N
+    requests answered per address; by default all, over UDP 1000
+rare --when-full POLICY
+    when there is no room for a connection: close-idle closes another one, which is idle; refuse
+    closes the new one
+--allow NETWORK ...
+    serve clients of this network or address only; may be repeated
+"""
+"""The options are the fields of `Limits`."""
+
+OF_AUDIT = """
+--audit FILE
+    append a line of JSON to this file for each write, and for each request, connection and TLS
+    handshake that is refused; SIGHUP opens it again
+--audit-required
+    refuse writes with exception 4 while the file cannot be written
+"""
 
 
 def add_limits(command: argparse.ArgumentParser) -> Any:
-    """Add the options for limits to argparse, and return their group."""
+    """Declare the options for limits, and return their group."""
     group = command.add_argument_group("limits on clients")
-    added = [
-        group.add_argument(flag(name), type=convert, metavar=placeholder, help=text)
-        for name, (convert, placeholder, text) in LIMITS.items()
-    ]
-    added.append(
-        group.add_argument(
-            "--when-full",
-            choices=FULL_POLICIES,
-            metavar="POLICY",
-            help="when there is no room for a connection: close-idle closes another one, which is"
-            " idle; refuse closes the new one",
-        )
-    )
-    make_rare(*added)
-    add_defaults(added, lambda: {each.name: each.default for each in fields(Limits)})
-    group.add_argument(
-        "--allow",
-        action="append",
-        metavar="NETWORK",
-        help="serve clients of this network or address only; may be repeated",
+    declare(
+        group,
+        OF_LIMITS,
+        lambda: {each.name: each.default for each in fields(Limits) if each.name != "allow"},
+        max_unsent={"type": int},
+        requests_per_second={"type": float},
+        when_full={"choices": FULL_POLICIES},
     )
     return group
 
 
 def add_audit(command: argparse.ArgumentParser) -> None:
-    """Add the options for an audit trail to argparse."""
-    group = command.add_argument_group("audit trail")
-    group.add_argument(
-        "--audit",
-        metavar="FILE",
-        help="append a line of JSON to this file for each write, and for each request, connection"
-        " and TLS handshake that is refused; SIGHUP opens it again",
-    )
-    group.add_argument(
-        "--audit-required",
-        action="store_true",
-        help="refuse writes with exception 4 while the file cannot be written",
-    )
+    """Declare the options for an audit trail."""
+    declare(command.add_argument_group("audit trail"), OF_AUDIT)

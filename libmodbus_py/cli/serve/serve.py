@@ -21,9 +21,7 @@ from ...tools.faults.server import Server
 from ...tools.simulator import device_file, example_files
 from ...tools.simulator.reloading import Reloader
 from .. import arguments, logs
-from ..connecting import OF_SERVERS, with_options
-from ..foreign import place
-from ..help import VerbatimHelp, make_rare
+from ..arguments import OF_SERVERS, declare, with_options
 from . import over_http
 from .running import add_audit, add_limits, starting
 
@@ -33,6 +31,10 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 EXAMPLE_URL = "tcp://127.0.0.1:1502"
 
+DESCRIPTION = """\
+Simulate the devices of a device file or of an example. Without either, one
+device with all tables and ten files, filled with zeros, answers as every unit."""
+
 EXAMPLES = """\
 examples:
   libmodbus-py serve 127.0.0.1:1502 -u 1-10
@@ -41,71 +43,56 @@ examples:
   libmodbus-py serve /dev/ttyUSB0 -b 9600 -p none --device plant.toml"""
 
 
-def add_command(commands: Any) -> None:
-    """Add the command to argparse."""
-    command = commands.add_parser(
-        "serve",
-        description="Simulate the devices of a device file or of an example. Without either, one\n"
-        "device with all tables and ten files, filled with zeros, answers as every unit.",
-        epilog=f"{EXAMPLES}\n\n{arguments.SCHEMES_OF_URLS}",
-        formatter_class=VerbatimHelp,
-    )
-    command.add_argument(
-        "urls",
-        type=place,
-        metavar="URL",
-        nargs="*",
-        help=f"where to listen, such as {EXAMPLE_URL}, the default for examples",
-    )
+ARGUMENTS = f"""
+[URL ...]
+    where to listen, such as {EXAMPLE_URL}, the default for examples
+"""
+
+SOURCES = """
+--device FILE
+    serve the devices of a device file
+--example [NAME]
+    serve a device file of the package; without NAME, list them
+--map FILE
+    serve the points of a register map, or of one that comes with the package: with their names,
+    access and bounds
+"""
+
+OPTIONS = """
+--reload
+    read the device file again when the file, or a register map that it uses, changes; connections
+    stay open, and a mistake in the file changes nothing
+--own-unit N
+    device that answers units 0 and 255 too, on TCP and UDP
+--state FILE
+    keep the values that clients write in this file, so that they survive a restart; it is written
+    at most once a second, and at the end
+"""
+
+UNKNOWN_UNIT = """
+--unknown-unit POLICY
+    requests to units without a device, on TCP and UDP: refuse answers with an exception, silent
+    does not answer (refuse)
+"""
+
+
+def add_command(command: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    command.description = DESCRIPTION
+    command.epilog = f"{EXAMPLES}\n\n{arguments.SCHEMES_OF_URLS}"
+    declare(command, ARGUMENTS, url={"dest": "urls"})
+    example = {"const": "", "complete": lambda **_: [*example_files.DEVICES]}
     source = command.add_mutually_exclusive_group()
-    source.add_argument("--device", metavar="FILE", help="serve the devices of a device file")
-    example = source.add_argument(
-        "--example",
-        metavar="NAME",
-        nargs="?",
-        const="",
-        help="serve a device file of the package; without NAME, list them",
-    )
-    of_map = source.add_argument(
-        "--map",
-        metavar="FILE",
-        help="serve the points of a register map, or of one that comes with the package: with"
-        " their names, access and bounds",
-    )
-    make_rare(arguments.add_columns(command))
-    arguments.completing(of_map, arguments.maps)
-    arguments.completing(example, arguments.examples)
+    declare(source, SOURCES, example=example, map={"complete": arguments.maps})
+    arguments.add_columns(command)
     arguments.add_units(
         command, "without --device and --example: units that exist, such as 1-10,17 (all)"
     )
-    command.add_argument(
-        "--reload",
-        action="store_true",
-        help="read the device file again when the file, or a register map that it uses, changes;"
-        " connections stay open, and a mistake in the file changes nothing",
-    )
-    command.add_argument(
-        "--own-unit",
-        type=int,
-        metavar="N",
-        help="device that answers units 0 and 255 too, on TCP and UDP",
-    )
-    command.add_argument(
-        "--state",
-        metavar="FILE",
-        help="keep the values that clients write in this file, so that they survive a restart;"
-        " it is written at most once a second, and at the end",
-    )
+    declare(command, OPTIONS)
     over_http.add_metrics(command)
     over_http.add_page(command)
-    add_limits(command).add_argument(
-        "--unknown-unit",
-        choices=UNKNOWN_UNIT_POLICIES,
-        default="refuse",
-        metavar="POLICY",
-        help="requests to units without a device, on TCP and UDP: refuse answers with an"
-        " exception, silent does not answer (refuse)",
-    )
+    policy = {"choices": UNKNOWN_UNIT_POLICIES, "default": "refuse"}
+    declare(add_limits(command), UNKNOWN_UNIT, unknown_unit=policy)
     add_audit(command)
     arguments.add_verbose(command)
     logs.add_arguments(command)

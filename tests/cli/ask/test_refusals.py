@@ -26,7 +26,7 @@ from libmodbus_py import (
     TcpContext,
 )
 from libmodbus_py.cli.ask.units import print_report
-from libmodbus_py.cli.failing import CommandError
+from libmodbus_py.cli.main import CommandError
 from libmodbus_py.tools.testing.recording import RecordingServer, ServerMaker
 from tests.support.cases import each_case
 from tests.support.commands import run

@@ -54,21 +54,6 @@ def test_wrong_usage_is_one_line(arguments: list[str], said: str) -> None:
     assert said in done.err
 
 
-@each_case("option", ["--metrics", "--page"])
-@each_case(
-    "command",
-    [
-        ("serve", "tcp://127.0.0.1:0"),
-        ("gateway", "tcp://127.0.0.1:0", "--to", "tcp://127.0.0.1:1"),
-        ("poll", "fleet.toml"),
-    ],
-)
-def test_a_second_address_is_refused(option: str, command: tuple[str, ...]) -> None:
-    done = run(*command, option, "127.0.0.1:9400", option, "127.0.0.1:9401")
-    assert (done.code, done.err.count("\n")) == (2, 1)
-    assert f"{option}: may be given once" in done.err
-
-
 def test_serve_says_when_a_port_is_taken(url: str) -> None:
     done = run("serve", url)
     assert done.code == 1
