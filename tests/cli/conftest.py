@@ -1,5 +1,5 @@
 """
-A server of the command line, for the tests of other commands.
+Servers for the tests of commands: one of the command line, and a device in this process.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from libmodbus_py import Device, Mapping, Server
 from tests.cli.serving import serving
 
 
@@ -15,3 +16,9 @@ from tests.cli.serving import serving
 def url() -> Iterator[str]:
     with serving("tcp://127.0.0.1:0") as urls:
         yield urls[0]
+
+
+@pytest.fixture
+def device() -> Iterator[str]:
+    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]

@@ -103,22 +103,6 @@ def test_serial_settings_are_those_of_the_server_too() -> None:
         assert process.wait() == 0
 
 
-@each_case(
-    ("words", "option"),
-    [
-        ("read 127.0.0.1:9 holding 0 --time 3", "--time"),
-        ("write 127.0.0.1:9 holding 0 1 --typ float32", "--typ"),
-        ("map check meter --js", "--js"),
-        ("map from-device 127.0.0.1:9 --time 1", "--time"),
-        ("serve tcp://127.0.0.1:0 --dev 7", "--dev"),
-    ],
-)
-def test_the_error_names_what_was_typed(words: str, option: str) -> None:
-    done = run(*words.split())
-    assert done.code == 2
-    assert f"unrecognized arguments: {option}" in done.err
-
-
 # --- endpoints -----------------------------------------------------------------------
 
 
@@ -154,9 +138,6 @@ def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) 
         (["127.0.0.1:1?unit=9", "-u", "8"], "unit 8: cannot connect"),
         (["/dev/no-such", "-b", "9600", "-p", "none", "-s", "2"], "cannot open /dev/no-such"),
         (["./no-such"], "no-such: No such file"),
-        (["127.0.0.1:1", "-b", "9600"], "--baudrate applies to serial ports only"),
-        (["tcp://127.0.0.1:1", "-s", "2"], "--stop-bits applies to serial ports only"),
-        (["/dev/no-such", "-p", "mark"], "must be none, even or odd"),
         (["http://127.0.0.1"], "scheme must be one of"),
         (["a b:c:d"], "'a b:c:d'"),
         (["user@host"], "must be a URL"),

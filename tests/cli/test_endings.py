@@ -10,26 +10,17 @@ from __future__ import annotations
 import signal
 import subprocess
 import termios
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.cli.serving import FLEET_OF_ONE
 from tests.support.commands import PROGRAM, Started
 from tests.support.peers import FakeServer, until
 
-FLEET = """
-[[device]]
-name = "one"
-url = "{url}"
-interval = 0.05
-[[device.point]]
-name = "volts"
-table = "holding_registers"
-address = 0
-"""
+FLEET = f"[defaults]\ninterval = 0.05\n{FLEET_OF_ONE}"
 
 # What is typed, and which exit codes SIGINT and SIGTERM bring.
 COMMANDS = {
@@ -47,16 +38,10 @@ CASES = [
 ]
 
 
-@pytest.fixture
-def url() -> Iterator[str]:
-    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running:
-        yield running.urls[0]
-
-
 @pytest.mark.parametrize(("name", "number", "code"), CASES)
-def test_a_signal_ends_it(tmp_path: Path, url: str, name: str, number: int, code: int) -> None:
-    (tmp_path / "fleet.toml").write_text(FLEET.format(url=url))
-    arguments = [each.format(url=url, folder=tmp_path) for each in COMMANDS[name][0]]
+def test_a_signal_ends_it(tmp_path: Path, device: str, name: str, number: int, code: int) -> None:
+    (tmp_path / "fleet.toml").write_text(FLEET.format(url=device))
+    arguments = [each.format(url=device, folder=tmp_path) for each in COMMANDS[name][0]]
     with subprocess.Popen(
         [*PROGRAM, *arguments],
         stdin=subprocess.DEVNULL,
@@ -77,9 +62,9 @@ def test_a_signal_ends_it(tmp_path: Path, url: str, name: str, number: int, code
 
 
 @pytest.mark.parametrize("name", ["poll", "read"])
-def test_a_reader_that_goes_away_ends_it(tmp_path: Path, url: str, name: str) -> None:
-    (tmp_path / "fleet.toml").write_text(FLEET.format(url=url))
-    arguments = [each.format(url=url, folder=tmp_path) for each in COMMANDS[name][0]]
+def test_a_reader_that_goes_away_ends_it(tmp_path: Path, device: str, name: str) -> None:
+    (tmp_path / "fleet.toml").write_text(FLEET.format(url=device))
+    arguments = [each.format(url=device, folder=tmp_path) for each in COMMANDS[name][0]]
     program = " ".join(f"'{word}'" for word in [*PROGRAM, *arguments])
     done = subprocess.run(
         ["sh", "-c", f"{program} | head -1"], capture_output=True, text=True, timeout=60

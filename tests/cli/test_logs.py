@@ -8,14 +8,13 @@ import json
 import logging
 import signal
 from argparse import Namespace
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py import Context
 from libmodbus_py.cli.logs import logged
 from tests.cli.serving import FLEET_OF_ONE
 from tests.support.commands import PAGE_TOKEN, Started
@@ -100,12 +99,6 @@ def test_an_exception_is_told_whole(form: str, capsys: pytest.CaptureFixture[str
         assert told.count("\n") == 1
         told = json.loads(told)["exception"]
     assert told.rstrip().endswith("ValueError: wrong")
-
-
-@pytest.fixture
-def device() -> Iterator[str]:
-    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running:
-        yield running.urls[0]
 
 
 @pytest.mark.parametrize("name", ["serve", "gateway"])

@@ -13,8 +13,6 @@ import resource
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 from libmodbus_py import Device, Mapping, Server
 from tests.support.cases import each_case
 from tests.support.commands import ended, on_terminal, run
@@ -85,7 +83,7 @@ def test_a_terminal_shows_a_watch_that_a_file_gets(url: str, tmp_path: Path) -> 
     assert path.read_text().count("\n") == 4
 
 
-def test_errors_of_such_a_watch_are_seen(tmp_path: Path) -> None:
+def test_errors_of_such_a_watch_are_seen(device: str, tmp_path: Path) -> None:
     path = tmp_path / "log.json"
     words = ("read", "127.0.0.1:1", "hr", 0, "--watch", "0.02", "--count", "2", "--json", path)
     with on_terminal(*words, columns=200) as terminal:
@@ -95,9 +93,8 @@ def test_errors_of_such_a_watch_are_seen(tmp_path: Path) -> None:
     done = run(*words[:-1], tmp_path / "again.json")
     assert (done.code, done.out) == (1, "")
     assert done.err.count("Connection refused") == 1  # said once, not at each poll
-    with Server(Device(Mapping(holding_registers=1))).background("tcp://127.0.0.1:0") as running:
-        words = ("hr", 0, "hr", 1, "--watch", "0.02", "--count", "3", "--csv", tmp_path / "a.csv")
-        done = run("read", running.urls[0], *words)
+    words = ("hr", 0, "hr", 99, "--watch", "0.02", "--count", "3", "--csv", tmp_path / "a.csv")
+    done = run("read", device, *words)
     assert (done.code, done.out, done.err.count("exception 2")) == (0, "", 1)
 
 
@@ -144,14 +141,8 @@ FORM = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z")
 CAPTURE = Path(__file__).parents[1] / "tools" / "listener" / "decoded.pcapng"
 
 
-@pytest.fixture
-def registers() -> Iterator[str]:
-    with Server(Device(Mapping(holding_registers=2))).background("tcp://127.0.0.1:0") as running:
-        yield running.urls[0]
-
-
-def test_a_watch_in_json_csv_and_text(registers: str) -> None:
-    watch = ("read", registers, "hr", 0, "--watch", "0.01", "--count", "1")
+def test_a_watch_in_json_csv_and_text(device: str) -> None:
+    watch = ("read", device, "hr", 0, "--watch", "0.01", "--count", "1")
     assert FORM.fullmatch(json.loads(run(*watch, "--json").out)["time"])
     assert FORM.fullmatch(run(*watch, "--csv").out.splitlines()[1].split(",")[0])
     assert FORM.fullmatch(run(*watch).out.split()[0])
@@ -165,10 +156,10 @@ def test_transactions_that_were_heard() -> None:
     assert times == sorted(times)
 
 
-def test_readings_of_a_fleet(registers: str, tmp_path: Path) -> None:
+def test_readings_of_a_fleet(device: str, tmp_path: Path) -> None:
     (tmp_path / "map.csv").write_text("name,table,address\nlevel,holding,0\n")
     (tmp_path / "fleet.toml").write_text(
-        f'[[device]]\nname = "one"\nurl = "{registers}"\nmap = "map.csv"\n'
+        f'[[device]]\nname = "one"\nurl = "{device}"\nmap = "map.csv"\n'
     )
     done = ended("poll", tmp_path / "fleet.toml", "--once", "--json", "--log", "debug")
     assert FORM.fullmatch(json.loads(done.out.splitlines()[0])["time"])

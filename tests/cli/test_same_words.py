@@ -79,9 +79,10 @@ def test_listen_prints_the_units_that_were_typed() -> None:
 @each_case(
     ("words", "said"),
     [
-        ("reed 127.0.0.1", "there is no command 'reed'; did you mean read?"),
         ("map chek x", "there is no command 'chek'; did you mean check?"),
         ("read h hr 0 --ordr CDAB", "; did you mean --order?"),
+        ("read h hr 0 --time 3", "unrecognized arguments: --time"),  # no beginnings of options
+        ("map from-device h --time 1", "unrecognized arguments: --time"),
         ("map check x --devce h", "unrecognized arguments: --devce h; did you mean --device?"),
         ("read h holdng 0", "did you mean holding?"),
         ("read h hr 0 --type flaot32", "did you mean float32"),

@@ -6,25 +6,22 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, Mapping, Server, ServerDeviceFailure
+from libmodbus_py import Context, ServerDeviceFailure
 from tests.support.cases import each_case
 from tests.support.commands import Started, run
 from tests.support.peers import until
 
 
 @pytest.fixture(params=["serve", "gateway"])
-def command(request: pytest.FixtureRequest) -> Iterator[list[str]]:
+def command(request: pytest.FixtureRequest, device: str) -> list[str]:
     if request.param == "serve":
-        yield ["serve", "tcp://127.0.0.1:0"]
-        return
-    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running:
-        yield ["gateway", "tcp://127.0.0.1:0", "--to", running.urls[0]]
+        return ["serve", "tcp://127.0.0.1:0"]
+    return ["gateway", "tcp://127.0.0.1:0", "--to", device]
 
 
 def new_values(path: Path) -> list[Any]:

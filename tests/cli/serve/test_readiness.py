@@ -11,16 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.serve.running import notify_ready
 from tests.cli.serving import FLEET_OF_ONE
 from tests.support.commands import Started
-
-
-@pytest.fixture
-def device() -> Iterator[str]:
-    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running:
-        yield running.urls[0]
 
 
 @pytest.fixture

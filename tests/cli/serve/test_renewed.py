@@ -6,12 +6,11 @@ from __future__ import annotations
 
 import signal
 import ssl
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Device, Mapping, ModbusConnectionError, Server, TlsContext
+from libmodbus_py import ModbusConnectionError, TlsContext
 from tests.cli.serving import FLEET_OF_ONE
 from tests.support import certificates
 from tests.support.certificates import Papers
@@ -20,13 +19,11 @@ from tests.support.peers import until
 
 
 @pytest.fixture(params=["serve", "gateway"])
-def command(request: pytest.FixtureRequest) -> Iterator[list[str]]:
+def command(request: pytest.FixtureRequest, device: str) -> list[str]:
     """A command without a file of its own."""
     if request.param == "serve":
-        yield ["serve"]
-        return
-    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running:
-        yield ["gateway", "--to", running.urls[0]]
+        return ["serve"]
+    return ["gateway", "--to", device]
 
 
 def test_files_of_certificates_are_read_again_on_hangup(
