@@ -62,7 +62,8 @@ class Table(ABC, Generic[Cell]):
         given = _values(name, contents) if isinstance(contents, MappingABC) else {}
         if isinstance(contents, MappingABC):
             contents = [range(at, at + len(values)) for at, values in given.items()]
-        ranges = self.ranges = _ranges(name, contents)
+        self.ranges: tuple[range, ...] = _ranges(name, contents)
+        ranges = self.ranges
         self._starts = [each.start for each in ranges]
         self.addresses: range = range(ranges[0].start, ranges[-1].stop) if ranges else range(0)
         self._lock = lock

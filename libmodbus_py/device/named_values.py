@@ -11,7 +11,6 @@ from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from collections.abc import Mapping as MappingABC
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue
@@ -130,6 +129,7 @@ class NamedValues:
             raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
         self.mapping = mapping
         self.has_points: bool = points is not None
+        self._points = points
         if points is None:
             return
         from ..maps.register_map import RegisterMap
@@ -141,11 +141,12 @@ class NamedValues:
             if not table.has(point.address, len(point.cells)):
                 span = f"{point.cells.start}..{point.cells.stop - 1}"
                 raise WrongValue.about(point.name, f"{table!r} lacks its cells, {span}")
-        self.points = points
 
-    @cached_property
+    @property
     def points(self) -> RegisterMap:
         """The points by name; empty if none were given."""
+        if self._points is not None:
+            return self._points
         from ..maps.register_map import RegisterMap
 
         return RegisterMap(())
