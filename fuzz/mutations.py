@@ -115,7 +115,7 @@ TUNING: dict[str, frozenset[str]] = {
     ),
     "of memory that only floods and failures reach": frozenset(
         {
-            *("MARGIN", "MAX_ABANDONED", "MAX_KEPT", "MAX_RECEIVED"),
+            *("MARGIN", "MAX_ABANDONED", "MAX_RECEIVED"),
             *("MAX_UNASKED_BYTES", "MOST_ASKING", "MOST_ERRORS", "MOST_IN_MEMORY"),
             *("MOST_MESSAGES", "OVERHEAD"),
             *("REMEMBERED", "ROOM_AT_MOST", "SPARE_DESCRIPTORS"),

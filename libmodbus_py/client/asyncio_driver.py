@@ -340,14 +340,22 @@ class AsyncioDriver:
 
     def _read_on(self) -> None:
         self._is_reading = True
-        self._bound.add_reader(self._port.descriptor, self._enter, self._readable)
+        self._watch(self._bound.add_reader, self._readable)
+
+    def _watch(self, add: Callable[..., None], call: Callable[[], None]) -> None:
+        """Register a callback; raise ModbusConnectionError if the system cannot watch more."""
+        try:
+            add(self._port.descriptor, self._enter, call)
+        except OSError as error:
+            reason = f"cannot wait for {self._connection.url}: {error.strerror}"
+            raise ModbusConnectionError(reason, errno=error.errno) from error
 
     def _follow_port(self) -> None:
         """Continue to send when the port takes bytes again, or its pause is over."""
         if self._port.has_unsent != self._is_writing:
             self._is_writing = self._port.has_unsent
             if self._is_writing:
-                self._bound.add_writer(self._port.descriptor, self._enter, self._go_on)
+                self._watch(self._bound.add_writer, self._go_on)
             else:
                 self._bound.remove_writer(self._port.descriptor)
         if self._port.resume_at is not None:
@@ -408,8 +416,14 @@ class AsyncioDriver:
         failure = None if attempt.cancelled() else attempt.exception()
         if attempt.cancelled() or life.state is State.CLOSED:
             self._give_up(ModbusConnectionError("connecting was cancelled"))
-        elif failure is None:
-            self._read_on()
+            return
+        if failure is None:
+            try:
+                self._read_on()
+            except ModbusConnectionError as unwatched:
+                self._close_port()
+                failure = unwatched
+        if failure is None:
             connection.opened(self._now())
             self._turn()
         elif isinstance(failure, ModbusConnectionError):

@@ -54,14 +54,13 @@ def integer(name: str | Path, value: object, low: int, high: int) -> int:
     return number
 
 
-def number(name: str | Path, value: object, low: float, high: float, unit: str = "") -> int | float:
+def number(name: str | Path, value: object, low: float, high: float) -> int | float:
     """Return an int or float in low..high as it is; nan, True and False are none here."""
-    of, behind = (f" of {unit}", f" {unit}") if unit else ("", "")
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise WrongType(name, f"must be a number{of}, not {type(value).__name__}")
+        raise WrongType(name, f"must be a number, not {type(value).__name__}")
     if not low <= value <= high:
         span = f"{low} or more" if high == math.inf else f"in {low}..{high}"
-        raise WrongValue(name, f"must be {span}{behind}, not {shown(value)}")
+        raise WrongValue(name, f"must be {span}, not {shown(value)}")
     return value
 
 
@@ -72,7 +71,12 @@ def are_registers(values: Sequence[object]) -> bool:
 
 def seconds(name: str | Path, value: object, low: float = 0.001, high: float = 86_400) -> float:
     """Return a number of seconds in low..high as a float."""
-    return float(number(name, value, low, high, "seconds"))
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise WrongType(name, f"must be a number of seconds, not {type(value).__name__}")
+    if not low <= value <= high:
+        given = f"{value:g}" if isinstance(value, float) else shown(value)
+        raise WrongValue(name, f"must be in {low:g}..{high:g} seconds, not {given}")
+    return float(value)
 
 
 DURATION = "a number of seconds, or such as 500ms, 10s, 2m, 1h30m or 1d"
