@@ -22,7 +22,6 @@ Every URL may contain options of clients: ``tcp://192.0.2.10?unit=7&timeout=0.5`
 
 from __future__ import annotations
 
-import contextlib
 import posixpath
 import re
 from collections.abc import Mapping
@@ -154,12 +153,15 @@ def _quoted(text: str, safe: str = "/:@+,=~") -> str:
 
 def _one_spelling(host: str) -> str:
     """Return a host as it is usually written: ::1 for 0:0:0:0:0:0:0:1, and names in lower case."""
-    if ":" in host:
-        from ipaddress import AddressValueError, IPv6Address
+    if ":" not in host:
+        return host.lower()
+    from socket import AF_INET6, inet_ntop, inet_pton
 
-        with contextlib.suppress(AddressValueError):
-            return str(IPv6Address(host))
-    return host.lower()
+    address, percent, zone = host.partition("%")
+    try:
+        return f"{inet_ntop(AF_INET6, inet_pton(AF_INET6, address))}{percent}{zone}"
+    except OSError:
+        return host.lower()
 
 
 def parse(url: str) -> Endpoint:

@@ -61,10 +61,19 @@ def rtu(_transaction: int, unit: int, pdu: bytes) -> bytes:
 
 def cut(data: bytes | bytearray, start: int, found: list[Frame | FrameError], most: int) -> int:
     """
-    Append up to `most` frames with MBAP headers, from `start` on; return where the next one begins.
+    Cut out up to `most` frames with MBAP headers, of which the first begins at `start`.
 
-    One with a protocol other than 0 is appended as a FrameError. A length outside 2..254, behind
-    which the start of the next frame is unknown, raises one (MODBUS on TCP/IP, 3.1.3).
+    Args:
+        found: takes the frames, and a FrameError for one with a protocol other than 0.
+
+    Returns:
+        The index at which the next frame begins; `start` if not even the first one is complete.
+
+    Raises:
+        FrameError: a length is not in 2..254, so that the start of the next frame is unknown.
+                Frames that `found` has taken before are valid.
+
+    Source: MODBUS Messaging on TCP/IP V1.0b, 3.1.3.
     """
     size = len(data)
     while most and size - start >= 6:
@@ -247,8 +256,12 @@ def delimiter_after(pdu: bytes, delimiter: int) -> int:
     """
     Return the delimiter of ASCII frames after a device has answered with a PDU.
 
-    Function 8, sub-function 3 changes it, if its data are a valid delimiter and 00; sub-function 1
-    (restart) sets it to LF.
+    Function 8, sub-function 3 changes it, if its data are a valid delimiter and 00;
+    sub-function 1 (restart) sets it to LF.
+
+    Args:
+        pdu: the response, which is equal to the request.
+        delimiter: the previous delimiter.
     """
     if pdu[:3] == _RESTART_COMMUNICATIONS:
         return LINE_FEED
@@ -383,7 +396,12 @@ _PDUS: dict[str, Callable[[bytes], bytes]] = {
 
 
 def pdu_of(framing: Framing, adu: bytes) -> bytes:
-    """Return the PDU of one whole frame that a framer has found or made; nothing is checked."""
+    """
+    Return the PDU of one whole frame that a framer has found or made; nothing is checked.
+
+    Args:
+        framing: "tcp", "rtu", "ascii" or "udp".
+    """
     return _PDUS[framing](adu)
 
 

@@ -338,6 +338,12 @@ def test_endpoints_at_two_addresses(one: str, other: str) -> None:
     assert parse(one).key != parse(other).key
 
 
+def test_an_ipv4_address_in_ipv6_has_the_same_key_with_every_python() -> None:
+    """The module ipaddress writes it with hexadecimal digits before Python 3.13."""
+    key = ("tcp", "[::ffff:192.0.2.1]:502")
+    assert parse("tcp://[::ffff:c000:201]").key == parse("tcp://[::FFFF:192.0.2.1]").key == key
+
+
 # --- URLs without a scheme ----------------------------------------------------------------
 
 
