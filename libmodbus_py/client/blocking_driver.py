@@ -55,7 +55,7 @@ class Carrier:
 
         The wait also ends when the descriptor `waker` is readable.
         """
-        wait = min(max(timeout, 0.0), LONGEST)  # poll() takes less than 0 for no end
+        wait = min(timeout, LONGEST) if timeout > 0 else 0.0  # poll() takes less for no end
         descriptor = self._port.descriptor
         got: int = lib.exchange(self._exchange, descriptor, waker, adu, len(adu), wait)
         if got >= 0:

@@ -218,6 +218,7 @@ class Transactions:
         return True
 
     def _send(self, call: Call, now: float) -> bytes:
+        matching = self.matching
         if call.adu:
             self.statistics.retries += 1
         call.since = now - call.used
@@ -225,10 +226,10 @@ class Transactions:
         call.sent_at = now
         call.state = SENT
         self._sent = call.order = self._sent + 1
-        self.matching.start(call, now)
+        matching.start(call, now)
         deadline = call.since + call.timeouts.timeout
-        if deadline < self.matching.alarm:
-            self.matching.alarm = deadline
+        if deadline < matching.alarm:
+            matching.alarm = deadline
         if call.changes:
             self._queue.note_write(call)
         elif self.in_flight and self.window.is_open:
@@ -239,7 +240,7 @@ class Transactions:
             self.matching.wake(now + self._settings.turnaround)
         if call.batch is not None and (follower := call.batch.next()) is not None:
             self._queue.waiting.append(follower)
-        if self.matching.is_traced:
+        if matching.is_traced:
             self._trace.tell("sent", call.adu, call.unit, call.pdu[0])
         return call.adu
 

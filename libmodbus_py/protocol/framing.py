@@ -132,10 +132,12 @@ class TcpFramer(Framer):
         return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
     def scan(self, data: bytes) -> list[Frame | FrameError]:
-        if self.rest or not self.in_step or not is_one_frame(data):
-            return super().scan(data)
-        # One whole frame, as most are: a third of the time.
-        return [tuple.__new__(Frame, (data[UNIT], data[FUNCTION:], data[0] << 8 | data[1]))]
+        if len(data) > FUNCTION and not self.rest and self.in_step:
+            transaction, protocol, length, unit = _PREFIX.unpack_from(data)
+            if not protocol and len(data) == _HEADER.size + length <= self.max_size:
+                # One whole frame, as most are: a quarter of the time.
+                return [tuple.__new__(Frame, (unit, data[FUNCTION:], transaction))]
+        return super().scan(data)
 
     def _scan(self) -> None:
         if not self.in_step:
