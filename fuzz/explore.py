@@ -359,9 +359,8 @@ EXCEPTIONS: dict[str, str] = {
     "asked again, cannot be told from the answer to that. If the value has not changed since, "
     "it is taken for it, and what follows may be shifted by one request until the line is quiet "
     "for twice the time of an answer, or an answer is checked (within ten timeouts).",
-    "older than eight": "A late or doubled answer with a value that has changed since, which comes "
-    "more than eight answers later: it is equal to nothing that is remembered. What follows is as "
-    "for a copy of its own. It takes more requests than a world has.",
+    "value changed often": "A late or doubled answer with a value that has changed three times: it "
+    "is equal to nothing that is remembered. What follows is as for a copy of its own.",
     "before the first answer": "A unit that has never answered, and then answers after two "
     "timeouts of silence: this is taken for the answer to the request in flight, for one value.",
     "alone in HOLD": "A late or doubled answer, and then a request that is not answered in time "

@@ -4,12 +4,15 @@ The earlier answers on a line without ids, and their times, with which others ar
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import Counter
 
 __all__ = ["Answers"]
 
 # The most requests, and kinds of answers, that are remembered.
 REMEMBERED = 1024
+
+# The last different answers to each request that are remembered.
+DIFFERENT = 3
 
 # Of the time of the slowest answer, this share is kept with each further answer.
 FADING = 0.95
@@ -19,50 +22,49 @@ SAME_ANSWER = frozenset([0x0F, 0x10, 0x17])
 
 
 class Answers:
-    """The last good answer to each request, the latest answers of all, and the slowest ones."""
+    """The last good answers to each request, the latest of all, and the slowest ones."""
 
     def __init__(self) -> None:
         self.slowest: float = 0.0  # seconds
-        # Unit and request -> its last answer; unit and answer -> how many requests have it.
-        self._last: dict[tuple[int, bytes], bytes] = {}
+        # Unit and request -> its last different answers, the latest first: one wrong answer must
+        # not hide the right one. Unit and answer -> how many requests have it.
+        self._last: dict[tuple[int, bytes], tuple[bytes, ...]] = {}
         self._having: Counter[tuple[int, bytes]] = Counter()
-        # Answers that may come again, although there are newer ones to the same requests.
-        self._recent: deque[tuple[int, bytes, bytes]] = deque(maxlen=8)
+        self._latest: tuple[int, bytes, bytes] | None = None  # the latest of all
         # Unit, function and length -> the longest time that such an answer took.
         self._slowest: dict[tuple[int, int, int], float] = {}
 
     def is_to_latest(self, unit: int, request: bytes) -> bool:
         """Return True if the latest answer was one to the same request."""
-        return bool(self._recent) and self._recent[-1][:2] == (unit, _asked(request))
+        return self._latest is not None and self._latest[:2] == (unit, _asked(request))
 
     def is_latest(self, unit: int, request: bytes, answer: bytes) -> bool:
         """Return True if the latest answer was the same one, to the same request."""
-        return bool(self._recent) and self._recent[-1] == (unit, _asked(request), answer)
+        return self._latest == (unit, _asked(request), answer)
 
     def is_of_another(self, unit: int, request: bytes, answer: bytes) -> bool:
-        """Return True if an answer was one to another request lately, and not the last to this."""
-        asked = _asked(request)
-        if self._last.get((unit, asked)) == answer:
-            return False
-        return self._having.get((unit, answer), 0) > 0 or any(
-            each == answer and other == unit and what != asked for other, what, each in self._recent
-        )
+        """Return True if an answer is one of the last to another request, not the last to this."""
+        own = self._last.get((unit, _asked(request)), ())
+        return own[:1] != (answer,) and self._having[unit, answer] > (answer in own)
 
     def add(self, unit: int, request: bytes, answer: bytes) -> None:
         """Remember the answer to a request."""
         asked = _asked(request)
-        self._recent.append((unit, asked, answer))
+        self._latest = unit, asked, answer
         if len(self._last) >= REMEMBERED:
             self._last.clear()
             self._having.clear()
-        before = self._last.get((unit, asked))
-        if before != answer:
-            if before is not None:
-                self._having[unit, before] -= 1
-                if not self._having[unit, before]:
-                    del self._having[unit, before]
-            self._last[unit, asked] = answer
+        own = self._last.get((unit, asked), ())
+        if own[:1] == (answer,):
+            return
+        kept = (answer, *(each for each in own if each != answer))[:DIFFERENT]
+        self._last[unit, asked] = kept
+        if answer not in own:
             self._having[unit, answer] += 1
+        if (oldest := own[-1:]) and oldest[0] not in kept:
+            self._having[unit, oldest[0]] -= 1
+            if not self._having[unit, oldest[0]]:
+                del self._having[unit, oldest[0]]
 
     def note_time(self, unit: int, answer: bytes, took: float) -> None:
         """Remember how many seconds an answer took."""

@@ -12,8 +12,8 @@ this pair, and the other states are those of the line.
                                                    if it is in DOUBT
     ASKED   its answer                             IDLE, and the answer is the result
     ASKED   its answer, while it is in DOUBT;      HOLD
-            or an answer equal to the last one, or
-            one of the 8 latest, to another request
+            or an answer equal to one of the last
+            three different ones to another request
             of the unit, not to its own last one
     ASKED   a damaged answer, one that does not    IDLE and DOUBT; the request fails
             fit, the end of its time

@@ -281,28 +281,32 @@ def test_asked_and_an_answer_equal_to_a_recent_one_is_held() -> None:
     assert batch.outcomes == [[27]]
 
 
-def test_asked_and_an_answer_equal_to_the_last_one_of_another_is_held_however_old() -> None:
+@pytest.mark.parametrize(
+    ("numbers", "is_held"), [((1,), True), ((1, 7, 9), True), ((1, 7, 9, 8), False)]
+)
+def test_asked_and_one_of_the_last_three_answers_to_another_is_held_however_old(
+    numbers: tuple[int, ...], is_held: bool
+) -> None:
     talk = used()
-    for number in range(20, 60):
-        usual(talk, number)
-    batch = talk.ask(1)
-    talk.come(value(20))
-    assert not batch.is_done
-    talk.wait(0.02)
-    assert batch.outcomes == [[20]]
-
-
-def test_asked_and_an_answer_that_is_no_last_one_and_the_ninth_before_is_taken() -> None:
-    talk = used()
-    for number in (1, 7):
+    for number in numbers:
         batch = talk.ask(1)
         talk.come(value(number))
         assert batch.outcomes == [[number]]
-    for number in range(20, 28):
+    for number in range(20, 60):
         usual(talk, number)
     batch = talk.ask(3)
     talk.come(value(1))
+    assert batch.is_done is not is_held
+    talk.wait(0.02)
     assert batch.outcomes == [[1]]
+
+
+def test_asked_and_a_value_that_goes_to_and_fro_is_the_result_at_once() -> None:
+    talk = used()
+    for number in (1, 7, 1, 7, 1):
+        batch = talk.ask(1)
+        talk.come(value(number))
+        assert batch.outcomes == [[number]]
 
 
 @pytest.mark.parametrize("come", [value(5)[:-1] + b"\0", rtu("01 03 04 0005 0006"), b""])
