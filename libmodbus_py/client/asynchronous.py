@@ -4,31 +4,19 @@ The asyncio client.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import AsyncExitStack
-from typing import TYPE_CHECKING, Any, Self, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, Unpack
 
 from ..protocol import pdu
 from ..protocol.checks import integer
-from ..protocol.errors import ModbusError
 from .asyncio_driver import AsyncioDriver
-from .call import Call, Phase, raised
+from .call import Call, Phase
 from .handle import Handle
 from .procedures import Procedures
 from .requests import Awaiting
 
 if TYPE_CHECKING:
-    from ..maps.plan import (
-        Item,
-        Items,
-        Key,
-        Named,
-        Plan,
-        PlanOptions,
-        Strict,
-        Tolerant,
-        Values,
-    )
     from .options import AsyncOptions
 
 __all__ = ["IN_FLIGHT", "MAX_PAUSE", "AsyncClient", "Submitted"]
@@ -98,19 +86,6 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
         )
         self._last = _Last(self._driver)
 
-    async def connect(self) -> None:
-        """
-        Connect, unless the client is connected. Requests connect by themselves if necessary.
-
-        Raises:
-            ModbusConnectionError: the connection could not be established, with errno; or the
-                client is closed.
-            RuntimeError: the client belongs to another event loop.
-        """
-        call = self._waiter()
-        await self._driver.run(call)
-        raised([call.outcome])
-
     async def close(self) -> None:
         """
         Close the client for good; pending requests fail at once. May be called repeatedly.
@@ -119,14 +94,6 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
             RuntimeError: the client belongs to another event loop.
         """
         await self._driver.close()
-
-    def abandon(self) -> None:
-        """
-        Close the descriptors of a forked child, with no effect on the parent's connection.
-
-        Every child does this by itself when it is forked, so that programs need not call it.
-        """
-        self._driver.abandon()
 
     async def __aenter__(self) -> Self:
         try:
@@ -211,34 +178,6 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
             function: the function code, 1..127; None for all functions of the unit.
         """
         return self._connection.matching.ready_at(unit, function)
-
-    @overload
-    async def read_many(  # type: ignore[overload-overlap]  # mappings first
-        self, items: Named[Key], **options: Unpack[Strict]
-    ) -> dict[Key, Values]: ...
-    @overload
-    async def read_many(  # type: ignore[overload-overlap]
-        self, items: Named[Key], **options: Unpack[Tolerant]
-    ) -> dict[Key, Values | ModbusError]: ...
-    @overload
-    async def read_many(self, items: Iterable[Item], **options: Unpack[Strict]) -> list[Values]: ...
-    @overload
-    async def read_many(
-        self, items: Iterable[Item], **options: Unpack[Tolerant]
-    ) -> list[Values | ModbusError]: ...
-    @overload
-    async def read_many(
-        self, items: Plan, *, max_in_flight: int = 16, return_exceptions: bool = False
-    ) -> Any: ...
-    async def read_many(
-        self,
-        items: Plan | Items,
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-        **options: Unpack[PlanOptions],
-    ) -> Any:
-        return await self._read_many(items, max_in_flight, return_exceptions, options)
 
     async def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
         jobs = self._jobs(make(self, *arguments, **named))

@@ -6,29 +6,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack
 
 from ..ports.schemes import DEFAULT_PORT, PARITIES, SECURE_PORT, SERIAL_OPTIONS, Scheme, options_of
 from ..protocol import pdu
-from ..protocol.errors import ModbusError
 from .blocking_driver import BlockingDriver
-from .call import MAX_IN_FLIGHT, raised
+from .call import MAX_IN_FLIGHT
 from .handle import Handle
 from .procedures import Procedures
 from .requests import Blocking
 
 if TYPE_CHECKING:
-    from ..maps.plan import (
-        Item,
-        Items,
-        Key,
-        Named,
-        Plan,
-        PlanOptions,
-        Strict,
-        Tolerant,
-        Values,
-    )
     from ..ports.endpoint import Endpoint
     from ..ports.port import Port
     from ..ports.serial import LineSettings, SerialSettings
@@ -118,18 +106,6 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
         Context.__init__(context, endpoint, others)
         return context
 
-    def connect(self) -> None:
-        """
-        Connect, unless the client is connected. Requests connect by themselves if necessary.
-
-        Raises:
-            ModbusConnectionError: the connection could not be established, with errno; or the
-                client is closed.
-        """
-        call = self._waiter()
-        self._driver.run(call)
-        raised([call.outcome])
-
     def close(self) -> None:
         """
         Close the client for good. May be called repeatedly, from any thread or signal handler.
@@ -162,34 +138,6 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
         if isinstance(result, BaseException):
             raise result
         return result
-
-    @overload
-    def read_many(  # type: ignore[overload-overlap]  # mappings first
-        self, items: Named[Key], **options: Unpack[Strict]
-    ) -> dict[Key, Values]: ...
-    @overload
-    def read_many(  # type: ignore[overload-overlap]
-        self, items: Named[Key], **options: Unpack[Tolerant]
-    ) -> dict[Key, Values | ModbusError]: ...
-    @overload
-    def read_many(self, items: Iterable[Item], **options: Unpack[Strict]) -> list[Values]: ...
-    @overload
-    def read_many(
-        self, items: Iterable[Item], **options: Unpack[Tolerant]
-    ) -> list[Values | ModbusError]: ...
-    @overload
-    def read_many(
-        self, items: Plan, *, max_in_flight: int = 16, return_exceptions: bool = False
-    ) -> Any: ...
-    def read_many(
-        self,
-        items: Plan | Items,
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-        **options: Unpack[PlanOptions],
-    ) -> Any:
-        return self._read_many(items, max_in_flight, return_exceptions, options)
 
     def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
         jobs = self._jobs(make(self, *arguments, **named))

@@ -15,17 +15,20 @@ from ..protocol.errors import InvalidResponse, ModbusError
 from .call import MAX_IN_FLIGHT, Batch, Call, encoded, raised
 from .polling import Driving, Polls, watched
 from .reconnecting import State
-from .requests import LOCK, Several, Steps
+from .requests import LOCK, Several, Step, Steps
 
 if TYPE_CHECKING:
     from ..maps.holes import Holes, Unreadable
-    from ..maps.plan import Item, Items, Key, Named, Plan, PlanOptions, Values
+    from ..maps.plan import Item, Items, Key, Named, Plan, PlanOptions, Strict, Tolerant, Values
     from ..maps.register_map import AnyMap
     from ..maps.watched import PolledValues
     from ..ports.endpoint import Endpoint
     from ..ports.port import Port
+    from .asyncio_driver import AsyncioDriver
+    from .blocking_driver import BlockingDriver
     from .connection import Transactions
     from .options import CheckedOptions
+    from .requests import Later
     from .statistics import Statistics
 
 __all__ = ["Handle"]
@@ -36,6 +39,7 @@ class Handle(Generic[Driving]):
 
     if TYPE_CHECKING:
         _poll: Any  # of `Procedures`
+        _read_many: Any
 
     def __init__(
         self,
@@ -219,7 +223,62 @@ class Handle(Generic[Driving]):
         """
         raise NotImplementedError
 
-    def read_many(self, *args: Any, **kwargs: Any) -> Any:
+    @overload
+    def read_many(  # type: ignore[overload-overlap]
+        self: Handle[BlockingDriver], items: Named[Key], **options: Unpack[Strict]
+    ) -> dict[Key, Values]: ...
+    @overload
+    def read_many(  # type: ignore[overload-overlap]
+        self: Handle[BlockingDriver], items: Named[Key], **options: Unpack[Tolerant]
+    ) -> dict[Key, Values | ModbusError]: ...
+    @overload
+    def read_many(
+        self: Handle[BlockingDriver], items: Iterable[Item], **options: Unpack[Strict]
+    ) -> list[Values]: ...
+    @overload
+    def read_many(
+        self: Handle[BlockingDriver], items: Iterable[Item], **options: Unpack[Tolerant]
+    ) -> list[Values | ModbusError]: ...
+    @overload
+    def read_many(
+        self: Handle[BlockingDriver],
+        items: Plan,
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+    ) -> Any: ...
+    @overload
+    def read_many(  # type: ignore[overload-overlap]
+        self: Handle[AsyncioDriver], items: Named[Key], **options: Unpack[Strict]
+    ) -> Later[dict[Key, Values]]: ...
+    @overload
+    def read_many(  # type: ignore[overload-overlap]
+        self: Handle[AsyncioDriver], items: Named[Key], **options: Unpack[Tolerant]
+    ) -> Later[dict[Key, Values | ModbusError]]: ...
+    @overload
+    def read_many(
+        self: Handle[AsyncioDriver], items: Iterable[Item], **options: Unpack[Strict]
+    ) -> Later[list[Values]]: ...
+    @overload
+    def read_many(
+        self: Handle[AsyncioDriver], items: Iterable[Item], **options: Unpack[Tolerant]
+    ) -> Later[list[Values | ModbusError]]: ...
+    @overload
+    def read_many(
+        self: Handle[AsyncioDriver],
+        items: Plan,
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+    ) -> Later[Any]: ...
+    def read_many(
+        self,
+        items: Plan | Items,
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+        **options: Unpack[PlanOptions],
+    ) -> Any:
         """
         Read many items with few requests.
 
@@ -243,7 +302,7 @@ class Handle(Generic[Driving]):
                 request; with `return_exceptions` they are left out (`unreadable`), otherwise
                 the first of them is named in `names` of the error.
         """
-        raise NotImplementedError
+        return self._read_many(items, max_in_flight, return_exceptions, options)
 
     @overload
     def watch(
@@ -359,10 +418,6 @@ class Handle(Generic[Driving]):
         encoding = encoded(request, "request", 0, is_broadcast)
         return Call(unit, request, encoding, timeouts, is_broadcast)
 
-    def _waiter(self) -> Call:
-        """Return a call that only waits for the connection."""
-        return Call(self._unit, None, b"", self._timeouts)
-
     def _batch(
         self, requests: Iterable[pdu.Request[Any]], max_in_flight: int, go_on: bool
     ) -> Batch:
@@ -395,11 +450,14 @@ class Handle(Generic[Driving]):
                     yield job
                     outcome = job.outcomes
                     raised(outcome, step.returned)
+                    continue
+                if isinstance(step, Step):  # CONNECT
+                    job = Call(self._unit, None, b"", self._timeouts)
                 else:
                     job = self._call(self._unit, step, None, None)
-                    yield job
-                    outcome = job.outcome
-                    raised([outcome])
+                yield job
+                outcome = job.outcome
+                raised([outcome])
         except StopIteration as done:
             return done.value
         except InvalidResponse as error:

@@ -12,6 +12,7 @@ from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import IllegalFunction, ModbusError
 from .requests import (
+    CONNECT,
     LOCK,
     Requests,
     Several,
@@ -34,6 +35,18 @@ if TYPE_CHECKING:
 
 class Procedures(Requests):
     """The methods that may take several requests; addresses are 0-based, 0..65535."""
+
+    @follows
+    def connect(self) -> Steps[None]:
+        """
+        Connect, unless the client is connected. Requests connect by themselves if necessary.
+
+        Raises:
+            ModbusConnectionError: the connection could not be established, with errno; or the
+                client is closed.
+            RuntimeError: an `AsyncClient` belongs to another event loop.
+        """
+        yield CONNECT
 
     # --- many at once ----------------------------------------------------------------
 

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "LOCK", "Awaiting", "Blocking", "Requests", "Several", "Steps", "follows", "one_by_type",
-    "several_by_type",
+    "CONNECT", "LOCK", "Awaiting", "Blocking", "Later", "Requests", "Several", "Step", "Steps",
+    "follows", "one_by_type", "several_by_type",
 ]
 # fmt: on
 
@@ -62,15 +62,17 @@ class Several(NamedTuple):
         return (ModbusError,) if self.return_exceptions or self.stops else ()
 
 
-class Lock(enum.Enum):
-    """The step of a procedure that changes registers: others that do so wait for its end."""
+class Step(enum.Enum):
+    """The steps of procedures that are no requests."""
 
-    LOCK = enum.auto()
+    CONNECT = enum.auto()
+    LOCK = enum.auto()  # to change registers: others that do so wait for the procedure's end
 
 
-LOCK = Lock.LOCK
+CONNECT, LOCK = Step.CONNECT, Step.LOCK
 
-Steps: TypeAlias = Generator[pdu.Request[Any] | Several | Lock, Any, Result]
+Later: TypeAlias = Coroutine[Any, Any, Result]
+Steps: TypeAlias = Generator[pdu.Request[Any] | Several | Step, Any, Result]
 
 
 class Blocking:
@@ -96,7 +98,6 @@ class Awaiting:
 if TYPE_CHECKING:
     Now = TypeVar("Now", covariant=True)
     Then = TypeVar("Then", covariant=True)
-    Later: TypeAlias = Coroutine[Any, Any, Result]
 
     class OfBoth(Generic[Now, Then]):
         """A method of both clients, with its type on a blocking client and on the other."""

@@ -92,11 +92,6 @@ def close():
     asyncio.run(plc.close())
 
 
-def abandon():
-    plc.abandon()
-    plc.abandon()
-
-
 def use():
     assert asyncio.run(plc.read_holding_registers(9, 1)) == [9]
 
@@ -122,7 +117,7 @@ async def main(act):
         await plc.close()
 
 
-for act in [forget, close, abandon, use, use_and_close]:
+for act in [forget, close, use, use_and_close]:
     if SCHEME != "rtu" or act not in (use, use_and_close):  # the line is locked by the parent
         asyncio.run(main(act))
 print("good")
