@@ -53,7 +53,6 @@ class AsyncioDriver:
         self._attempt: asyncio.Task[None] | None = None
         self._attempt_until = 0.0
         self._alarm = Alarm(partial(self._enter, self._ring))
-        self._resume = Alarm(partial(self._enter, self._go_on))
         self._is_writing = False
         self._is_reading = False
         self._is_due = False
@@ -133,7 +132,7 @@ class AsyncioDriver:
         """Close the port after the last handle was garbage collected."""
         if self._life.state not in (State.CONNECTING, State.CONNECTED):
             # Nothing else: libmodbus's context of a serial port may be gone by now.
-            self._in_loop(self._cancel_timers)
+            self._in_loop(self._alarm.cancel)
             return
         try:
             message = f"AsyncClient({self._connection.url!r}) was not closed"
@@ -153,7 +152,7 @@ class AsyncioDriver:
     def _close(self) -> None:
         self._close_port()
         self._connection.closed(self._now())
-        self._cancel_timers()
+        self._alarm.cancel()
         self._closed.set()
 
     def _forget(self) -> None:
@@ -161,10 +160,6 @@ class AsyncioDriver:
             self._attempt.cancel()
         self._close_port()
         self._life.close()
-        self._cancel_timers()
-
-    def _cancel_timers(self) -> None:
-        self._resume.cancel()
         self._alarm.cancel()
 
     def abandon(self) -> None:
@@ -289,7 +284,7 @@ class AsyncioDriver:
             return
         try:
             port.send(adus, now)
-            if port.has_unsent or self._is_writing or port.resume_at is not None:
+            if port.has_unsent or self._is_writing:
                 self._follow_port()
             if not self._is_reading:
                 self._read_on()
@@ -298,12 +293,16 @@ class AsyncioDriver:
 
     def _set_timer(self) -> None:
         at = self._connection.alarm
+        if self._port.resume_at is not None:
+            at = min(at, self._port.resume_at)
         if at < self._alarm.at and self._life.state is not State.CLOSED:
             self._alarm.set(at, self._bound)
 
     def _ring(self) -> None:
-        """Process timeouts that are over."""
+        """Process timeouts and pauses of the port that are over."""
         now = self._now()
+        if self._port.resume_at is not None and self._port.resume_at <= now:
+            self._go_on()
         self._connection.tick(now)
         self._connection.settle(now)
         self._turn(now)
@@ -351,16 +350,13 @@ class AsyncioDriver:
             raise ModbusConnectionError(reason, errno=error.errno) from error
 
     def _follow_port(self) -> None:
-        """Continue to send when the port takes bytes again, or its pause is over."""
+        """Continue to send when the port takes bytes again."""
         if self._port.has_unsent != self._is_writing:
             self._is_writing = self._port.has_unsent
             if self._is_writing:
                 self._watch(self._bound.add_writer, self._go_on)
             else:
                 self._bound.remove_writer(self._port.descriptor)
-        if self._port.resume_at is not None:
-            self._resume.cancel()
-            self._resume.set(self._port.resume_at, self._bound)
 
     def _go_on(self) -> None:
         if (forbidden := self._connection.forbidden()) is not None:
@@ -369,6 +365,7 @@ class AsyncioDriver:
         try:
             self._port.go_on(self._now())
             self._follow_port()
+            self._set_timer()
         except ModbusConnectionError as error:
             self._lose(error)
             self._turn()
@@ -383,7 +380,6 @@ class AsyncioDriver:
         if self._port.descriptor >= 0 and is_watched:
             self._bound.remove_reader(self._port.descriptor)
             self._bound.remove_writer(self._port.descriptor)
-        self._resume.cancel()
         self._is_writing = self._is_reading = False
         self._port.close()
 
@@ -391,22 +387,16 @@ class AsyncioDriver:
 
     def _seek_connection(self, now: float) -> None:
         """Connect, now or when the next attempt is due, if a caller waits for it."""
-        connection, life = self._connection, self._life
-        is_due = connection.is_wanted and self._attempt is None
-        if not is_due or life.state is not State.DISCONNECTED:
+        if self._attempt is not None:
             return
-        if life.next_attempt > now:
-            connection.matching.wake(life.next_attempt)
+        until = self._connection.begin_connecting(now)
+        if until is None:
             return
-        if (forbidden := connection.forbidden()) is not None:
-            connection.refuse(forbidden)
-            return
-        self._attempt_until = connection.connect_until()
-        opening = self._port.opening(self._attempt_until)
+        self._attempt_until = until
+        opening = self._port.opening(until)
         self._attempt = self._bound.create_task(run_async(opening))
         # Not in the task itself, because a task that is cancelled early never begins.
         self._attempt.add_done_callback(partial(self._enter, self._end_attempt))
-        life.connecting()
 
     def _end_attempt(self, attempt: asyncio.Task[None]) -> None:
         if attempt is not self._attempt:  # its end was noted before this callback was called
@@ -431,7 +421,7 @@ class AsyncioDriver:
             if connection.is_wanted:  # some callers have more time than the attempt had
                 self._turn()
             else:  # all callers have their outcome, and nothing is in flight
-                self._cancel_timers()
+                self._alarm.cancel()
         else:
             error = ModbusConnectionError(f"connecting was interrupted: {failure!r}")
             error.__cause__ = failure

@@ -290,9 +290,12 @@ class BlockingDriver:
             now = self._now()
         if port.has_unsent or (port.resume_at is not None and port.resume_at <= now):
             port.go_on(now)
-        if connection.alarm <= now:
-            connection.tick(now)
-        connection.settle(now)
+        self._tick(now)
+
+    def _tick(self, now: float) -> None:
+        if self._connection.alarm <= now:
+            self._connection.tick(now)
+        self._connection.settle(now)
 
     def _lose(self, error: ModbusConnectionError, *, by_itself: bool) -> None:
         self._port.close()
@@ -300,17 +303,15 @@ class BlockingDriver:
 
     def _connect(self) -> None:
         connection, life, now = self._connection, self._life, self._now()
-        deadline = connection.connect_until()
-        refusal = life.refusal(now, deadline)
-        if refusal is not None:
-            connection.refuse(refusal)
+        until = connection.begin_connecting(now)
+        if until is None:
+            if connection.alarm > now:
+                self.waker.wait(-1, READ, connection.alarm)
+            self._tick(self._now())
             return
-        if life.next_attempt > now:
-            self.waker.wait(-1, READ, life.next_attempt)
-        life.connecting()
         self._notices.give()
         try:
-            run(self._port.opening(deadline), self.waker)
+            run(self._port.opening(until), self.waker)
         except ModbusConnectionError as error:
             connection.failed(error, self._now())
         else:

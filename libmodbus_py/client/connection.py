@@ -268,6 +268,19 @@ class Transactions:
                 call.settle(None)
         self.life.opened()
 
+    def begin_connecting(self, now: float) -> float | None:
+        """Begin an attempt to connect, and return its end; None, and the alarm is set, if not."""
+        if self.life.state is not State.DISCONNECTED or not self.is_wanted:
+            return None
+        if self.life.next_attempt > now:
+            self.matching.wake(self.life.next_attempt)
+            return None
+        if (forbidden := self.forbidden()) is not None:
+            self.refuse(forbidden)
+            return None
+        self.life.connecting()
+        return self.connect_until()
+
     def connect_until(self) -> float:
         """Return until when a request waits for a connection."""
         return max((call.deadline for call in self._queue.calls), default=0.0)

@@ -168,7 +168,7 @@ def test_a_loop_that_was_closed_under_a_client_leaves_a_client_that_can_be_dropp
     with FakeServer(lambda request: [echo(request)], lambda request: []) as server:
         plc: Any = AsyncClient(server.url)
         loop.run_until_complete(use())
-        plc._driver._cancel_timers()  # which would be left behind
+        plc._driver._alarm.cancel()  # which would be left behind
         loop.close()
         plc.timeout = 0.5
         assert (plc.for_unit(2).timeout, plc.state) == (0.5, State.CONNECTED)
