@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack
 
-from ..ports.schemes import DEFAULT_PORT, PARITIES, SECURE_PORT, SERIAL_OPTIONS, Scheme, options_of
+from ..ports.schemes import DEFAULT_PORT, PARITIES, SECURE_PORT, Scheme, options_of
 from ..protocol import pdu
 from .blocking_driver import BlockingDriver
 from .call import MAX_IN_FLIGHT
@@ -295,29 +295,24 @@ def _make_driver(
 
 
 def _parsed(url: str, options: UrlOptions) -> tuple[Endpoint, Mapping[str, Any]]:
-    """Return the endpoint of a URL, with the options that are of a line, and the others."""
-    from dataclasses import replace
-
     from ..ports.endpoint import parse
 
     endpoint = parse(url)
-    if endpoint.has_transactions:
-        return endpoint, options
-    settings, others = _split(options, options_of(endpoint.scheme))
-    return replace(endpoint, options={**endpoint.options, **settings}), others
+    return (endpoint, options) if endpoint.has_transactions else _split(endpoint, options)
 
 
-def _split(
-    options: Mapping[str, Any], of_line: Mapping[str, Any] = SERIAL_OPTIONS
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the options of a line, and those of the client."""
-    settings: dict[str, Any] = {}
+def _split(endpoint: Endpoint, options: Mapping[str, Any]) -> tuple[Endpoint, dict[str, Any]]:
+    """Return an endpoint with the options that are of its line, and the options of the client."""
+    from dataclasses import replace
+
+    settings = dict(endpoint.options)
     others: dict[str, Any] = {}
+    of_line = options_of(endpoint.scheme)
     for name, value in options.items():
         (settings if name in of_line else others)[name] = value
     if isinstance(parity := settings.get("parity"), str):
         settings["parity"] = PARITIES.get(parity.lower(), parity)
-    return settings, others
+    return replace(endpoint, options=settings), others
 
 
 def _at(scheme: Any, host: str, port: int, usual: int) -> Endpoint:
@@ -327,6 +322,8 @@ def _at(scheme: Any, host: str, port: int, usual: int) -> Endpoint:
     Raises:
         ValueError: the host is a URL, or two ports are given.
     """
+    from ..ports.endpoint import Endpoint
+
     if isinstance(host, str) and (":" in host or "/" in host):
         if "/" in host:
             raise ValueError(f"host must be a name or an address, not {host!r}; Client takes URLs")
@@ -336,17 +333,12 @@ def _at(scheme: Any, host: str, port: int, usual: int) -> Endpoint:
         if given is not None and port not in (usual, given):
             raise ValueError(f"host {host!r} contains another port than {port}")
         host, port = plain, port if given is None else given
-    return _endpoint(scheme, host=host, port=port)
-
-
-def _endpoint(scheme: Any, **where: Any) -> Endpoint:
-    from ..ports.endpoint import Endpoint
-
-    return Endpoint(scheme, **where)
+    return Endpoint(scheme, host=host, port=port)
 
 
 def _on_line(
     scheme: Literal["rtu", "ascii"], device: str, baudrate: int, options: RtuOptions
 ) -> tuple[Endpoint, Mapping[str, Any]]:
-    settings, others = _split(options)
-    return _endpoint(scheme, path=device, options={"baudrate": baudrate, **settings}), others
+    from ..ports.endpoint import Endpoint
+
+    return _split(Endpoint(scheme, path=device, options={"baudrate": baudrate}), options)

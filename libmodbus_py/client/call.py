@@ -290,9 +290,8 @@ class Matching(ABC):
     def received_with(self, call: Call, pdu: bytes) -> bytes:
         """Return the received bytes that contained the PDU of an answer."""
 
-    @abstractmethod
-    def conclude(self, call: Call, error: Exception | None, now: float) -> None:
-        """Draw conclusions from how a request ended."""
+    def conclude(self, call: Call, error: Exception | None, now: float) -> None:  # noqa: B027
+        """Draw conclusions from how a request ended, on a line."""
 
     @abstractmethod
     def expire(self, now: float) -> list[Call]:

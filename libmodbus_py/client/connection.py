@@ -233,7 +233,7 @@ class Transactions:
         if call.changes:
             self._queue.note_write(call)
         elif self.in_flight and self.window.is_open:
-            self._queue.note_company(call, self.in_flight)
+            self.window.sent(call, self.in_flight, self.matching)
         self.in_flight += 1
         if call.is_silent:
             self._silent.append((now + self._settings.turnaround, call))

@@ -449,7 +449,8 @@ class Handle(Generic[Driving]):
                     job = self._batch(step.requests, step.max_in_flight, step.return_exceptions)
                     yield job
                     outcome = job.outcomes
-                    raised(outcome, step.returned)
+                    is_tolerant = step.return_exceptions or step.stops
+                    raised(outcome, (ModbusError,) if is_tolerant else ())
                     continue
                 if isinstance(step, Step):  # CONNECT
                     job = Call(self._unit, None, b"", self._timeouts)

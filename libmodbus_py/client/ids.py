@@ -133,9 +133,6 @@ class Ids(Matching):
         frame = mbap(call.number, call.answerer, pdu)
         return frame if self.pending else frame + bytes(self.rest)
 
-    def conclude(self, call: Call, error: Exception | None, now: float) -> None:
-        pass
-
     # --- no answer ------------------------------------------------------------------------
 
     def expire(self, now: float) -> list[Call]:

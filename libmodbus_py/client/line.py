@@ -81,24 +81,18 @@ TIMEOUTS_BETWEEN_CHECKS = 10
 class Pair:
     """The states of a unit and a function."""
 
-    # fmt: off
-    __slots__ = (
-        "checked_at", "heard_at", "is_answered", "is_doubted", "is_known", "is_shifted", "owed",
-        "quiet_at", "timeout",
-    )
-    # fmt: on
+    quiet_at: float = 0.0  # in DOUBT, when it has been silent for `timeout`
+    timeout: float = 0.0
+    owed: Call | None = None  # whose answer may still come; None if there may be others
+    is_known: bool = False  # True if it has been answered
+    is_doubted: bool = False
+    # True if the last request was answered, but the time for HOLD was too short.
+    is_answered: bool = False
+    # True if the last answers may be those to the requests before; else known at `checked_at`.
+    is_shifted: bool = False
 
     def __init__(self, now: float) -> None:
         self.heard_at: float = now  # when a frame of it came last
-        self.quiet_at: float = 0.0  # in DOUBT, when it has been silent for `timeout`
-        self.timeout: float = 0.0
-        self.owed: Call | None = None  # whose answer may still come; None if there may be others
-        self.is_known: bool = False  # True if it has been answered
-        self.is_doubted: bool = False
-        # True if the last request was answered, but the time for HOLD was too short.
-        self.is_answered: bool = False
-        # True if the last answers may be those to the requests before; else known at `checked_at`.
-        self.is_shifted: bool = False
         self.checked_at: float = now
 
     def doubt(self, now: float, timeout: float, owed: Call | None = None) -> None:
@@ -223,8 +217,12 @@ class Line(Matching):
             for pair in self._pairs.values():
                 if pair.is_doubted:
                     pair.heard(now)
-        if self._echo.is_there is not False:
-            data = self._without_echo(data)
+        if (was_there := self._echo.is_there) is not False:
+            data = self._echo.without(data)
+            if self._echo.is_there and not was_there:
+                self._statistics.echoes += 1
+                text = "%s: what is sent comes back (local echo), and is dropped; set echo=1"
+                log_warning(__name__, text, self._endpoint)
         for found in self._framer.scan(data):
             self._judge(found, now)
         call = self._call
@@ -235,15 +233,6 @@ class Line(Matching):
                 self._end_if_damaged(call, now)
         ended, self._ended = self._ended, []
         return ended
-
-    def _without_echo(self, data: bytes) -> bytes:
-        was_there = self._echo.is_there
-        data = self._echo.without(data)
-        if self._echo.is_there and not was_there:
-            self._statistics.echoes += 1
-            text = "%s: what is sent comes back (local echo), and is dropped; set echo=1"
-            log_warning(__name__, text, self._endpoint)
-        return data
 
     def _judge(self, found: Frame | FrameError, now: float) -> None:
         """Follow the table for one frame, or for bytes that are none."""
@@ -409,17 +398,12 @@ class Line(Matching):
 
     def conclude(self, call: Call, error: Exception | None, now: float) -> None:
         if error is None:
-            if self._endpoint.framing == "ascii":
-                self._follow(call.pdu)
+            delimiter = delimiter_after(call.pdu, self._delimiter)
+            if delimiter != self._delimiter and self._endpoint.framing == "ascii":
+                self._delimiter = delimiter
+                self._framer = self._make_framer()
         elif isinstance(call.reply, bytes) and not isinstance(error, ExceptionResponse):
             self._pair(call, now).doubt(now, call.timeouts.timeout, call)
-
-    def _follow(self, pdu: bytes) -> None:
-        """Use the delimiter that a device uses after this request."""
-        delimiter = delimiter_after(pdu, self._delimiter)
-        if delimiter != self._delimiter:
-            self._delimiter = delimiter
-            self._framer = self._make_framer()
 
     def withdraw(self, call: Call, now: float) -> bool:
         if self._call is not call:

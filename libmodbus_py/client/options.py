@@ -149,12 +149,9 @@ class CheckedOptions:
     def __post_init__(self) -> None:
         integer("unit", self.unit, 0, 255)
         seconds("timeout", self.timeout)
-        for name, low, high in (
-            ("retries", 0, 100),
-            ("busy_retries", 0, 100),
-            ("timeouts_before_reconnect", 1, 1_000_000),
-        ):
-            integer(name, getattr(self, name), low, high)
+        integer("retries", self.retries, 0, 100)
+        integer("busy_retries", self.busy_retries, 0, 100)
+        integer("timeouts_before_reconnect", self.timeouts_before_reconnect, 1, 1_000_000)
         for name in ("turnaround", "request_spacing", "connect_delay", "max_pause"):
             seconds(name, getattr(self, name), low=0)
         if self.max_in_flight is not None:
@@ -168,10 +165,13 @@ class CheckedOptions:
                 f"delimiter must be an ASCII code with no other use, not {self.delimiter}"
             )
         if self.security is not None:
-            _check_security(self.security)
+            from ..security.security import GivenContext, Security
+
+            if not isinstance(self.security, Security | GivenContext):
+                given = type(self.security).__name__
+                raise TypeError(f"security must be Security, not {given}")
         for name in ("trace", "on_state", "may_send"):
-            hook = getattr(self, name)
-            if hook is not None:
+            if (hook := getattr(self, name)) is not None:
                 checked_callback(name, hook)
         if self.statistics is not None and not isinstance(self.statistics, Statistics):
             raise TypeError(f"statistics must be Statistics, not {type(self.statistics).__name__}")
@@ -194,24 +194,13 @@ class CheckedOptions:
                 raise unknown_option(name, [*known, *serial])
         settings = cls(**{**usual, **endpoint.client_options, **options})
         if not endpoint.has_transactions:
-            _check_for_line(endpoint, settings)
+            where = f"on {endpoint.scheme}, whose answers carry no transaction id"
+            if settings.max_in_flight not in (None, 1):
+                raise ValueError(f"max_in_flight must be 1 {where}")
+            if settings.accept_unit != "same":
+                raise ValueError(f'accept_unit must be "same" {where}')
         return settings
 
     @property
     def timeouts(self) -> Timeouts:
         return Timeouts(float(self.timeout), self.retries, self.busy_retries)
-
-
-def _check_security(security: object) -> None:
-    from ..security.security import GivenContext, Security
-
-    if not isinstance(security, Security | GivenContext):
-        raise TypeError(f"security must be Security, not {type(security).__name__}")
-
-
-def _check_for_line(endpoint: Endpoint, settings: CheckedOptions) -> None:
-    where = f"on {endpoint.scheme}, whose answers carry no transaction id"
-    if settings.max_in_flight not in (None, 1):
-        raise ValueError(f"max_in_flight must be 1 {where}")
-    if settings.accept_unit != "same":
-        raise ValueError(f'accept_unit must be "same" {where}')

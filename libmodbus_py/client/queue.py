@@ -79,16 +79,15 @@ class Window:
             self._now, self._bound, self._count, self._was_full = 1, self._most, 0, True
             self._slowest = 0.0
 
-    def sent(self, others: int) -> None:
-        """Note that a request is sent while so many others are in flight."""
+    def sent(self, call: Call, others: int, matching: Matching) -> None:
+        """Note that a read is sent beside others, and when they are lost; see rule 3."""
+        for each in matching.pending.values() if others == 1 else [call]:
+            if not each.changes and (each.unit, each.pdu[0]) not in self.silent:
+                wait = max(each.timeouts.timeout / 4, 2 * self._slowest)
+                each.lost_at = each.sent_at + wait
+                matching.wake(each.lost_at)
         if others + 1 >= self._now:
             self._was_full = True
-
-    def limit_wait(self, call: Call) -> None:
-        """Set when a read that is in flight beside others is lost; see rule 3."""
-        if not call.changes and (call.unit, call.pdu[0]) not in self.silent:
-            wait = max(call.timeouts.timeout / 4, 2 * self._slowest)
-            call.lost_at = call.sent_at + wait
 
     def answered(self, call: Call, took: float, pending: Mapping[int, Call]) -> None:
         """Note a valid answer; the number doubles once so many, and all before, were answered."""
@@ -205,14 +204,6 @@ class Queue:
         return None
 
     # --- reads that are lost beside others (`Window`) ------------------------------------------
-
-    def note_company(self, call: Call, others: int) -> None:
-        """Note that a read is sent while so many others are in flight."""
-        beside = self.matching.pending.values() if others == 1 else [call]
-        for each in beside:
-            self.window.limit_wait(each)
-            self.matching.wake(each.lost_at)
-        self.window.sent(others)
 
     def choose_alone(self, now: float) -> list[Call]:
         """Choose the lost read that is asked again alone; return those that are not asked again."""

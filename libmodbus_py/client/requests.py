@@ -27,7 +27,6 @@ from typing import (
 
 from ..protocol import pdu
 from ..protocol.checks import integer
-from ..protocol.errors import ModbusError
 
 if TYPE_CHECKING:
     from ..protocol.tables import RegisterTable
@@ -56,11 +55,6 @@ class Several(NamedTuple):
     return_exceptions: bool
     stops: bool = False
 
-    @property
-    def returned(self) -> tuple[type[BaseException], ...]:
-        """The exceptions that are returned among the results."""
-        return (ModbusError,) if self.return_exceptions or self.stops else ()
-
 
 class Step(enum.Enum):
     """The steps of procedures that are no requests."""
@@ -78,21 +72,19 @@ Steps: TypeAlias = Generator[pdu.Request[Any] | Several | Step, Any, Result]
 class Blocking:
     """A client whose methods return results."""
 
+    _follow: Callable[..., Any]
+
     def _refuse(self, error: Exception) -> Any:
         raise error
-
-    def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
-        raise NotImplementedError
 
 
 class Awaiting:
     """A client whose methods return coroutines."""
 
+    _follow: Callable[..., Any]
+
     async def _refuse(self, error: Exception) -> Any:
         raise error
-
-    async def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
-        raise NotImplementedError
 
 
 if TYPE_CHECKING:
