@@ -226,7 +226,7 @@ class World:
         else:
             unit = 2 if letter == "C" else 1
             made = pdu.ReadHoldingRegisters("ABC".index(letter) % 2, 1)
-        call = Call(unit, made, made.encode(), self.timeouts)
+        call = Call(unit, made, self.timeouts)
         self.connection.submit(call, self.now)
         version = self.writes if letter == "W" else self.version
         self.asked.append(Asked(letter, call, self.now, version))

@@ -34,7 +34,6 @@ __all__ = [
     "Matching",
     "Phase",
     "Timeouts",
-    "encoded",
     "no_answer",
     "raised",
 ]
@@ -81,6 +80,9 @@ class Call:
     One request to one unit; without a request it only waits for the connection.
 
     `changes` is True if it may change the device; `is_silent`, if it gets no answer.
+
+    Raises:
+        TypeError, ValueError: the request cannot be sent; the message contains its name.
     """
 
     # Of the class, because most calls never set them: making a call takes half the time.
@@ -111,20 +113,33 @@ class Call:
         self,
         unit: int,
         request: Request[Any] | None,
-        pdu: bytes,
         timeouts: Timeouts,
         is_broadcast: bool = False,
+        name: str = "request",
     ) -> None:
         self.unit: int = unit
         self.request: Request[Any] | None = request
-        self.pdu: bytes = pdu
         self.timeouts: Timeouts = timeouts
         if request is None:
+            self.pdu: bytes = b""
             self.changes: bool = False
-        else:
-            self.changes = request.changes
-            if is_broadcast or not request.expects_response:
-                self.is_silent = True
+            return
+        if not isinstance(request, Request):
+            given = type(request).__name__
+            raise TypeError(f"{name} must be a request object of pdu, not {given}")
+        if is_broadcast and not request.may_be_broadcast:
+            raise ValueError(
+                f"{name}: unit 0 is a broadcast, which no unit answers, "
+                f"and {request} is not a write"
+            )
+        self.pdu = pdu = request.encode()
+        if not isinstance(pdu, bytes):
+            raise TypeError(f"{name} must encode to bytes, not {type(pdu).__name__}")
+        if not 1 <= len(pdu) <= MAX_PDU:
+            raise ValueError(f"{name} must encode to 1..{MAX_PDU} bytes, not {len(pdu)}")
+        self.changes = request.changes
+        if is_broadcast or not request.expects_response:
+            self.is_silent = True
 
     @property
     def function(self) -> int:
@@ -176,10 +191,9 @@ class Batch:
         limit: int = 1,
         go_on: bool = False,
     ) -> None:
-        pdus = [encoded(each, name, index, is_broadcast) for index, each in enumerate(requests)]
         self.calls: list[Call] = [
-            Call(unit, request, pdu, timeouts, is_broadcast)
-            for request, pdu in zip(requests, pdus, strict=True)
+            Call(unit, request, timeouts, is_broadcast, name.format(index))
+            for index, request in enumerate(requests)
         ]
         for call in self.calls:
             call.batch = self
@@ -323,24 +337,6 @@ def no_answer(timeout: float, received: bytes, *, is_held: bool = False) -> Modb
             f"no complete answer within {timeout:g} s, but {in_hex(received)}", received=received
         )
     return ModbusTimeoutError(f"no answer within {timeout:g} s")
-
-
-def encoded(request: object, name: str, index: int, is_broadcast: bool) -> bytes:
-    """Encode a request; raise TypeError or ValueError if it cannot be sent."""
-    if not isinstance(request, Request):
-        given = type(request).__name__
-        raise TypeError(f"{name.format(index)} must be a request object of pdu, not {given}")
-    if is_broadcast and not request.may_be_broadcast:
-        raise ValueError(
-            f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
-            f"and {request} is not a write"
-        )
-    pdu = request.encode()
-    if not isinstance(pdu, bytes):
-        raise TypeError(f"{name.format(index)} must encode to bytes, not {type(pdu).__name__}")
-    if not 1 <= len(pdu) <= MAX_PDU:
-        raise ValueError(f"{name.format(index)} must encode to 1..{MAX_PDU} bytes, not {len(pdu)}")
-    return pdu
 
 
 def raised(outcomes: Iterable[Any], tolerated: tuple[type[BaseException], ...] = ()) -> None:

@@ -171,7 +171,21 @@ class Transactions:
         """Return the frames to send now."""
         adus: list[bytes] = []
         queue, matching = self._queue, self.matching
-        if not (queue.waiting or queue.again or queue.lost) or not self._is_usable(now):
+        if not (queue.waiting or queue.again or queue.lost):
+            return adus
+        if self.broken is not None or not self.life.is_open:
+            return adus
+        if self.is_guarded and (error := self.forbidden()) is not None:
+            self.refuse(error)
+            return adus
+        if self._answered and not matching.has_ids:
+            return adus  # the outcome may lead to DOUBT
+        if (matching.unanswered or matching.rest) and self._is_useless():
+            if not self.in_flight:
+                self._break("given up for a new connection")
+            return adus
+        if now < self._next_start:
+            matching.wake(self._next_start)
             return adus
         if queue.lost and not self.in_flight and queue.alone is None:
             for other in queue.choose_alone(now):
@@ -190,32 +204,17 @@ class Transactions:
             self.statistics.requests += len(adus)
         return adus
 
-    def _is_usable(self, now: float) -> bool:
-        """Return True if requests may be sent now; else the connection may be broken now."""
-        if self.broken is not None or not self.life.is_open:
-            return False
-        if self.is_guarded and (error := self.forbidden()) is not None:
-            self.refuse(error)
-            return False
+    def _is_useless(self) -> bool:
+        """Return True if the connection is dead, or an answer on it was cut off."""
         matching = self.matching
-        if self._answered and not matching.has_ids:
-            return False  # the outcome may lead to DOUBT
-        if matching.unanswered or matching.rest:
-            is_dead = (
-                self._is_socket
-                and matching.unanswered >= self._settings.timeouts_before_reconnect
-                and not self._queue.lost  # these may be answered when they are sent alone
-            )
-            # The next answer would be appended to half a frame that no request expects.
-            is_cut = matching.rest and self.in_flight == len(self._silent)
-            if is_dead or is_cut:
-                if not self.in_flight:
-                    self._break("given up for a new connection")
-                return False
-        if now < self._next_start:
-            matching.wake(self._next_start)
-            return False
-        return True
+        is_dead = (
+            self._is_socket
+            and matching.unanswered >= self._settings.timeouts_before_reconnect
+            and not self._queue.lost  # these may be answered when they are sent alone
+        )
+        # The next answer would be appended to half a frame that no request expects.
+        is_cut = matching.rest and self.in_flight == len(self._silent)
+        return is_dead or bool(is_cut)
 
     def _send(self, call: Call, now: float) -> bytes:
         matching = self.matching

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic, Self, Unpack, overload
 from ..protocol import pdu
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import InvalidResponse, ModbusError
-from .call import MAX_IN_FLIGHT, Batch, Call, encoded, raised
+from .call import MAX_IN_FLIGHT, Batch, Call, raised
 from .polling import Driving, Polls, watched
 from .reconnecting import State
 from .requests import LOCK, Several, Step, Steps
@@ -414,9 +414,7 @@ class Handle(Generic[Driving]):
         timeouts = self._timeouts
         if timeout is not None or retries is not None:
             timeouts = timeouts.but(timeout, retries)
-        is_broadcast = unit == 0 and self._has_broadcast
-        encoding = encoded(request, "request", 0, is_broadcast)
-        return Call(unit, request, encoding, timeouts, is_broadcast)
+        return Call(unit, request, timeouts, unit == 0 and self._has_broadcast)
 
     def _batch(
         self, requests: Iterable[pdu.Request[Any]], max_in_flight: int, go_on: bool
@@ -453,7 +451,7 @@ class Handle(Generic[Driving]):
                     raised(outcome, (ModbusError,) if is_tolerant else ())
                     continue
                 if isinstance(step, Step):  # CONNECT
-                    job = Call(self._unit, None, b"", self._timeouts)
+                    job = Call(self._unit, None, self._timeouts)
                 else:
                     job = self._call(self._unit, step, None, None)
                 yield job

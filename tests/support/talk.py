@@ -85,7 +85,7 @@ class Talk:
 
     def join(self, **timeouts: Any) -> Call:
         """Wait for the connection only."""
-        call = Call(1, None, b"", self.timeouts.but(timeouts.get("timeout"), None))
+        call = Call(1, None, self.timeouts.but(timeouts.get("timeout"), None))
         self.connection.submit(call, self.now)
         self.start()
         return call
