@@ -266,7 +266,8 @@ class AsyncioDriver:
         if self._attempt is not None and self._attempt.done():
             self._end_attempt(self._attempt)
         if not self._life.is_open:
-            self._seek_connection(now)
+            if self._attempt is None and (until := connection.begin_connecting(now)) is not None:
+                self._connect(until)
         else:
             if not connection.in_flight and self._port.has_input():
                 self._read()
@@ -385,13 +386,7 @@ class AsyncioDriver:
 
     # --- connecting ---------------------------------------------------------------------------
 
-    def _seek_connection(self, now: float) -> None:
-        """Connect, now or when the next attempt is due, if a caller waits for it."""
-        if self._attempt is not None:
-            return
-        until = self._connection.begin_connecting(now)
-        if until is None:
-            return
+    def _connect(self, until: float) -> None:
         self._attempt_until = until
         opening = self._port.opening(until)
         self._attempt = self._bound.create_task(run_async(opening))
@@ -405,32 +400,25 @@ class AsyncioDriver:
         connection, life = self._connection, self._life
         failure = None if attempt.cancelled() else attempt.exception()
         if attempt.cancelled() or life.state is State.CLOSED:
-            self._give_up(ModbusConnectionError("connecting was cancelled"))
-            return
-        if failure is None:
-            try:
+            failure = asyncio.CancelledError()
+        try:
+            if failure is None:
                 self._read_on()
-            except ModbusConnectionError as unwatched:
-                self._close_port()
-                failure = unwatched
+        except ModbusConnectionError as unwatched:
+            failure = unwatched
         if failure is None:
             connection.opened(self._now())
             self._turn()
-        elif isinstance(failure, ModbusConnectionError):
+            return
+        self._close_port()
+        if isinstance(failure, ModbusConnectionError):
             connection.failed(failure, self._now(), self._attempt_until)
-            if connection.is_wanted:  # some callers have more time than the attempt had
-                self._turn()
-            else:  # all callers have their outcome, and nothing is in flight
-                self._alarm.cancel()
-        else:
+        elif life.state is State.CONNECTING:
             error = ModbusConnectionError(f"connecting was interrupted: {failure!r}")
             error.__cause__ = failure
-            self._give_up(error)
-
-    def _give_up(self, error: ModbusConnectionError) -> None:
-        self._port.close()
-        if self._life.state is State.CONNECTING:
-            self._life.given_up()
-            self._connection.refuse(error)
-        elif self._connection.is_wanted:  # callers came after the attempt was cancelled
+            life.given_up()
+            connection.refuse(error)
+        if connection.is_wanted:  # by callers that have more time, or came after it was cancelled
             self._turn()
+        else:  # all callers have their outcome, and nothing is in flight
+            self._alarm.cancel()

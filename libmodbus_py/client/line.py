@@ -237,15 +237,17 @@ class Line(Matching):
     def _judge(self, found: Frame | FrameError, now: float) -> None:
         """Follow the table for one frame, or for bytes that are none."""
         call = self._call
-        if self.is_traced:
-            self._tell(found)
         if isinstance(found, FrameError):
+            if self.is_traced:
+                self._trace.tell("received", found.received)
             self._statistics.invalid += 1
             self._wrong = found
             if self._held is not None and call is not None:
                 self._fail(call, found, now)
             return
         unit, pdu, _ = found
+        if self.is_traced:
+            self._trace.tell("received", self._framer.encode(found), unit, pdu[0])
         function = pdu[0] & 0x7F
         if call is None or unit != call.unit or function != call.pdu[0]:
             self._note_other(unit, function, call, now)
@@ -332,12 +334,6 @@ class Line(Matching):
                 pair.heard(now)
         if call is not None and call.unit == unit and self._held is not None:
             self._begin_hold(call, self._held, now)
-
-    def _tell(self, found: Frame | FrameError) -> None:
-        if isinstance(found, FrameError):
-            self._trace.tell("received", found.received)
-        else:
-            self._trace.tell("received", self._framer.encode(found), found.unit, found.pdu[0])
 
     def _end_if_damaged(self, call: Call, now: float) -> None:
         """End the wait for a damaged answer; after mere noise, an answer may still follow."""

@@ -29,7 +29,7 @@ from ..protocol import pdu
 from ..protocol.checks import integer
 
 if TYPE_CHECKING:
-    from ..protocol.tables import RegisterTable
+    from ..protocol.tables import RegisterTable as Table
     from ..protocol.words import BitsType, FloatType, IntegerType, Layout, TextType, TypeName
 
 # fmt: off
@@ -123,23 +123,23 @@ if TYPE_CHECKING:
 
         @overload
         def __call__(
-            self, /, table: RegisterTable, address: int, type: IntegerType, **layout: Unpack[Layout]
+            self, table: Table, address: int, type: IntegerType, **_: Unpack[Layout]
         ) -> Integer: ...
         @overload
         def __call__(
-            self, /, table: RegisterTable, address: int, type: FloatType, **layout: Unpack[Layout]
+            self, table: Table, address: int, type: FloatType, **_: Unpack[Layout]
         ) -> Real: ...
         @overload
         def __call__(
-            self, /, table: RegisterTable, address: int, type: BitsType, **layout: Unpack[Layout]
+            self, table: Table, address: int, type: BitsType, **_: Unpack[Layout]
         ) -> Bits: ...
         @overload
         def __call__(
-            self, /, table: RegisterTable, address: int, type: TextType, **layout: Unpack[Layout]
+            self, table: Table, address: int, type: TextType, **_: Unpack[Layout]
         ) -> Text: ...
         @overload
         def __call__(
-            self, /, table: RegisterTable, address: int, type: TypeName, **layout: Unpack[Layout]
+            self, table: Table, address: int, type: TypeName, **_: Unpack[Layout]
         ) -> Unknown: ...
 
     class ReadSeveral(Protocol[Integer, Real, Bits, Text, Unknown]):
@@ -147,53 +147,23 @@ if TYPE_CHECKING:
 
         @overload
         def __call__(
-            self,
-            /,
-            table: RegisterTable,
-            address: int,
-            type: IntegerType,
-            count: int = 1,
-            **layout: Unpack[Layout],
+            self, table: Table, address: int, type: IntegerType, count: int = 1, **_: Unpack[Layout]
         ) -> Integer: ...
         @overload
         def __call__(
-            self,
-            /,
-            table: RegisterTable,
-            address: int,
-            type: FloatType,
-            count: int = 1,
-            **layout: Unpack[Layout],
+            self, table: Table, address: int, type: FloatType, count: int = 1, **_: Unpack[Layout]
         ) -> Real: ...
         @overload
         def __call__(
-            self,
-            /,
-            table: RegisterTable,
-            address: int,
-            type: BitsType,
-            count: int = 1,
-            **layout: Unpack[Layout],
+            self, table: Table, address: int, type: BitsType, count: int = 1, **_: Unpack[Layout]
         ) -> Bits: ...
         @overload
         def __call__(
-            self,
-            /,
-            table: RegisterTable,
-            address: int,
-            type: TextType,
-            count: int = 1,
-            **layout: Unpack[Layout],
+            self, table: Table, address: int, type: TextType, count: int = 1, **_: Unpack[Layout]
         ) -> Text: ...
         @overload
         def __call__(
-            self,
-            /,
-            table: RegisterTable,
-            address: int,
-            type: TypeName,
-            count: int = 1,
-            **layout: Unpack[Layout],
+            self, table: Table, address: int, type: TypeName, count: int = 1, **_: Unpack[Layout]
         ) -> Unknown: ...
 
     def one_by_type(
