@@ -136,8 +136,10 @@ class BlockingDriver:
                     "a request of this thread is in progress on the same connection; a signal "
                     "handler or a callback must not send another one"
                 )
-            if self._is_left or self._closed:
-                self._tidy()
+            if self._is_left:  # the end of an earlier request was interrupted
+                self._interrupt()
+            if self._closed and self._life.state is not State.CLOSED:
+                self._shut()
             try:
                 self._is_busy = self._is_left = True
                 self._drive(job, lock)
@@ -184,13 +186,6 @@ class BlockingDriver:
         self._port.close()
         self._connection.closed(self._now())
         self.waker.close()
-
-    def _tidy(self) -> None:
-        """Finish what remains of an earlier request, if the end of that was interrupted."""
-        if self._is_left:
-            self._interrupt()
-        if self._closed and self._life.state is not State.CLOSED:
-            self._shut()
 
     def _interrupt(self) -> None:
         """Leave the connection, because it is unknown what was sent, and forget all requests."""

@@ -11,16 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import IllegalFunction, ModbusError
-from .requests import (
-    CONNECT,
-    LOCK,
-    Requests,
-    Several,
-    Steps,
-    follows,
-    one_by_type,
-    several_by_type,
-)
+from .requests import CONNECT, LOCK, Requests, Several, Steps, follows, one_by_type, several_by_type
 
 __all__ = ["Procedures"]
 
@@ -97,11 +88,7 @@ class Procedures(Requests):
 
     @follows
     def _read_many(
-        self,
-        items: Plan | Items,
-        max_in_flight: int,
-        return_exceptions: bool,
-        options: PlanOptions,
+        self, items: Plan | Items, max_in_flight: int, return_exceptions: bool, options: PlanOptions
     ) -> Steps[Any]:
         """As of `read_many` of the clients, whose types depend on what is given."""
         from ..maps.plan import planned
@@ -367,8 +354,6 @@ def _registers(table: object) -> Any:
     from ..protocol.tables import REGISTER_TABLES
     from ..protocol.words import TABLE_WORDS, close_word, table_named
 
-    if table in REGISTER_TABLES:
-        return table
     name = table_named(table)
     if name not in REGISTER_TABLES:
         words = [word for word, meaning in TABLE_WORDS.items() if meaning in REGISTER_TABLES]

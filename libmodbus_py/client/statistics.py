@@ -8,11 +8,7 @@ from bisect import bisect_left
 from collections import defaultdict
 from dataclasses import dataclass, field
 
-from ..protocol.errors import (
-    ExceptionResponse,
-    ModbusConnectionError,
-    ModbusTimeoutError,
-)
+from ..protocol.errors import ExceptionResponse, ModbusConnectionError, ModbusTimeoutError
 
 __all__ = ["RESULTS", "TIME_BOUNDS", "Statistics", "result_of"]
 
