@@ -416,11 +416,10 @@ class Handle(Generic[Driving]):
             timeouts = timeouts.but(timeout, retries)
         return Call(unit, request, timeouts, unit == 0 and self._has_broadcast)
 
-    def _batch(
-        self, requests: Iterable[pdu.Request[Any]], max_in_flight: int, go_on: bool
-    ) -> Batch:
+    def _batch(self, several: Several) -> Batch:
         """Check and encode all before the first is sent."""
-        limit = integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
+        limit = integer("max_in_flight", several.max_in_flight, 1, MAX_IN_FLIGHT)
+        requests = several.requests
         if not isinstance(requests, Iterable):
             raise TypeError(f"requests must be a list, not {type(requests).__name__}")
         return Batch(
@@ -430,7 +429,7 @@ class Handle(Generic[Driving]):
             name="requests[{}]",
             is_broadcast=self._unit == 0 and self._has_broadcast,
             limit=limit,
-            go_on=bool(go_on),
+            go_on=bool(several.return_exceptions),
         )
 
     def _jobs(self, steps: Steps[Any]) -> Generator[Call | Batch | None, None, Any]:
@@ -444,7 +443,7 @@ class Handle(Generic[Driving]):
                     yield None
                     continue
                 if isinstance(step, Several):
-                    job = self._batch(step.requests, step.max_in_flight, step.return_exceptions)
+                    job = self._batch(step)
                     yield job
                     outcome = job.outcomes
                     is_tolerant = step.return_exceptions or step.stops

@@ -40,12 +40,9 @@ class Ids(Matching):
         super().__init__(statistics, trace)
         self._any_unit = any_unit
         self._framing: Framing = endpoint.framing
-        self._framer: Framer = make_framer(self._framing, "client")
-        self.rest: bytes | bytearray = self._framer.rest
         self._last = 0
-        self._abandoned: dict[int, None] = {}
-        self._strays = b""
         self._answered_at = 0.0
+        self.reset(0.0)
 
     def start(self, call: Call, now: float) -> None:
         number = self._last + 1 & 0xFFFF
@@ -180,9 +177,9 @@ class Ids(Matching):
 
     def reset(self, now: float) -> list[Call]:
         calls = list(self.pending.values())
-        self._framer = make_framer(self._framing, "client")
+        self._framer: Framer = make_framer(self._framing, "client")
         self._begin_again(self._framer.rest)
-        self._abandoned = {}
+        self._abandoned: dict[int, None] = {}
         self._strays = b""
         return calls
 
