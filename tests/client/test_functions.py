@@ -87,6 +87,11 @@ def test_tables(plc: Any, mapping: Mapping) -> None:
         assert plc.mask_write_register(120, 0xF0, 0x0F) is None
         assert plc.read_write_registers(120, 2, 121, [7]) == [0x0F, 7]
         assert mapping.holding_registers[120:122] == [0x0F, 7]
+    many = [pdu.ReadHoldingRegisters(address, 1) for address in range(130, 170)]
+    assert [value for [value] in plc.execute_many(many)] == mapping.holding_registers[130:170]
+    points = {"a": ("holding_registers", 100, 2), "b": ("coils", 10, 2)}
+    assert plc.read_many(points) == {"a": [1000, 1001], "b": [True, False]}
+    assert plc.statistics.responses == plc.statistics.requests
 
 
 def test_the_other_functions(plc: Any) -> None:
@@ -186,6 +191,16 @@ def test_a_client_is_a_context_for_any_url(url: str) -> None:
         assert (client.unit, client.timeout) == (UNIT, 2)
         assert client.url == Context.from_url(url).url
         assert repr(client) == f"<Client {client.url}, unit {UNIT}, connected>"
+
+
+@pytest.mark.parametrize("transport", ["rtu+tcp", "ascii+tcp", "rtu+udp", "rtu", "ascii"])
+def test_a_broadcast_reaches_every_unit_and_is_not_answered(transport: str) -> None:
+    devices = {unit: Device(Mapping(holding_registers=8)) for unit in (1, 2)}
+    with serving(transport, Server(devices)) as url, Context.from_url(url, unit=0) as line:
+        assert line.write_register(3, 9) is None
+        for unit in devices:
+            assert line.for_unit(unit).read_holding_registers(2, 2) == [0, 9]
+        assert line.statistics.late_answers == 0
 
 
 # --- functions of one's own ----------------------------------------------------------------

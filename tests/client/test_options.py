@@ -61,6 +61,7 @@ def test_bad_option_is_named(world: World, options: Any, named: str) -> None:
         ("rtu:///dev/x?parity=X", "parity"),
         ("rtu:///dev/x?max_in_flight=16", "max_in_flight"),
         ("rtu+tcp://h?max_in_flight=2", "max_in_flight"),
+        ("rtu+udp://h?max_in_flight=2", "max_in_flight"),
         ("rtu+tcp://h?accept_unit=any", "accept_unit"),
     ],
 )

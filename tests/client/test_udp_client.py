@@ -293,6 +293,7 @@ def test_an_answer_in_two_datagrams_is_one(world: World) -> None:
     peer = world.peer("rtu+udp", answering(lambda request: [ANSWER[:3], ANSWER[3:]]))
     with world.connect(peer.url, unit=1, timeout=30) as client:
         assert read(client, 0) == 555
+    assert peer.requests == [READ]
 
 
 def test_a_damaged_answer_ends_the_wait_as_on_a_line(world: World) -> None:
