@@ -29,26 +29,21 @@ ALERT, ACCESS_DENIED = 21, b"\x02\x31"
 
 @pytest.mark.parametrize("key", ["EC", "RSA"])
 def test_both_versions_and_both_kinds_of_keys(
-    connect: Connect, papers: Papers, serving: Serving, version: str, key: str
+    talking: Talking, papers: Papers, version: str, key: str
 ) -> None:
     options = {"key": certificates.rsa_key()} if key == "RSA" else {}
-    own = certificates.client(**options)
-    with (
-        serving(Peer.serve, certificates.server(**options), version) as server,
-        connect(server.url, security=papers.security(own), timeout=LONG) as plc,
-    ):
+    own = {"security": papers.security(certificates.client(**options))}
+    shown = certificates.server(**options)
+    with talking(Peer.serve, shown, version, client=own) as (server, plc):
         assert [plc.read_holding_registers(each, 1) for each in range(3)] == echoes(3)
         assert plc.execute_many(reads(300)) == echoes(300)
     assert server.connections == 1
 
 
-def test_a_chain_with_an_intermediate(connect: Connect, papers: Papers, serving: Serving) -> None:
+def test_a_chain_with_an_intermediate(talking: Talking, papers: Papers) -> None:
     below = certificates.intermediate()
-    own = papers.security(certificates.client(issuer=below))
-    with (
-        serving(identity=certificates.server(issuer=below)) as server,
-        connect(server.url, security=own, timeout=LONG) as plc,
-    ):
+    own = {"security": papers.security(certificates.client(issuer=below))}
+    with talking(identity=certificates.server(issuer=below), client=own) as (_, plc):
         assert plc.read_holding_registers(7, 1) == [7]
 
 
@@ -149,19 +144,11 @@ def test_requests_wait_while_a_ticket_comes_in_pieces(talking: Talking, tmp_path
     assert server.connections == 1
 
 
-def test_the_trace_shows_what_is_inside(connect: Connect, papers: Papers, serving: Serving) -> None:
+def test_the_trace_shows_what_is_inside(talking: Talking) -> None:
     seen: list[Traced] = []
     states: list[State] = []
-    with (
-        serving() as server,
-        connect(
-            server.url,
-            security=papers.client(),
-            timeout=LONG,
-            trace=seen.append,
-            on_state=lambda state, error: states.append(state),
-        ) as plc,
-    ):
+    told = {"trace": seen.append, "on_state": lambda state, error: states.append(state)}
+    with talking(client=told) as (server, plc):
         plc.read_holding_registers(0x0102, 1)
         assert plc.url == server.url
         assert (plc.statistics.requests, plc.statistics.responses) == (1, 1)
@@ -175,30 +162,11 @@ def test_the_trace_shows_what_is_inside(connect: Connect, papers: Papers, servin
 # --- ends ------------------------------------------------------------------------------------
 
 
-def test_a_goodbye_while_a_request_waits(
-    connect: Connect, papers: Papers, serving: Serving
-) -> None:
-    """TLS has ended, though TCP has not."""
-    done = threading.Event()
-
-    def script(peer: Peer) -> None:
-        peer.request()
-        peer.sock.sendall(peer.end())
-        done.wait(300)
-
-    with serving(script) as server:
-        with (
-            connect(server.url, security=papers.client(), timeout=600) as plc,
-            pytest.raises(ModbusConnectionError, match="closed by the other side"),
-        ):
-            plc.read_holding_registers(0, 1)
-        done.set()
-
-
-def test_an_answer_and_a_goodbye_in_one_go(
-    connect: Connect, papers: Papers, serving: Serving
-) -> None:
-    """The answer counts, and who waits for another one hears at once that there is none."""
+def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:
+    """
+    The answer counts, and who waits for another one hears at once that there is none: TLS has
+    ended, though TCP has not.
+    """
     done = threading.Event()
 
     def script(peer: Peer) -> None:
@@ -206,14 +174,12 @@ def test_an_answer_and_a_goodbye_in_one_go(
         peer.sock.sendall(peer.sealed(echo(asked[0])) + peer.end())
         done.wait(300)
 
-    with serving(script) as server:
-        options = {"timeout": 600, "max_in_flight": 16}
-        with connect(server.url, security=papers.client(), **options) as plc:
-            found = plc.execute_many(reads(4), max_in_flight=8, return_exceptions=True)
-            assert found[0] == [0]
-            assert [type(each) for each in found[1:]] == [ModbusConnectionError] * 3
-            assert "closed by the other side" in str(found[1])
+    with talking(script, client={"timeout": 600, "max_in_flight": 16}) as (_, plc):
+        found = plc.execute_many(reads(4), max_in_flight=8, return_exceptions=True)
         done.set()
+        assert found[0] == [0]
+        assert [type(each) for each in found[1:]] == [ModbusConnectionError] * 3
+        assert "closed by the other side" in str(found[1])
 
 
 def test_an_answer_and_an_alert_in_one_go(

@@ -313,25 +313,21 @@ def test_what_answers_there_is_told(
     assert url.removeprefix("tls://") in str(caught.value)
 
 
-def test_a_server_of_tls_1_1(connect: Connect, papers: Papers) -> None:
-    context = context_of(papers, certificates.server())
-    context.set_ciphers("ALL:@SECLEVEL=0")
+@pytest.mark.parametrize(
+    ("version", "ciphers", "text"),
+    [
+        (ssl.TLSVersion.TLSv1_1, "ALL:@SECLEVEL=0", r"it speaks no TLS 1\.2 or newer"),
+        # CBC with SHA-1, as TLS 1.2 asks for (RFC 5246, 9) and R-51 forbids.
+        (ssl.TLSVersion.TLSv1_2, "AES128-SHA", "no cipher in common"),
+    ],
+)
+def test_a_server_with_too_old_a_version_or_cipher(
+    connect: Connect, papers: Papers, version: ssl.TLSVersion, ciphers: str, text: str
+) -> None:
+    context = context_of(papers, certificates.server(key=certificates.rsa_key()))
+    context.set_ciphers(ciphers)
     with warnings.catch_warnings(action="ignore"):
-        context.minimum_version = context.maximum_version = ssl.TLSVersion.TLSv1_1
-    with (
-        TlsServer(context) as server,
-        pytest.raises(ModbusConnectionError, match=r"it speaks no TLS 1\.2 or newer"),
-    ):
-        connect(server.url, security=papers.client(), timeout=LONG).connect()
-
-
-def test_a_server_without_a_good_cipher(connect: Connect, papers: Papers) -> None:
-    """CBC with SHA-1, as TLS 1.2 asks for (RFC 5246, 9) and R-51 forbids."""
-    context = context_of(papers, certificates.server(key=certificates.rsa_key()), "1.2")
-    context.set_ciphers("AES128-SHA")
-    with (
-        TlsServer(context) as server,
-        pytest.raises(ModbusConnectionError, match="no cipher in common"),
-    ):
+        context.minimum_version = context.maximum_version = version
+    with TlsServer(context) as server, pytest.raises(ModbusConnectionError, match=text):
         connect(server.url, security=papers.client(), timeout=LONG).connect()
     assert server.errors
