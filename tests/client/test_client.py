@@ -17,12 +17,8 @@ from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from libmodbus_py import Context, Device, IllegalDataAddress, Mapping, Server, pdu
 from libmodbus_py.client.asynchronous import AsyncClient
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.interop.test_interop_pymodbus import (
-    FRAMERS,
-    SERIAL_SETTINGS,
-    in_background,
-    simulated_device,
-)
+from tests.interop.test_interop_pymodbus import FRAMERS, SERIAL_SETTINGS
+from tests.interop.test_interop_pymodbus_server import in_background, simulated_device
 from tests.simulation.events import Events
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted

@@ -21,7 +21,7 @@ from pymodbus.pdu import ModbusPDU
 from pymodbus.server import ModbusTcpServer
 
 from libmodbus_py import AsyncClient, Context, Gateway, Route, pdu
-from tests.interop.test_interop_pymodbus import in_background, simulated_device
+from tests.interop.test_interop_pymodbus_server import in_background, simulated_device
 from tests.support.clients import NATIVE
 from tests.support.interop import HOLDING_REGISTERS, UNIT, holding_register
 from tests.support.peers import FakeServer, mbap

@@ -16,7 +16,7 @@ from pymodbus import FramerType
 from pymodbus.server import ModbusTlsServer
 
 from libmodbus_py import ModbusConnectionError
-from tests.interop.test_interop_pymodbus import in_background, simulated_device
+from tests.interop.test_interop_pymodbus_server import in_background, simulated_device
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.clients import KINDS, Connect, connecting

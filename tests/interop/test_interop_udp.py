@@ -14,7 +14,7 @@ from pymodbus.client import ModbusUdpClient
 from pymodbus.server import ModbusUdpServer
 
 from libmodbus_py import AsyncClient, Context, IllegalDataAddress, Server, pdu
-from tests.interop.test_interop_pymodbus import in_background, simulated_device
+from tests.interop.test_interop_pymodbus_server import in_background, simulated_device
 from tests.support.interop import (
     UNIT,
     coil,

@@ -23,10 +23,9 @@ from tests.interop.test_interop_pymodbus import (
     Asked,
     asked,
     asked_beside_the_tables,
-    in_background,
     pymodbus_client,
-    simulated_device,
 )
+from tests.interop.test_interop_pymodbus_server import in_background, simulated_device
 from tests.support.cases import each
 from tests.support.gateways import passage
 from tests.support.interop import (

@@ -16,7 +16,7 @@ import pytest
 
 from libmodbus_py import Context, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.scan import Found, Scan, scan, search
-from tests.interop.test_interop_pymodbus import pymodbus_serving
+from tests.interop.test_interop_pymodbus_server import pymodbus_serving
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.golden import Golden, refusals
