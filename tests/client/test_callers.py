@@ -342,12 +342,6 @@ def settle(made: Batch, *outcomes: tuple[int, Any]) -> None:
         made.calls[index].settle(outcome)
 
 
-# --- calls ----------------------------------------------------------------------------------
-
-
-# --- batches --------------------------------------------------------------------------------
-
-
 @each_case("order", list(itertools.permutations(range(3))))
 def test_all_results_decide_it_in_any_order(order: tuple[int, ...]) -> None:
     made = batch(3)

@@ -320,9 +320,6 @@ def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on(world: Wo
         assert peer.connections == 3
 
 
-# --- busy ----------------------------------------------------------------------------------
-
-
 # --- threads, signals, closing ---------------------------------------------------------------
 
 

@@ -126,8 +126,7 @@ def test_retries_are_sent_and_counted(world: World) -> None:
         assert len(peer.requests) == 5
 
 
-@pytest.mark.parametrize("kind", ["native"])
-def test_a_busy_device_of_ours_is_asked_again(kind: str) -> None:
+def test_a_busy_device_of_ours_is_asked_again() -> None:
     busy = iter([ServerDeviceBusy, ServerDeviceBusy])
 
     def refuse(access: object) -> None:
@@ -137,7 +136,7 @@ def test_a_busy_device_of_ours_is_asked_again(kind: str) -> None:
     device = Device(Mapping(coils=8), before_read=refuse)
     with (
         Server(device).background("tcp://127.0.0.1:0") as running,
-        asking(kind, running.urls[0], busy_retries=2) as plc,
+        asking("native", running.urls[0], busy_retries=2) as plc,
     ):
         assert plc.read_coils(0, 1) == [False]
 
@@ -156,9 +155,6 @@ def test_broadcast_waits_for_no_answer_and_reads_are_refused(world: World) -> No
         with pytest.raises(ValueError, match="broadcast"):
             everyone.read_coils(0, 1)
     assert unit.requests[0][:6] == bytes.fromhex("000600010002")
-
-
-# --- silence on lines -----------------------------------------------------------------------------
 
 
 # --- checks of both clients -------------------------------------------------------------------

@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import gc
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -277,56 +278,44 @@ def url() -> Iterator[str]:
         yield running.urls[0]
 
 
-def test_another_thread_ends_the_wait(url: str) -> None:
+def test_other_requests_go_on_until_another_thread_ends_the_wait(url: str) -> None:
+    found: list[Any] = []
     with Client(url) as plc:
         watching = plc.watch(METER, every=86_400)
         assert next(watching) == {"a": 0, "b": 0}
-        closing = threading.Thread(target=plc.close)
-        found: list[Any] = []
         waiting = threading.Thread(target=lambda: found.extend(watching))
-        waiting.start()
-        closing.start()
-        waiting.join()
-        closing.join()
-        assert found == []
-
-
-def test_other_requests_go_on_meanwhile(url: str) -> None:
-    with Client(url) as plc:
-        watching = plc.watch(METER, every=86_400)
-        next(watching)
-        waiting = threading.Thread(target=lambda: list(watching))
         waiting.start()
         plc.write_register(0, 5)
         assert plc.read_holding_registers(0, 1) == [5]
         plc.close()
         waiting.join()
+    assert found == []
+
+
+@contextlib.contextmanager
+def waiting_until_a_signal(url: str, handle: Callable[[Client], object]) -> Iterator[Any]:
+    """Yield a client and its watch, which waits for a day when the signal comes."""
+    with Client(url) as plc:
+        watching = plc.watch(METER, every=86_400)
+        next(watching)
+        before = signal.signal(signal.SIGALRM, lambda *_: handle(plc))
+        try:
+            signal.setitimer(signal.ITIMER_REAL, 0.05)
+            yield plc, watching
+        finally:
+            signal.signal(signal.SIGALRM, before)
+
+
+def interrupt(_: Client) -> None:
+    raise KeyboardInterrupt
 
 
 def test_a_signal_handler_may_close_and_ctrl_c_leaves(url: str) -> None:
-    with Client(url) as plc:
-        watching = plc.watch(METER, every=86_400)
-        next(watching)
-        before = signal.signal(signal.SIGALRM, lambda *_: plc.close())
-        try:
-            signal.setitimer(signal.ITIMER_REAL, 0.05)
-            assert list(watching) == []
-        finally:
-            signal.signal(signal.SIGALRM, before)
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with Client(url) as plc:
-        watching = plc.watch(METER, every=86_400)
-        next(watching)
-        before = signal.signal(signal.SIGALRM, interrupt)
-        try:
-            signal.setitimer(signal.ITIMER_REAL, 0.05)
-            with pytest.raises(KeyboardInterrupt):
-                next(watching)
-        finally:
-            signal.signal(signal.SIGALRM, before)
+    with waiting_until_a_signal(url, Client.close) as (_, watching):
+        assert list(watching) == []
+    with waiting_until_a_signal(url, interrupt) as (plc, watching):
+        with pytest.raises(KeyboardInterrupt):
+            next(watching)
         assert plc.read_holding_registers(0, 1) == [0]
 
 
