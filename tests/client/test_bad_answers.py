@@ -277,9 +277,6 @@ def test_a_late_answer_on_a_line_through_c(world: World) -> None:
         assert context.read_holding_registers(77, 1) == [77]
 
 
-# --- which answer is whose --------------------------------------------------------------------
-
-
 # --- on lines ------------------------------------------------------------------------------------
 
 

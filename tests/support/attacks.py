@@ -3,23 +3,17 @@ Attacks on a server, and what an innocent client sees of them.
 
 The server is a process of its own. The attackers are another, at the lowest priority, for
 they stand for other machines: what is measured is the server, not who else gets this
-one's processors. The innocent is the process that imports this.
-
-``python attacks.py NAME PORT`` says "ready", attacks from the first line of its input
-to the end of it, and prints what it did as JSON.
+one's processors (`attackers.py`). The innocent is the process that imports this.
 """
 
 from __future__ import annotations
 
 import contextlib
-import heapq
-import itertools
 import json
 import os
 import random
 import resource
 import select
-import selectors
 import signal
 import socket
 import ssl
@@ -31,7 +25,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, NamedTuple, Self
+from typing import NamedTuple, Self
 
 from tests.support import certificates
 from tests.support.certificates import Papers
@@ -425,7 +419,7 @@ class AttackerProcess:
 
     def __init__(self, attack: Attack, port: int) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.attacks", attack.name, str(port)],
+            [sys.executable, "-m", "tests.support.attackers", attack.name, str(port)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -462,165 +456,3 @@ class AttackerProcess:
     def _read_line(self) -> str:
         assert self._process.stdout is not None
         return self._process.stdout.readline()
-
-
-# --- the process that attacks ------------------------------------------------------------
-
-
-class Attackers:
-    """All connections of an attack, in one thread."""
-
-    def __init__(self, attack: Attack, port: int) -> None:
-        self.attack = attack
-        self.port = port
-        self.connected = self.sent = self.received = 0
-        self.selector = selectors.DefaultSelector()
-        self._open: set[Attacker] = set()
-        self._order = itertools.count()
-        self._pauses: list[tuple[float, int, Attacker]] = []
-
-    def run(self, until: IO[str]) -> Done:
-        """Attack until there is something to read."""
-        self.selector.register(until, selectors.EVENT_READ)
-        for number in range(self.attack.connections):
-            self.add(number)
-        is_told = False
-        while self._turn():
-            if not is_told and self._all_attack():
-                is_told = True
-                print("all", flush=True)
-        for attacker in self._open:
-            attacker.close()
-        return Done(self.connected, self.sent, self.received)
-
-    def _all_attack(self) -> bool:
-        return self.connected >= self.attack.connections and (
-            self.sent > 0 or not self.attack.sends
-        )
-
-    def add(self, number: int) -> None:
-        self._open.add(Attacker(self, number))
-
-    def remove(self, attacker: Attacker) -> None:
-        self._open.discard(attacker)
-
-    def pause(self, attacker: Attacker, seconds: float) -> None:
-        heapq.heappush(self._pauses, (time.monotonic() + seconds, next(self._order), attacker))
-
-    def _turn(self) -> bool:
-        wait = max(0.0, self._pauses[0][0] - time.monotonic()) if self._pauses else None
-        for key, events in self.selector.select(wait):
-            if key.data is None:
-                return False
-            key.data.act(events)
-        while self._pauses and self._pauses[0][0] <= time.monotonic():
-            attacker = heapq.heappop(self._pauses)[2]
-            if attacker in self._open:
-                attacker.go_on()
-        return True
-
-
-class Attacker:
-    """One connection. When it ends, another one of its number begins."""
-
-    # Linux keeps for connect() what port there will be: another peer, the same port.
-    IP_BIND_ADDRESS_NO_PORT = 24
-
-    def __init__(self, attackers: Attackers, number: int) -> None:
-        self._all = attackers
-        self._number = number
-        self._reads = attackers.attack.reads
-        self._script = attackers.attack.script()
-        self._step = Step()
-        self._unsent = self._awaited = 0
-        self._is_connected = False
-        self._socket = socket.socket()
-        self._socket.setblocking(False)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # An address for each, so that none runs out of ports.
-        self._socket.setsockopt(socket.IPPROTO_IP, self.IP_BIND_ADDRESS_NO_PORT, 1)
-        self._socket.bind((f"127.1.{number // 250}.{1 + number % 250}", 0))
-        self._socket.connect_ex(("127.0.0.1", attackers.port))
-        attackers.selector.register(self._socket, selectors.EVENT_WRITE, self)
-
-    def close(self) -> None:
-        self._all.selector.unregister(self._socket)
-        self._socket.close()
-
-    def act(self, events: int) -> None:
-        try:
-            if events & selectors.EVENT_READ:
-                self._read()
-            if events & selectors.EVENT_WRITE:
-                self._write()
-        except BlockingIOError:
-            pass
-        except OSError:
-            self._begin_again()
-
-    def go_on(self) -> None:
-        """Take the next step."""
-        step = next(self._script, None)
-        if step is None:
-            self._begin_again()
-            return
-        self._step, self._unsent, self._awaited = step, len(step.send), step.answer
-        if self._unsent:
-            self._watch(selectors.EVENT_WRITE | selectors.EVENT_READ * self._reads)
-        else:
-            self._end_sending()
-
-    def _begin_again(self) -> None:
-        self.close()
-        self._all.remove(self)
-        self._all.add(self._number)
-
-    def _read(self) -> None:
-        data = self._socket.recv(65536)
-        if not data:
-            raise ConnectionResetError
-        self._all.received += len(data)
-        if self._awaited:
-            self._awaited = max(0, self._awaited - len(data))
-            if not self._awaited:
-                self.go_on()
-
-    def _write(self) -> None:
-        if not self._is_connected:
-            self._begin()
-            return
-        sent = self._socket.send(self._step.send[-self._unsent :])
-        self._all.sent += sent
-        self._unsent -= sent
-        if not self._unsent:
-            self._end_sending()
-
-    def _begin(self) -> None:
-        if error := self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-            raise OSError(error, os.strerror(error))
-        self._is_connected = True
-        self._all.connected += 1
-        self.go_on()
-
-    def _end_sending(self) -> None:
-        self._watch(selectors.EVENT_READ)
-        if self._step.pause:
-            self._all.pause(self, self._step.pause)
-        elif not self._awaited:
-            self.go_on()
-
-    def _watch(self, events: int) -> None:
-        self._all.selector.modify(self._socket, events, self)
-
-
-def main(name: str, port: str) -> None:
-    os.nice(19)
-    attack = next(attack for attack in ATTACKS if attack.name == name)
-    with descriptor_limit():
-        print("ready", flush=True)
-        sys.stdin.readline()
-        print(json.dumps(Attackers(attack, int(port)).run(until=sys.stdin)))
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

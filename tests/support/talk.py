@@ -7,7 +7,6 @@ The check bytes of answers are computed here, from the specification, and not by
 from __future__ import annotations
 
 import contextlib
-import math
 import tracemalloc
 from collections.abc import Iterator
 from typing import Any
@@ -213,8 +212,3 @@ def little_kept() -> Iterator[None]:
 def kinds(batch: Batch) -> list[Any]:
     """Results, and of failures their types."""
     return [type(each) if isinstance(each, Exception) else each for each in batch.outcomes]
-
-
-def is_quiet(talk: Talk) -> bool:
-    """Return True if the clock need not ring any more."""
-    return talk.connection.alarm == math.inf
