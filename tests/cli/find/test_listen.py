@@ -213,6 +213,7 @@ def test_who_reads_us_has_gone() -> None:
         (["tcp://127.0.0.1:1502"], 2, "the scheme must be rtu, ascii"),
         (["rtu+tcp://127.0.0.1:0"], 2, "between is missing"),
         (["rtu:///dev/null", "--between", "rtu+tcp://127.0.0.1:1"], 2, "only read"),
+        (["rtu+tcp://h:0", "--between", "ttyUSB0"], 2, "rtu:///dev/ttyUSB0: the scheme must be"),
         (["x.txt"], 2, "the scheme must be rtu, ascii"),
         ([str(DECODED), "--capture", "/dev/full"], 1, "/dev/full: No space left on device"),
     ],
