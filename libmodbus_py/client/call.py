@@ -82,7 +82,8 @@ class Call:
     `changes` is True if it may change the device; `is_silent`, if it gets no answer.
 
     Raises:
-        TypeError, ValueError: the request cannot be sent; the message contains its name.
+        TypeError, ValueError: the request cannot be sent; the message contains its name, which has
+            braces for the index.
     """
 
     # Of the class, because most calls never set them: making a call takes half the time.
@@ -116,6 +117,7 @@ class Call:
         timeouts: Timeouts,
         is_broadcast: bool = False,
         name: str = "request",
+        index: int = 0,
     ) -> None:
         self.unit: int = unit
         self.request: Request[Any] | None = request
@@ -126,17 +128,19 @@ class Call:
             return
         if not isinstance(request, Request):
             given = type(request).__name__
-            raise TypeError(f"{name} must be a request object of pdu, not {given}")
+            raise TypeError(f"{name.format(index)} must be a request object of pdu, not {given}")
         if is_broadcast and not request.may_be_broadcast:
             raise ValueError(
-                f"{name}: unit 0 is a broadcast, which no unit answers, "
+                f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
                 f"and {request} is not a write"
             )
         self.pdu = pdu = request.encode()
         if not isinstance(pdu, bytes):
-            raise TypeError(f"{name} must encode to bytes, not {type(pdu).__name__}")
+            given = type(pdu).__name__
+            raise TypeError(f"{name.format(index)} must encode to bytes, not {given}")
         if not 1 <= len(pdu) <= MAX_PDU:
-            raise ValueError(f"{name} must encode to 1..{MAX_PDU} bytes, not {len(pdu)}")
+            size = f"1..{MAX_PDU} bytes, not {len(pdu)}"
+            raise ValueError(f"{name.format(index)} must encode to {size}")
         self.changes = request.changes
         if is_broadcast or not request.expects_response:
             self.is_silent = True
@@ -192,7 +196,7 @@ class Batch:
         go_on: bool = False,
     ) -> None:
         self.calls: list[Call] = [
-            Call(unit, request, timeouts, is_broadcast, name.format(index))
+            Call(unit, request, timeouts, is_broadcast, name, index)
             for index, request in enumerate(requests)
         ]
         for call in self.calls:
