@@ -264,6 +264,9 @@ def _blocking(world: World) -> None:
             world.ask_blocking(context, world.call(world.random.choice(numbers), limit))
         world.calm()
         sleep(SETTLING)
+        # What came meanwhile is read with the next request, and the silence counts from then on.
+        world.ask_blocking(context, world.call(numbers[0], limit))
+        sleep(SETTLING)
         failed = witness.failed
         for number in numbers:
             world.ask_blocking(context, world.call(number, limit))
