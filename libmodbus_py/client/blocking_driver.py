@@ -55,7 +55,7 @@ class Carrier:
 
         The wait also ends when the descriptor `waker` is readable.
         """
-        wait = min(timeout, LONGEST) if timeout > 0 else 0.0  # poll() takes less for no end
+        wait = min(timeout, LONGEST) if timeout > 0 else 0.0  # poll() would wait for ever
         descriptor = self._port.descriptor
         got: int = lib.exchange(self._exchange, descriptor, waker, adu, len(adu), wait)
         if got >= 0:

@@ -232,11 +232,11 @@ class Transactions:
         if call.changes:
             self._queue.note_write(call)
         elif self.in_flight and self.window.is_open:
-            self.window.sent(call, self.in_flight, self.matching)
+            self.window.sent(call, self.in_flight, matching)
         self.in_flight += 1
         if call.is_silent:
             self._silent.append((now + self._settings.turnaround, call))
-            self.matching.wake(now + self._settings.turnaround)
+            matching.wake(now + self._settings.turnaround)
         if call.batch is not None and (follower := call.batch.next()) is not None:
             self._queue.waiting.append(follower)
         if matching.is_traced:
@@ -268,7 +268,10 @@ class Transactions:
         self.life.opened()
 
     def begin_connecting(self, now: float) -> float | None:
-        """Begin an attempt to connect, and return its end; None, and the alarm is set, if not."""
+        """
+        Begin an attempt to connect, and return until when requests wait for it; None if none is
+        due, and the alarm is set for a later one.
+        """
         if self.life.state is not State.DISCONNECTED or not self.is_wanted:
             return None
         if self.life.next_attempt > now:
@@ -278,10 +281,6 @@ class Transactions:
             self.refuse(forbidden)
             return None
         self.life.connecting()
-        return self.connect_until()
-
-    def connect_until(self) -> float:
-        """Return until when a request waits for a connection."""
         return max((call.deadline for call in self._queue.calls), default=0.0)
 
     def failed(self, error: ModbusConnectionError, now: float, until: float = math.inf) -> None:

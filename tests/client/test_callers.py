@@ -245,10 +245,10 @@ INTERRUPTED = ModbusConnectionError("interrupted", errno=errno.EINTR)
 
 def test_an_attempt_may_take_as_long_as_the_caller_with_most_time_waits() -> None:
     talk = Talk(is_open=False)
-    assert talk.connection.connect_until() == 0.0
+    assert talk.connection.begin_connecting(talk.now) is None
     for timeout in (1, 3, 2):
         talk.ask(1, timeout=timeout)
-    assert talk.connection.connect_until() == 3
+    assert talk.connection.begin_connecting(talk.now) == 3
 
 
 @each_case(("until", "is_done"), [(1.0, False), (2.9, False), (3.0, True), (math.inf, True)])
