@@ -69,35 +69,6 @@ def test_options(tmp_path: Path) -> None:
     assert timedelta(days=6) < left < timedelta(days=7)
 
 
-@each_case(
-    ("options", "said"),
-    [
-        (["--days", "0"], "days must be in 1..36500"),
-        (["--days", "99999999999999999999"], "days must be in 1..36500"),
-        (["--role", ""], "no file name"),
-        (["--role", "CA"], "no file name"),
-        (["--role", "a b", "--role", "a-b"], "no file name"),
-        (["--role", "a\nb"], "control characters"),
-        (["--role", "a" * 256], "1..255 bytes"),
-        (["--host", "plc\u00e4"], "host"),
-        (["--host", ""], "host"),
-        (["../n1"], "MACHINE '../n1' is neither an address nor a name"),
-        ([".."], "neither an address nor a name"),
-        (["n1", "--role", "Operator"], "--host and --role are for trials"),
-        (["n1", "--days", "0"], "days must be in 1..36500"),
-        (["n\u00e4"], "neither an address nor an ASCII name"),
-    ],
-)
-def test_wrong_options_say_so_before_anything_is_written(
-    tmp_path: Path, options: list[str], said: str
-) -> None:
-    done = made(tmp_path / "new", *options)
-    assert done.code == 2
-    assert done.err.count("\n") == 1
-    assert said in done.err
-    assert not (tmp_path / "new").exists()
-
-
 def test_without_cryptography_it_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from libmodbus_py.protocol.extras import how_to_add
 from tests.support.cases import each_case
-from tests.support.commands import PROGRAM, run
+from tests.support.commands import PROGRAM
 
 argcomplete = pytest.importorskip("argcomplete")
 
@@ -85,10 +85,6 @@ def test_without_argcomplete_it_says_what_to_install() -> None:
     assert done.stderr == (
         f"libmodbus-py: completion needs argcomplete: {how_to_add('completion')}\n"
     )
-
-
-def test_shells_nobody_knows_are_refused() -> None:
-    assert run("completion", "tcsh").code == 2
 
 
 @each_case(

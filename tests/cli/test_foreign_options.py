@@ -86,26 +86,3 @@ def test_a_command_that_is_left_out_reads() -> None:
         place = running.urls[0].removeprefix("tcp://")
         assert run(place, "hr", "10", "2") == (0, "   10  7\n   11  8\n", "")
         assert run("-u", "3", running.urls[0], "40011") == (0, "40011  7\n", "")
-
-
-@each_case(
-    ("words", "said"),
-    [
-        ("ttyUSB99 hr 0", "/dev/ttyUSB99"),
-        ("read ttyUSB99?baudrate=9600 hr 0", "/dev/ttyUSB99"),
-        ("identify ttyACM99", "/dev/ttyACM99"),
-        ("serve ttyS99", "/dev/ttyS99"),
-        ("gateway ttyUSB99 --to 127.0.0.1:1", "/dev/ttyUSB99"),
-        ("listen ttyUSB99", "/dev/ttyUSB99"),
-        ("reed 127.0.0.1", "there is no command 'reed'; did you mean read?"),
-        ("plc1 hr 0", "there is no command 'plc1'; a device of this name is read by"),
-        ("--nonsense", "COMMAND"),
-    ],
-)
-def test_the_name_of_a_serial_port_is_its_path_and_a_wrong_command_is_none(
-    words: str, said: str
-) -> None:
-    done = run(*words.split())
-    assert done.code in (1, 2)
-    assert said in done.err
-    assert done.err.count("\n") == 1

@@ -74,27 +74,3 @@ def test_listen_prints_the_units_that_were_typed() -> None:
         json.loads(line) for line in run("listen", DECODED, "-u", unit, "--json").out.splitlines()
     ]
     assert some[:-1] == [each for each in everything[:-1] if each["unit"] == unit]
-
-
-@each_case(
-    ("words", "said"),
-    [
-        ("map chek x", "there is no command 'chek'; did you mean check?"),
-        ("read h hr 0 --ordr CDAB", "; did you mean --order?"),
-        ("read h hr 0 --time 3", "unrecognized arguments: --time"),  # no beginnings of options
-        ("map from-device h --time 1", "unrecognized arguments: --time"),
-        ("map check x --devce h", "unrecognized arguments: --devce h; did you mean --device?"),
-        ("read h holdng 0", "did you mean holding?"),
-        ("read h hr 0 --type flaot32", "did you mean float32"),
-        ("serve h --unknown-unit refus", "not 'refus'; did you mean refuse?"),
-        ("serve h --device x -u 3", "--units cannot be given with x"),
-        ("gateway --config x -u 3", "x: No such file"),
-        ("gateway h --to 1-x=192.0.2.1", "'1-x' must be a unit"),
-        ("scan h -p even,mark", "'mark' must be none, even or odd"),
-    ],
-)
-def test_only_the_word_that_is_wrong_is_blamed(words: str, said: str) -> None:
-    done = run(*words.split())
-    assert done.code in (1, 2)
-    assert said in done.err
-    assert done.err.count("\n") == 1

@@ -15,7 +15,6 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from tests.support import certificates
-from tests.support.cases import each_case
 from tests.support.certificates import Papers
 from tests.support.commands import run
 from tests.support.peers import dead
@@ -110,23 +109,6 @@ def test_nobody_is_asked_for_a_password(papers: Papers) -> None:
         os.read(master, 100)
     os.close(slave)
     os.close(master)
-
-
-@each_case(
-    ("arguments", "text"),
-    [
-        (["tls://h", "holding", "0"], "tls://h:802 needs security"),
-        (["tls://h", "holding", "0", "--ca", "x"], "tls://h:802 lacks cert, the file"),
-        (["tls://h", "holding", "0", "--cert", "x"], "tls://h:802 needs either ca"),
-        (["tls://h?cert=x", "holding", "0"], "tls://h:802 needs either ca, the authorities, or"),
-        (["tls://h?password=sesame", "holding", "0"], "'password' must be one of cert, key, ca"),
-        (["tls://me:sesame@h", "holding", "0"], "neither user nor fragment"),
-    ],
-)
-def test_wrong_usage_is_told_in_one_line(arguments: list[str], text: str) -> None:
-    said = fails(2, "read", *arguments)
-    assert text in said
-    assert "sesame" not in said
 
 
 def test_an_option_overrides_the_url(own: list[str], url: str, papers: Papers) -> None:

@@ -13,7 +13,6 @@ import pytest
 
 from libmodbus_py import Device, Server, load_map
 from libmodbus_py.device.hooks import Hook
-from tests.support.cases import each_case
 from tests.support.commands import run
 
 MAP = """\
@@ -66,21 +65,6 @@ def test_a_group_is_read(meter: Meter, url: str, path: Path) -> None:
     assert set(json.loads(more.out)["values"]) == {"v", "energy", "serial"}
     with_name = run("read", url, "v", "--map", path, "--group", "slow", "--json")
     assert list(json.loads(with_name.out)["values"]) == ["energy", "serial", "v"]
-
-
-@each_case(
-    ("arguments", "message"),
-    [
-        (["--map", "MAP", "--group", "x"], "the map has no points of a group 'x'; its groups are"),
-        (["--group", "x"], "--group needs --map FILE"),
-        (["hr", "0", "--group", "x"], "--group needs --map FILE"),
-    ],
-)
-def test_a_wrong_group_is_named(path: Path, arguments: list[str], message: str) -> None:
-    words = [str(path) if each == "MAP" else each for each in arguments]
-    done = run("read", "tcp://127.0.0.1:1", *words)
-    assert done.code == 2
-    assert message in done.err
 
 
 def test_points_are_watched_at_their_intervals(meter: Meter, url: str, path: Path) -> None:

@@ -103,25 +103,6 @@ def test_a_skeleton_of_very_much_has_ranges(tmp_path: Path) -> None:
     ]
 
 
-# What is typed, and what is said before anything is asked.
-WRONG = [
-    (["found.xlsx"], "found.xlsx: it must end with .toml or .csv"),
-    (["{}/there.csv"], "/there.csv exists, and would be overwritten"),
-    (["{}/no/found.csv"], "/no/found.csv: the folder does not exist"),
-    (["{}/found.csv", "--unit", "300"], "unit must be in 0..255, not 300"),
-]
-
-
-@each_case(("output", "message"), WRONG)
-def test_wrong_usage_is_one_line(tmp_path: Path, output: list[str], message: str) -> None:
-    (tmp_path / "there.csv").write_text("mine")
-    arguments = [each.format(tmp_path) for each in output]
-    done = mapped("from-device", "tcp://127.0.0.1:1", "-o", *arguments, code=2)
-    (line,) = done.err.splitlines()
-    assert message in line
-    assert (tmp_path / "there.csv").read_text() == "mine"
-
-
 def test_nobody_there(url: str, tmp_path: Path) -> None:
     file = tmp_path / "found.csv"
     done = mapped("from-device", url, "--unit", "9", "-o", file, code=1)
@@ -190,22 +171,6 @@ def test_columns_are_named_on_the_command_line(url: str, tmp_path: Path) -> None
     assert "no column name" in mapped("check", file, code=2).err
 
 
-@each_case(
-    ("words", "said"),
-    [
-        (["read", "127.0.0.1", "hr", "0", "--column", "name=x"], "--column needs --map"),
-        (["serve", "127.0.0.1", "--column", "name=x"], "--column needs --map"),
-        (["map", "check", "meter", "--column", "name"], "must be KEY=HEADING"),
-        (["map", "check", "meter", "--column", "name=x"], "no column x, which is named for name"),
-        (["map", "check", "meter", "--column", "nam=x"], "columns must name some of name"),
-    ],
-)
-def test_what_is_wrong_with_columns(words: list[str], said: str) -> None:
-    done = run(*words)
-    assert done.code == 2
-    assert said in done.err
-
-
 # --- map class --------------------------------------------------------------------
 
 
@@ -228,22 +193,6 @@ def test_it_writes_and_prints_the_same(folder: Path) -> None:
         assert (done.code, done.out, done.err) == (0, "", f"{folder / 'plant.py'}: 2 points\n")
         assert (folder / "plant.py").read_text() == printed.out
     assert sorted(os.listdir(folder)) == ["meter.csv", "plant.py"]
-
-
-@each_case(
-    ("output", "message"),
-    [
-        ("mine.py", "mine.py exists, and would be overwritten"),
-        ("meter.txt", "meter.txt: it must end with .py"),
-        ("none/meter.py", "none/meter.py: the folder does not exist"),
-    ],
-)
-def test_other_files_are_not_overwritten(output: str, message: str, folder: Path) -> None:
-    (folder / "mine.py").write_text("x = 1\n")
-    done = run("map", "class", folder / "meter.csv", "-o", folder / output)
-    assert done.code == 2
-    assert message in done.err
-    assert (folder / "mine.py").read_text() == "x = 1\n"
 
 
 def test_the_names_of_files_stay_texts(folder: Path) -> None:
@@ -338,10 +287,3 @@ def test_a_device_that_is_silent_or_busy(points: Path) -> None:
         assert done.code == 1
         assert "server device busy" in done.err
         assert len(busy.transactions) == 1
-
-
-@each_case("typed", ["--unit 17", "--baudrate 9600", "--ca a.pem", "--native"])
-def test_options_of_requests_need_a_device(typed: str) -> None:
-    done = run("map", "check", "sdm120", *typed.split())
-    assert (done.code, done.out) == (2, "")
-    assert f"{typed.split()[0]} needs --device" in done.err

@@ -14,7 +14,7 @@ import pytest
 from libmodbus_py import Device, Mapping, Server
 from tests.support.cases import each_case
 from tests.support.commands import on_terminal, run
-from tests.support.peers import FakeServer, mbap, refusing, url_of
+from tests.support.peers import FakeServer, mbap
 
 
 @pytest.fixture
@@ -118,29 +118,6 @@ def test_words_behind_the_option_are_no_files(url: str, option: str) -> None:
     assert run("read", url, "hr", 0, option).out
 
 
-@each_case("words", [["--json=/nowhere/x"], ["--json", "/nowhere/x"]])
-def test_a_file_that_cannot_be_written(url: str, words: list[str]) -> None:
-    done = run("read", url, "hr", 0, *words)
-    assert (done.code, done.err) == (1, "libmodbus-py: /nowhere/x: No such file or directory\n")
-
-
-@each_case(
-    ("words", "said"),
-    [
-        ("--count 0", "argument --count: must be a number of polls, 1 or more"),
-        ("--for soon", "argument --for: 'soon' must be a number of seconds, or such as 500ms"),
-        ("--watch 10x", "argument --watch: '10x' must be a number of seconds"),
-        ("-u 9-1", "'9-1' must go up"),
-        ("-u 1,x", "'x' must be a unit, or a range such as 1-247"),
-        ("--timeout 1y", "argument --timeout: must be a number of seconds, or such as 500ms"),
-    ],
-)
-def test_the_word_that_is_wrong_is_named(words: str, said: str) -> None:
-    done = run("read", "127.0.0.1:1", "hr", 0, *words.split())
-    assert done.code == 2
-    assert said in done.err
-
-
 # --- identify and diagnose of several units ---------------------------------------
 
 
@@ -189,11 +166,3 @@ def test_a_sub_function_is_sent_to_each_unit(reporting: str) -> None:
     lines = run("diagnose", reporting, "0", "7", "-u", "1,3", "--json").out.splitlines()
     assert json.loads(lines[0]) == {"unit": 1, "return query data": 7}
     assert json.loads(lines[1])["unit"] == 3
-
-
-@each_case("command", ["identify", "diagnose"])
-def test_a_lost_connection_ends_the_command(command: str) -> None:
-    with refusing() as bound:
-        done = run(command, url_of(bound), "-u", "1-9")
-    assert (done.code, done.out) == (1, "")
-    assert done.err.count("\n") == 1

@@ -25,7 +25,6 @@ from libmodbus_py import (
 )
 from libmodbus_py.tools.listener.listener import Listener
 from libmodbus_py.tools.listener.transaction import Transaction
-from tests.support.cases import each_case
 from tests.support.commands import Done, Started, on_terminal, run
 from tests.support.golden import Golden
 
@@ -203,27 +202,6 @@ def test_who_reads_us_has_gone() -> None:
         os.close(write)
         assert made.communicate() == ("", "")
         assert made.returncode == 1
-
-
-@each_case(
-    ("arguments", "code", "what"),
-    [
-        (["nowhere.pcapng"], 1, "nowhere.pcapng: No such file or directory"),
-        (["rtu:///dev/nowhere"], 1, "cannot open /dev/nowhere: No such file or directory"),
-        (["tcp://127.0.0.1:1502"], 2, "the scheme must be rtu, ascii"),
-        (["rtu+tcp://127.0.0.1:0"], 2, "between is missing"),
-        (["rtu:///dev/null", "--between", "rtu+tcp://127.0.0.1:1"], 2, "only read"),
-        (["rtu+tcp://h:0", "--between", "ttyUSB0"], 2, "rtu:///dev/ttyUSB0: the scheme must be"),
-        (["x.txt"], 2, "the scheme must be rtu, ascii"),
-        ([str(DECODED), "--capture", "/dev/full"], 1, "/dev/full: No space left on device"),
-    ],
-)
-def test_errors_are_one_line(arguments: list[str], code: int, what: str) -> None:
-    done = listen(*arguments)
-    assert done.code == code
-    assert what in done.err
-    assert done.err.count("\n") == 1
-    assert done.out == ""
 
 
 def test_a_file_that_is_no_capture(tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server, device_file
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.support.cases import each_case
 from tests.support.commands import Started, on_terminal, run
 from tests.support.peers import FakeServer, mbap, refusing, until, url_of
 from tests.tools.scan.simulated_bus import Member, SimulatedBus, of, simulated
@@ -127,12 +126,6 @@ def test_a_stopped_scan_says_only_what_was_tried(monkeypatch: pytest.MonkeyPatch
     )
 
 
-def test_wrong_usage_leaves_no_file(tmp_path: Path) -> None:
-    with FakeServer(lambda request: []) as server:
-        done = run("scan", server.url, "-b", "9600", "--json", tmp_path / "found.json")
-    assert (done.code, [*tmp_path.iterdir()]) == (2, [])
-
-
 def test_no_connection_is_one_line_and_exit_code_1() -> None:
     with refusing() as bound:
         done = run("scan", url_of(bound))
@@ -146,33 +139,6 @@ def test_json_is_printed_though_nothing_could_be_tried() -> None:
         done = run("scan", url_of(bound), "--json")
     assert done.code == 1
     assert json.loads(done.out) == {"found": [], "tried": {}, "notes": [], "stopped": True}
-
-
-@each_case(
-    ("arguments", "message"),
-    [
-        (["--units", "0-300"], "'0-300' must go up, within 0..255"),
-        (["--units", "9-5"], "'9-5' must go up, within 0..255"),
-        (["--units", "1,,3"], "'' must be a unit, or a range such as 1-247"),
-        (["--units", "-3"], "'-3' must be a unit"),
-        (["--units", "x"], "'x' must be a unit"),
-        (["--units", "٣"], "must be a unit"),
-        (["--baudrates", "96OO"], "'96OO' must be a number"),
-        (["--baudrates", "9600,,"], "'' must be a number"),
-        (["--baudrates", "9600"], "baudrates are for serial ports"),
-        (["--parities", "E,X"], "'X' must be none, even or odd"),
-        (["--timeout", "0"], "timeout must be in 0.001..86400 seconds"),
-    ],
-)
-def test_what_is_typed_wrong_is_one_line_and_nothing_is_sent(
-    arguments: list[str], message: str
-) -> None:
-    with FakeServer(lambda request: []) as server:
-        done = run("scan", server.url, *(f"{arguments[0]}={each}" for each in arguments[1:]))
-        assert server.connections == 0
-    assert (done.code, done.out) == (2, "")
-    assert message in done.err
-    assert len(done.err.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

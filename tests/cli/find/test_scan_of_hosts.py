@@ -47,23 +47,6 @@ def test_what_is_no_range(text: str) -> None:
     assert host_range(text) is None
 
 
-@each_case(
-    ("text", "said"),
-    [
-        ("10.0.0.0/15", "'10.0.0.0/15' has 131072 hosts, and a scan tries 65536 at most"),
-        ("192.0.2.0/33", "'192.0.2.0/33': "),
-        ("192.0.2.0/30:99999", "the port must be in 1..65535"),
-        ("10.0.0.0/16", "65534 hosts are more than 1024: --yes tries them without a question"),
-    ],
-)
-def test_ranges_that_are_not_tried(monkeypatch: pytest.MonkeyPatch, text: str, said: str) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO())
-    done = run("scan", text)
-    assert (done.code, done.out) == (2, "")
-    assert said in done.err
-    assert done.err.count("\n") == 1
-
-
 def test_a_range_is_asked_for_at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     typed = io.StringIO("n\n")
     typed.isatty = lambda: True  # type: ignore[method-assign]

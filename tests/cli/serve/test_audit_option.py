@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Context, ServerDeviceFailure
-from tests.support.cases import each_case
-from tests.support.commands import Started, run
+from tests.support.commands import Started
 from tests.support.peers import until
 
 
@@ -85,17 +84,3 @@ def test_what_changed_in_a_file_that_is_read_again_is_recorded(
     (said,) = (each["result"] for each in found if each["event"] == "reload")
     assert said.startswith(f"{file}: read again, 1 ")
     assert "1 new" in said or "1 changed" in said
-
-
-@each_case(
-    ("options", "said"),
-    [
-        (["--audit-required"], "--audit-required needs --audit"),
-        (["--audit", "/"], "--audit: /: Is a directory"),
-        (["--audit", "/no/file"], "No such file or directory"),
-    ],
-)
-def test_wrong_options_are_told_in_a_line(options: list[str], said: str) -> None:
-    for command in (["serve"], ["gateway", "--to", "tcp://127.0.0.1:1"]):
-        done = run(*command, "tcp://127.0.0.1:0", *options)
-        assert (done.code, said in done.err, done.err.count("\n")) == (2, True, 1)

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from libmodbus_py import Context, Device, Mapping, Server
-from tests.support.cases import each_case
-from tests.support.commands import PAGE_TOKEN, Started, page_url, run
+from tests.support.commands import PAGE_TOKEN, Started, page_url
 from tests.tools.page.watching import Visitor
 
 
@@ -40,31 +39,6 @@ def test_sharing_a_device_takes_one_command(behind: str) -> None:
         for url in found:
             with Context.from_url(url, unit=1) as context:
                 assert context.read_holding_registers(0, 1) == [555]
-
-
-@each_case(
-    ("arguments", "said"),
-    [
-        (["tcp://127.0.0.1:0"], "either --to or --config must say"),
-        (
-            ["tcp://127.0.0.1:0", "--to", "1=tcp://b", "--to", "1=tcp://c"],
-            "an earlier route has unit 1 already",
-        ),
-        (["tcp://127.0.0.1:5020", "--to", "tcp://127.0.0.1:5020"], "the gateway itself listens"),
-        (
-            ["tcp://127.0.0.1:0", "--to", "rtu:///dev/nowhere"],
-            "there is no serial port /dev/nowhere",
-        ),
-        (["--to", "tcp://192.0.2.1"], "urls must name at least one endpoint"),
-        (["tcp://127.0.0.1:0", "--to", "tcp://b", "--queue", "0"], "queue must be in 1..1024"),
-        (["--config", "/nowhere/gateway.toml"], "cannot read /nowhere/gateway.toml"),
-    ],
-)
-def test_wrong_usage_is_told_in_a_line(arguments: list[str], said: str) -> None:
-    done = run("gateway", *arguments)
-    assert done.code == 2
-    assert said in done.err
-    assert done.err.count("\n") == 1
 
 
 # --- its page ---------------------------------------------------------------------

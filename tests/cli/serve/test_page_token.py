@@ -49,27 +49,6 @@ def test_a_new_token_is_printed_on_a_terminal() -> None:
             assert answer.status == 200
 
 
-OTHERS = [
-    SERVE,
-    ("gateway", "tcp://127.0.0.1:0", "--to", "tcp://127.0.0.1:1", "--page", "127.0.0.1:0"),
-    ("read", "tcp://127.0.0.1:1", "hr", "0", "--watch", "1", "--page", "127.0.0.1:0"),
-]
-
-
-@each_case("command", OTHERS)
-def test_a_new_token_is_printed_in_no_log(command: tuple[str, ...]) -> None:
-    done = run(*command)
-    assert done.code == 2
-    assert "a new one is printed on a terminal only" in done.err
-    assert "token=" not in done.out + done.err
-
-
-@each_case("command", OTHERS)
-def test_a_token_without_a_page_is_refused(command: tuple[str, ...]) -> None:
-    done = run(*command[:-2], "--page-token", "file")
-    assert (done.code, "--page-token needs --page" in done.err) == (2, True)
-
-
 @each_case(
     ("content", "mode", "said"),
     [

@@ -273,28 +273,6 @@ def test_a_status_line_on_a_terminal(fleet: Path, term: str, options: list[str])
     assert '"device"' not in seen  # values are for files and pipes
 
 
-@each_case(
-    ("arguments", "said"),
-    [
-        (["/nowhere/fleet.toml"], "cannot read /nowhere/fleet.toml: No such file or directory"),
-        (["FLEET", "--once", "--check"], "not allowed with argument --once"),
-        (["FLEET", "--json", "--csv"], "two outputs use the standard output"),
-        (["FLEET", "--csv", "--csv"], "two outputs use the standard output"),
-        (
-            ["FLEET", "--csv", "/tmp/a", "--json", "/tmp/../tmp/a"],
-            "two outputs use the file /tmp/a",
-        ),
-        (["FLEET", "--metrics", "x"], "must be HOST:PORT"),
-    ],
-)
-def test_wrong_usage_is_one_line(fleet: Path, arguments: list[str], said: str) -> None:
-    done = run("poll", *(fleet if each == "FLEET" else each for each in arguments))
-    assert done.code == 2
-    assert said in done.err
-    assert len(done.err.splitlines()) == 1
-    assert done.out == ""
-
-
 # --- a journal ------------------------------------------------------------------------------
 
 

@@ -39,21 +39,6 @@ def test_serial_ports_are_served_and_read(kind: str) -> None:
         assert run("read", client, "holding", "5").out == "    5  42\n"
 
 
-@each_case(
-    ("arguments", "said"),
-    [
-        (["tcp://127.0.0.1:0?unit=7"], "unit is for clients"),
-        (["tcp://127.0.0.1:0", "--device", "/no/x.toml"], "cannot read /no/x.toml: No such file"),
-        (["tcp://127.0.0.1:0", "--page", "x"], "--page: must be HOST:PORT, such as 127.0.0.1:8080"),
-        ([], "the following arguments are required: URL"),
-    ],
-)
-def test_wrong_usage_is_one_line(arguments: list[str], said: str) -> None:
-    done = run("serve", *arguments)
-    assert (done.code, done.out, done.err.count("\n")) == (2, "", 1)
-    assert said in done.err
-
-
 def test_serve_says_when_a_port_is_taken(url: str) -> None:
     done = run("serve", url)
     assert done.code == 1

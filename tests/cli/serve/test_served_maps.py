@@ -10,7 +10,6 @@ import pytest
 
 from libmodbus_py import Context, IllegalDataAddress, IllegalDataValue, load_map
 from tests.cli.serving import serving
-from tests.support.cases import each_case
 from tests.support.commands import run
 
 AT = ["tcp://127.0.0.1:0"]
@@ -56,25 +55,3 @@ def test_columns_of_the_map_are_named(path: Path) -> None:
     with serving(*AT, options=["--map", str(path), "--column", "name=Bezeichnung"]) as (url,):
         found = run("read", url, "--map", path, "--column", "name=Bezeichnung", "power")
         assert found.out == "power  0\n"
-
-
-@each_case(
-    ("arguments", "message"),
-    [
-        (["--map", "nosuch"], "'nosuch' is neither the path of a register map, which ends"),
-        (["--map", "WRONG"], "wrong.csv, line 2, column address: address must be in 0..65535"),
-        (["--map", "sdm120", "--reload"], "--reload needs --device or --example"),
-        (["--map", "sdm120", "--device", "x"], "--device: not allowed with argument --map"),
-        (["--map", "sdm120", "-u", "249"], "units must be in 0..247, or 255, not 249"),
-    ],
-)
-def test_a_mistake_is_told_before_anything_listens(
-    tmp_path_factory: pytest.TempPathFactory, arguments: list[str], message: str
-) -> None:
-    wrong = tmp_path_factory.mktemp("maps") / "wrong.csv"
-    wrong.write_text("name,table,address\na,holding,70000\n")
-    words = [str(wrong) if each == "WRONG" else each for each in arguments]
-    done = run("serve", "tcp://127.0.0.1:0", *words)
-    assert (done.code, done.out) == (2, "")
-    assert message in done.err
-    assert done.err.count("\n") == 1
