@@ -1,5 +1,5 @@
 """
-Servers of the command line, and a fleet file, for the tests of other commands.
+Servers of the command line, a device, a map and a fleet file, for the tests of commands.
 """
 
 from __future__ import annotations
@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from libmodbus_py import Device, Mapping
 from tests.support.commands import Started
 
 FLEET_OF_ONE = """
@@ -19,6 +20,28 @@ table = "holding_registers"
 address = 0
 """
 """A fleet file with one point of the device at a URL, which `format` sets."""
+
+METER = """\
+name,table,address,count,type,scale,unit,access,minimum,maximum
+voltage,input_registers,0,1,uint16,0.1,V,read,,
+phases,input_registers,10,3,int16,1,A,read,,
+label,holding_registers,20,1,string:4,,,read_write,,
+setpoint,holding_registers,30,1,int16,0.1,C,read_write,0,90
+pump,coils,3,1,,,,read_write,,
+"""
+"""A map of the device that `meter` returns."""
+
+
+def meter() -> Device:
+    """Return a device with some values in each table, a file and a queue."""
+    mapping = Mapping(coils=100, discrete_inputs=16, holding_registers=600, input_registers=20)
+    mapping.holding_registers[0:4] = [1, 2, 3, 0xFFFC]
+    mapping.holding_registers[500:503] = [500, 501, 502]
+    mapping.holding_registers[20:22] = [0x6162, 0x6364]
+    mapping.input_registers[0] = 2305
+    mapping.input_registers[10:13] = [1, 2, 0xFFFF]
+    mapping.coils[5] = True
+    return Device(mapping, files={4: [7, 8, 9] + [0] * 400}, fifos={40: [5, 6]})
 
 
 @contextmanager
