@@ -50,6 +50,30 @@ def test_a_command_that_fails_leaves_no_empty_file(words: str, tmp_path: Path) -
         assert [*tmp_path.iterdir()] == []
 
 
+@each_case("option", ["--csv", "--json"])
+def test_output_goes_to_a_new_file(url: str, tmp_path: Path, option: str) -> None:
+    path = tmp_path / f"log{option.replace('--', '.')}"
+    done = run("read", url, option, path, "hr", 0)
+    assert done == (0, "", "")
+    assert path.read_text().count("\n") == (2 if option == "--csv" else 1)
+    again = run("read", url, "hr", 0, option, path)
+    assert again.code == 2
+    assert f"{path} exists, and would be overwritten" in again.err
+    other = tmp_path / f"without a suffix{option}"
+    assert run("read", url, "hr", 0, f"{option}={other}").code == 0
+    assert other.read_text()
+    bare = tmp_path / f"bare{option}"  # a path, which says enough
+    assert run("read", url, option, bare, "hr", 0).code == 0
+    assert bare.read_text()
+
+
+@each_case("option", ["--csv", "--json"])
+def test_words_behind_the_option_are_no_files(url: str, option: str) -> None:
+    assert run("read", option, url, "hr", 0).out
+    assert run("read", url, option, "hr", 0).out
+    assert run("read", url, "hr", 0, option).out
+
+
 @each_case("form", ["--csv", "--json"])
 def test_a_full_disk_is_that_of_the_file(url: str, form: str, tmp_path: Path) -> None:
     path = tmp_path / f"log{form.replace('--', '.')}"

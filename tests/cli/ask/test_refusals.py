@@ -1,6 +1,6 @@
 """
-Devices that refuse a part of what a command asks, close the connection, or say nothing: the
-command shows the rest, and why the part is missing.
+How many requests are sent; and devices that refuse a part of what a command asks, close the
+connection, or say nothing: the command shows the rest, and why the part is missing.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from libmodbus_py.cli.main import CommandError
 from libmodbus_py.tools.testing.recording import RecordingServer, ServerMaker
 from tests.support.cases import each_case
 from tests.support.commands import run
+from tests.support.peers import FakeServer, mbap
 
 POINTS = """
 name,table,address,type
@@ -63,7 +64,31 @@ def sent(server: RecordingServer) -> list[str]:
     return [str(each.request) for each in server.transactions]
 
 
-# --- read -----------------------------------------------------------------------------------
+# --- read and write -------------------------------------------------------------------------
+
+
+def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
+    done = run("read", url, "holding", "0", "600", "coils", "0", "100", "-v")
+    assert done.out.count("\n") == 700
+    requests = [line for line in done.err.splitlines() if " > " in line]
+    assert len(requests) == 6  # 600 registers of 125, and 100 coils of 2000
+    assert "holding 500    500\n" in done.out
+    done = run("read", url, "file:4", "0", "200", "--type", "uint32", "--json", "-v")
+    assert json.loads(done.out)["values"] == [0x70008, 0x90000, *[0] * 198]
+    lengths = [int(line[-5:].replace(" ", ""), 16) for line in done.err.splitlines()[::2]]
+    assert lengths == [120, 120, 120, 40]
+
+
+def test_longest_lists_of_values(url: str) -> None:
+    values = [str(number) for number in range(61)]
+    assert run("write", url, "holding", "300", *values, "--type", "float32").code == 0
+    done = run("read", url, "holding", "300", "62", "--type", "float32", "--json")
+    assert json.loads(done.out)["values"] == [*range(61), 0]
+    assert run("write", url, "file:4", "0", *values, "--type", "int32").code == 0
+    done = run("read", url, "file:4", "2", "60", "--type", "int32", "--json")
+    assert json.loads(done.out)["values"] == [*range(1, 61)]
+    done = run("read", url, "holding", "40", "1", "--type", "string:250", "--json")
+    assert json.loads(done.out)["values"] == [""]
 
 
 def test_points_beside_a_refused_one_are_shown(maker: ServerMaker, points: Path) -> None:
@@ -214,3 +239,22 @@ def test_a_device_may_close_the_connection_for_what_it_does_not_know(maker: Serv
     assert (done.code, done.err) == (0, "")
     assert "running" in done.out
     assert "closed" in done.out
+
+
+@pytest.mark.parametrize("has_basic", [True, False])
+def test_basic_objects_that_a_device_leaves_out_at_other_levels_are_asked_for(
+    has_basic: bool,
+) -> None:
+    def answer(request: bytes) -> list[bytes]:
+        if request[7] != 43 or (request[9] == 1 and not has_basic):
+            return [mbap(request, bytes([request[7] | 0x80, 1]))]
+        level = request[9]
+        objects = {0: b"Maker", 1: b"M1", 2: b"1.0"} if level == 1 else {3: b"example.com"}
+        listed = b"".join(bytes([at, len(text)]) + text for at, text in objects.items())
+        return [mbap(request, bytes([43, 14, level, 0x02, 0, 0, len(objects)]) + listed)]
+
+    with FakeServer(answer) as server:
+        done = run("identify", f"127.0.0.1:{server.port}")
+    assert (done.code, done.err) == (0, "")
+    names = ["VendorName", "ProductCode", "MajorMinorRevision"] * has_basic + ["VendorUrl"]
+    assert [line.split()[0] for line in done.out.splitlines()[: len(names)]] == names

@@ -18,6 +18,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.serving import Running
+from tests.support.cases import each_case
 from tests.support.commands import Started, on_terminal, run
 
 WATCH = ["--watch", "0.05"]
@@ -109,6 +110,22 @@ def test_polls_that_are_late_are_left_out() -> None:
             interrupted(process)
 
 
+@each_case(
+    ("end", "polls"),
+    [
+        (["--count", "3"], 3),
+        (["--watch", "0.01", "--count", "2"], 2),
+        (["--watch", "0.5", "--for", "10ms"], 1),
+        (["--for", "0.01"], 1),
+    ],
+)
+def test_a_watch_ends(running: Running, end: list[str], polls: int) -> None:
+    end = end if "--watch" in end or "--for" in end else [*end, "--watch", "0.01"]
+    done = run("read", running.urls[0], "hr", 0, *end)
+    assert (done.code, done.err) == (0, "")
+    assert done.out.count("\n") == polls
+
+
 FLOODS = {
     "flood": b"\xff" * 65536,
     "trickle": b"\0",
@@ -152,6 +169,15 @@ def test_hostile_servers_are_one_line_for_each_poll(data: bytes) -> None:
 
 
 # --- on a terminal ---------------------------------------------------------------------------
+
+
+def test_each_unit_has_its_lines_in_the_table(mapping: Mapping) -> None:
+    devices = {unit: Device(mapping) for unit in (1, 17)}
+    with Server(devices).background("tcp://127.0.0.1:0") as running:
+        end = ["--watch", "0.01", "--count", "3"]
+        with on_terminal("read", running.urls[0], "-u", "1,17", "hr", "0", *end) as terminal:
+            terminal.until(lambda shown: "3 polls" in shown and shown.count("unit 17\r\n") >= 3)
+            assert terminal.process.wait() == 0
 
 
 def test_a_terminal_has_a_table_that_is_drawn_in_place(running: Running, mapping: Mapping) -> None:
