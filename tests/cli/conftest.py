@@ -14,8 +14,8 @@ from tests.cli.serving import serving
 
 @pytest.fixture(scope="module")
 def url() -> Iterator[str]:
-    with serving("tcp://127.0.0.1:0") as urls:
-        yield urls[0]
+    with serving("serve", "tcp://127.0.0.1:0") as (_, url):
+        yield url
 
 
 @pytest.fixture

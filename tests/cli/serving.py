@@ -1,10 +1,11 @@
 """
-Servers of the command line, a device, a map and a fleet file, for the tests of commands.
+Commands that serve, a device, a map and a fleet file, for the tests of commands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import signal
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from libmodbus_py import Device, Mapping
@@ -45,9 +46,11 @@ def meter() -> Device:
 
 
 @contextmanager
-def serving(*urls: str, options: Sequence[str] = ()) -> Iterator[list[str]]:
-    with Started("serve", *urls, *options) as process:
-        lines = [process.stdout.readline() for _ in urls]
-        yield [line.removeprefix("listening on ").rstrip("\n") for line in lines]
-        process.terminate()
+def serving(*words: object, end: int = signal.SIGTERM) -> Iterator[tuple[Started, str]]:
+    """Start a command that serves, and end it by a signal; gives it and where it listens."""
+    with Started(*words) as process:
+        line = process.stdout.readline()
+        assert line.startswith("listening on "), line + process.stderr.read()
+        yield process, line.removeprefix("listening on ").rstrip("\n")
+        process.send_signal(end)
         assert process.wait() == 0

@@ -19,8 +19,9 @@ from libmodbus_py.ports.schemes import (
     SERIAL_OPTIONS,
 )
 from libmodbus_py.tools.testing.wires import SerialWire
+from tests.cli.serving import serving
 from tests.support.cases import each_case
-from tests.support.commands import Started, run
+from tests.support.commands import run
 
 CLIENTS = ["read", "write", "identify", "diagnose", "raw", "map from-device"]
 
@@ -49,25 +50,23 @@ def behind() -> Iterator[str]:
 
 def test_a_gateway_has_options_for_its_devices_and_prints_frames(behind: str) -> None:
     arguments = ["tcp://127.0.0.1:0", "--to", f"7={behind}", "--timeout", "5", "-v"]
-    with Started("gateway", *arguments) as process:
-        url = process.stdout.readline().removeprefix("listening on ").strip()
+    with serving("gateway", *arguments) as (process, url):
         with Context.from_url(url, unit=7) as context:
             assert context.read_holding_registers(0, 1) == [555]
         asked, answered = process.stderr.readline(), process.stderr.readline()
-        process.terminate()
-        assert process.wait() == 0
     assert " <   7  ReadHoldingRegisters " in asked
     assert " >   7  ReadHoldingRegisters " in answered
     assert answered.endswith("07 03 02 02 2b\n")
 
 
 def test_serial_settings_are_those_of_the_server_too() -> None:
-    with SerialWire() as wire, Started("serve", f"rtu://{wire.server}", "-b", "115200") as process:
-        assert process.stdout.readline() == f"listening on rtu://{wire.server}?baudrate=115200\n"
+    with (
+        SerialWire() as wire,
+        serving("serve", f"rtu://{wire.server}", "-b", "115200") as (_, url),
+    ):
+        assert url == f"rtu://{wire.server}?baudrate=115200"
         done = run("read", wire.client, "holding", "5", "-b", "115200", "-p", "even")
         assert (done.code, done.out, done.err) == (0, "    5  0\n", "")
-        process.terminate()
-        assert process.wait() == 0
 
 
 # --- endpoints -----------------------------------------------------------------------

@@ -15,8 +15,9 @@ from cryptography import x509
 
 from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.role import role_of
+from tests.cli.serving import serving
 from tests.support.cases import each_case
-from tests.support.commands import Done, Started, run
+from tests.support.commands import Done, run
 
 
 def made(*arguments: object) -> Done:
@@ -85,8 +86,7 @@ def test_without_cryptography_it_says_what_to_install(
 def test_the_commands_it_prints_work(tmp_path: Path) -> None:
     serve, read = (shlex.split(line)[1:] for line in made(tmp_path / "a b").out.splitlines()[-2:])
     serve[1] = "tls://127.0.0.1:0"
-    with Started(*serve) as server:
-        read[1] = server.stdout.readline().removeprefix("listening on ").rstrip("\n")
+    with serving(*serve) as (_, read[1]):
         done = run(*read)
     assert (done.out, done.err) == ("    0  0\n", "")
 

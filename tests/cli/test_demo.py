@@ -44,7 +44,7 @@ def test_the_commands_that_demo_prints_at_its_end_work_in_any_folder(
     assert [words[: len(program)] for words in lines[1:]] == [program] * 3
     serve, read, identify = [words[len(program) :] for words in lines[1:]]
     assert {words[1] for words in (serve, read, identify)} == {"127.0.0.1:1502"}
-    with serving("127.0.0.1:0", options=serve[2:]) as (url,):
+    with serving("serve", "127.0.0.1:0", *serve[2:]) as (_, url):
         done = run("read", url, *read[2:])
         assert (done.code, done.err) == (0, "")
         assert "voltage" in done.out

@@ -175,6 +175,17 @@ def test_a_capture_is_read_again(golden: Golden, monkeypatch: pytest.MonkeyPatch
     golden("decoded.jsonl", done.out)
 
 
+def test_listen_prints_the_units_that_were_typed() -> None:
+    everything = [json.loads(line) for line in run("listen", DECODED, "--json").out.splitlines()]
+    units = {each.get("unit") for each in everything[:-1]}
+    unit = min(each for each in units if each is not None)
+    assert len(units) > 1
+    some = [
+        json.loads(line) for line in run("listen", DECODED, "-u", unit, "--json").out.splitlines()
+    ]
+    assert some[:-1] == [each for each in everything[:-1] if each["unit"] == unit]
+
+
 def test_a_capture_is_written(target: str, tmp_path: Path) -> None:
     file = tmp_path / "x.pcapng"
     with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", file) as made:

@@ -99,3 +99,25 @@ def test_stop_bits_that_were_not_measured_are_not_said(words: list[str], setting
         with Server({1: Device(Mapping(holding_registers=2))}).background(url):
             done = run("scan", wire.client, "-b", "9600", "-u", "1", *words)
     assert f"unit 1 at {setting}" in done.out
+
+
+# --- options have the names of those of read ------------------------------------------
+
+
+@each_case("word", ["-u", "--unit", "--units"])
+def test_scan_takes_the_words_of_read(port: str, word: str) -> None:
+    found = json.loads(run("scan", f"127.0.0.1:{port}", word, "2,3,30", "--json").out)
+    assert [each["unit"] for each in found["found"]] == [3, 30]
+
+
+@each_case(
+    ("words", "tried"),
+    [
+        (["-b", "9600", "-p", "none", "-u", "1"], "1 unit, "),
+        (["-b", "9600,19200", "-p", "none,Even,O", "-u", "1-2"], "2 units at 6 settings, "),
+        (["--baudrate", "9600", "--parity", "n,N,none", "--unit", "1"], "1 unit, "),
+        (["--baudrates", "9600", "--parities", "E,N", "--units", "1"], "1 unit at 2 settings, "),
+    ],
+)
+def test_scan_of_a_line_takes_them(words: list[str], tried: str) -> None:
+    assert run("scan", "/dev/no-such", *words).err.startswith(tried)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Context, ServerDeviceFailure
-from tests.support.commands import Started
+from tests.cli.serving import serving
 from tests.support.peers import until
 
 
@@ -31,32 +31,25 @@ def new_values(path: Path) -> list[Any]:
 
 def test_a_rotated_file_is_left_on_hangup(command: list[str], tmp_path: Path) -> None:
     path, before = tmp_path / "audit.json", tmp_path / "audit.json.1"
-    with Started(*command, "--audit", path) as process:
-        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
-        with Context.from_url(url) as plc:
-            plc.write_register(0, 1)
-            until(lambda: new_values(path) == [[1]])
-            path.rename(before)
-            process.send_signal(signal.SIGHUP)
-            until(path.exists)
-            plc.write_register(0, 2)
-            until(lambda: new_values(path) == [[2]])
-        process.terminate()
-        assert process.wait() == 0
+    with serving(*command, "--audit", path) as (process, url), Context.from_url(url) as plc:
+        plc.write_register(0, 1)
+        until(lambda: new_values(path) == [[1]])
+        path.rename(before)
+        process.send_signal(signal.SIGHUP)
+        until(path.exists)
+        plc.write_register(0, 2)
+        until(lambda: new_values(path) == [[2]])
     assert new_values(before) == [[1]]
 
 
 def test_writes_are_refused_while_the_disk_is_full(command: list[str]) -> None:
     """Nothing can be written to /dev/full, as the start of the server shows."""
-    with Started(*command, "--audit", "/dev/full", "--audit-required") as process:
-        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+    with serving(*command, "--audit", "/dev/full", "--audit-required") as (process, url):
         with Context.from_url(url) as plc:
             with pytest.raises(ServerDeviceFailure):
                 plc.write_register(0, 2)
             assert plc.read_holding_registers(0, 1) == [0]
         assert process.stderr.readline() == "audit: OSError: [Errno 28] No space left on device\n"
-        process.terminate()
-        assert process.wait() == 0
 
 
 @pytest.mark.parametrize("command", ["serve", "gateway"])
@@ -72,13 +65,10 @@ def test_what_changed_in_a_file_that_is_read_again_is_recorded(
         head = 'listen = ["tcp://127.0.0.1:0"]\n'
         texts = [f'{head}[[route]]\nto = "tcp://127.0.0.1:{port}"\n' for port in (1502, 1503)]
     file.write_text(texts[0])
-    with Started(command, *options, "--audit", trail) as process:
-        assert process.stdout.readline().startswith("listening on ")
+    with serving(command, *options, "--audit", trail) as (process, _):
         file.write_text(texts[1])
         process.send_signal(signal.SIGHUP)
         until(lambda: "reload" in trail.read_text())
-        process.terminate()
-        assert process.wait() == 0
     found = [json.loads(line) for line in trail.read_text().splitlines()]
     assert sorted(each["event"] for each in found) == ["audit", "reload", "start", "stop"]
     (said,) = (each["result"] for each in found if each["event"] == "reload")

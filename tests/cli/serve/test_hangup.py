@@ -20,6 +20,7 @@ import pytest
 
 from libmodbus_py import Context, Device, Mapping, Server
 from libmodbus_py.protocol.plain import time_text
+from tests.cli.serving import serving
 from tests.support.commands import Started as Forked
 from tests.support.peers import until
 
@@ -184,8 +185,7 @@ def test_a_gateway_ends_with_the_newest_routes(tmp_path: Path) -> None:
             path.write_text(f"listen = ['tcp://127.0.0.1:0']\n{route}")
 
         write("1")
-        with Forked("gateway", "--config", path) as process:
-            url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+        with serving("gateway", "--config", path) as (process, url):
             with Context.from_url(url, unit=1, timeout=5) as context:
                 for unit in range(2, 20):
                     write(f"1,{unit}")
@@ -205,8 +205,6 @@ def test_a_gateway_ends_with_the_newest_routes(tmp_path: Path) -> None:
                 assert context.for_unit(19).read_coils(0, 1) == [False]
                 assert context.statistics.connects == 1
             process.send_signal(signal.SIGHUP)
-            process.terminate()
-            assert process.wait() == 0
 
 
 # --- poll: devices are polled meanwhile -----------------------------------------------

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import ModbusConnectionError, TlsContext
-from tests.cli.serving import FLEET_OF_ONE
+from tests.cli.serving import FLEET_OF_ONE, serving
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.commands import Started
@@ -34,8 +34,7 @@ def test_files_of_certificates_are_read_again_on_hangup(
     crl.write_bytes(certificates.revocation_list())
     own = ["--cert", files.cert, "--key", files.key, "--ca", papers.ca, "--crl", crl]
     name, *rest = command
-    with Started(name, "tls://127.0.0.1:0", *rest, *map(str, own)) as process:
-        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+    with serving(name, "tls://127.0.0.1:0", *rest, *own) as (process, url):
         port = int(url.rpartition(":")[2])
         with TlsContext("127.0.0.1", port, security=papers.client()) as plc:
             plc.read_holding_registers(0, 1)
@@ -55,8 +54,6 @@ def test_files_of_certificates_are_read_again_on_hangup(
             TlsContext("127.0.0.1", port, security=papers.client()).read_holding_registers(0, 1)
         with TlsContext("127.0.0.1", port, security=papers.client("Viewer")) as plc:
             plc.read_holding_registers(0, 1)
-        process.terminate()
-        assert process.wait() == 0
 
 
 FILES = {

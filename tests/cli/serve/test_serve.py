@@ -1,5 +1,5 @@
 """
-The command serve: what it serves, and what it says when it starts.
+The commands serve and gateway: what they serve, and what they say when they start.
 """
 
 from __future__ import annotations
@@ -7,14 +7,29 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import signal
+from pathlib import Path
 
 import pytest
 
+from libmodbus_py import (
+    Client,
+    Context,
+    Device,
+    IllegalDataAddress,
+    IllegalDataValue,
+    Mapping,
+    Server,
+    load_map,
+)
 from libmodbus_py.cli.serve.running import announce
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.cli.serving import serving
 from tests.support.cases import each_case
-from tests.support.commands import run
+from tests.support.commands import PAGE_TOKEN, Started, page_url, run
+from tests.tools.page.watching import Visitor
+
+SERVE = ("serve", "tcp://127.0.0.1:0")
 
 
 def test_serve_has_all_tables_and_files_for_every_unit(url: str) -> None:
@@ -33,7 +48,7 @@ def test_serve_has_all_tables_and_files_for_every_unit(url: str) -> None:
 
 @pytest.mark.parametrize("kind", ["rtu", "ascii"])
 def test_serial_ports_are_served_and_read(kind: str) -> None:
-    with SerialWire() as wire, serving(f"{kind}://{wire.server}?baudrate=115200"):
+    with SerialWire() as wire, serving("serve", f"{kind}://{wire.server}?baudrate=115200"):
         client = f"{kind}://{wire.client}?baudrate=115200"
         assert run("write", client, "holding", "5", "42").code == 0
         assert run("read", client, "holding", "5").out == "    5  42\n"
@@ -67,3 +82,100 @@ def test_it_says_in_one_line_that_anyone_may_write(
     assert said.count("\n") == (named > 0)
     assert [url for url in urls if url in said] == urls[:named]
     assert ("anyone" in said) == ("--allow" in said) == (named > 0)
+
+
+def test_serve_has_the_units_that_were_typed() -> None:
+    with serving(*SERVE, "-u", "3,5-6") as (_, url), Client(url, timeout=5) as plc:
+        plc.for_unit(3).write_register(0, 7)
+        assert plc.for_unit(6).read_holding_registers(0, 1) == [0]
+        assert run("read", url, "-u", "4", "hr", 0).code == 1
+
+
+# --- serve --map: points with names, access and bounds, and no device file ---------------
+
+MAP = """\
+name,table,address,type,scale,access,minimum,maximum
+setpoint,holding,0,int16,0.1,read_write,-5,30
+power,holding,1,uint32,,read,,
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    (tmp_path / "heat.csv").write_text(MAP)
+    return tmp_path / "heat.csv"
+
+
+def test_the_map_is_enforced(path: Path) -> None:
+    heat = load_map(path)
+    with serving(*SERVE, "--map", path) as (_, url), Context.from_url(url, unit=9) as plc:
+        plc.write_map(heat, {"setpoint": 21.5})
+        with pytest.raises(IllegalDataValue):
+            plc.write_register(0, 301)
+        for forbidden in (
+            lambda: plc.write_register(1, 5),
+            lambda: plc.read_holding_registers(3, 1),
+        ):
+            with pytest.raises(IllegalDataAddress):
+                forbidden()
+        assert plc.read_map(heat) == {"setpoint": 21.5, "power": 0}
+
+
+def test_a_map_of_the_package_is_served_by_its_name_to_some_units() -> None:
+    with serving(*SERVE, "--map", "sdm120", "-u", "1,17") as (_, url):
+        found = run("read", url, "--map", "sdm120", "-u", "17", "voltage")
+        assert (found.code, found.err) == (0, "")
+        assert "voltage" in found.out
+        assert run("read", url, "--map", "sdm120", "-u", "3", "voltage").code == 1
+
+
+def test_columns_of_the_map_are_named(path: Path) -> None:
+    path.write_text(MAP.replace("name,", "Bezeichnung,", 1))
+    with serving(*SERVE, "--map", path, "--column", "name=Bezeichnung") as (_, url):
+        found = run("read", url, "--map", path, "--column", "name=Bezeichnung", "power")
+        assert found.out == "power  0\n"
+
+
+# --- gateway --------------------------------------------------------------------------
+
+
+def test_a_gateway_has_the_units_that_were_typed(device: str) -> None:
+    to = device.removeprefix("tcp://")
+    with serving("gateway", "127.0.0.1:0", "--to", to, "-u", "2") as (_, url):
+        assert run("read", url, "-u", "2", "hr", 0).code == 0
+        done = run("read", url, "-u", "1", "hr", 0)
+        assert "gateway path unavailable (exception 10)" in done.err
+
+
+def test_sharing_a_device_takes_one_command(device: str) -> None:
+    schemes = ("tcp", "udp", "rtu+tcp")
+    places = [f"{scheme}://127.0.0.1:0" for scheme in schemes]
+    with serving("gateway", *places, "--to", f"{device}?timeout=2") as (process, first):
+        others = [process.stdout.readline().split()[-1] for _ in schemes[1:]]
+        for url, scheme in zip([first, *others], schemes, strict=True):
+            assert url.startswith(f"{scheme}://")
+            with Context.from_url(url, unit=1) as context:
+                assert context.read_holding_registers(0, 1) == [0]
+
+
+def test_the_gateway_is_shown() -> None:
+    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as behind:
+        place = behind.urls[0]
+        command = ("gateway", "tcp://127.0.0.1:0", "--to", place, "--page", "127.0.0.1:0")
+        with Started(*command, environment=PAGE_TOKEN) as process:
+            page, listening = sorted((process.stdout.readline() for _ in range(2)), reverse=True)
+            with Visitor(page_url(page)).watching() as visitor:
+                assert visitor.seen["head"]["kind"] == "gateway"
+                assert visitor.seen["head"]["title"] == "tcp://127.0.0.1:0"
+                with Context.from_url(listening.split()[-1], unit=5, timeout=10) as plc:
+                    plc.read_holding_registers(0, 2)
+                visitor.receive(lambda: visitor.seen["log"])
+                visitor.look_at(find="127.0.0.1 function")
+                visitor.receive(lambda: visitor.rows("rows"))
+                assert visitor.seen["rows"]["0"][:3] == [
+                    ["127.0.0.1", "unit 5, 3 read holding registers"],
+                    ["client", "", 0],
+                    1,
+                ]
+            process.send_signal(signal.SIGTERM)
+            process.wait()

@@ -5,15 +5,14 @@ The option --state of serve: written values survive a restart, however the serve
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from libmodbus_py import Context
+from tests.cli.serving import serving
 from tests.support.cases import each_case
-from tests.support.commands import Started, run
+from tests.support.commands import run
 
 PLANT = """
 [[unit]]
@@ -29,14 +28,7 @@ count = 8
 """
 
 
-@contextmanager
-def serving(*arguments: object, end: int = signal.SIGTERM) -> Iterator[tuple[Started, str]]:
-    with Started("serve", "tcp://127.0.0.1:0", *arguments) as process:
-        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
-        assert url, process.stderr.read()
-        yield process, url
-        process.send_signal(end)
-        process.wait()
+SERVE = ("serve", "tcp://127.0.0.1:0")
 
 
 @pytest.fixture
@@ -48,11 +40,14 @@ def plant(tmp_path: Path) -> Path:
 @each_case("end", [signal.SIGTERM, signal.SIGINT])
 def test_values_of_plain_tables_survive(end: signal.Signals, tmp_path: Path) -> None:
     state = tmp_path / f"state-{end}"
-    with serving("--state", state, end=end) as (_, url), Context.from_url(url, unit=9) as plc:
+    with (
+        serving(*SERVE, "--state", state, end=end) as (_, url),
+        Context.from_url(url, unit=9) as plc,
+    ):
         plc.write_registers(65534, [7, 8])
         plc.write_coil(3, True)
         plc.write_file_records([(10, 9999, [42])])
-    with serving("--state", state) as (_, url), Context.from_url(url) as plc:
+    with serving(*SERVE, "--state", state) as (_, url), Context.from_url(url) as plc:
         assert plc.read_holding_registers(65533, 3) == [0, 7, 8]
         assert plc.read_coils(2, 3) == [False, True, False]
         assert plc.read_file_records([(10, 9998, 2)]) == [[0, 42]]
@@ -61,7 +56,7 @@ def test_values_of_plain_tables_survive(end: signal.Signals, tmp_path: Path) -> 
 def test_values_of_a_device_file_survive_a_reading_again(plant: Path, tmp_path: Path) -> None:
     state = tmp_path / "state"
     arguments = ("--device", plant, "--state", state)
-    with serving(*arguments) as (process, url), Context.from_url(url, unit=1) as plc:
+    with serving(*SERVE, *arguments) as (process, url), Context.from_url(url, unit=1) as plc:
         plc.write_register(3, 33)
         plc.for_unit(2).write_coil(7, True)
         plant.write_text(PLANT + "[[unit.holding_registers]]\naddress = 5\nvalue = 9\n")
@@ -69,7 +64,7 @@ def test_values_of_a_device_file_survive_a_reading_again(plant: Path, tmp_path: 
         assert "read again, 2 units" in process.stderr.readline()
         plc.write_register(4, 44)
         assert plc.for_unit(2).read_holding_registers(5, 1) == [9]
-    with serving(*arguments) as (_, url), Context.from_url(url, unit=1) as plc:
+    with serving(*SERVE, *arguments) as (_, url), Context.from_url(url, unit=1) as plc:
         assert plc.read_holding_registers(3, 2) == [33, 44]
         assert plc.for_unit(2).read_coils(7, 1) == [True]
         assert plc.for_unit(2).read_holding_registers(5, 1) == [9]
@@ -77,8 +72,8 @@ def test_values_of_a_device_file_survive_a_reading_again(plant: Path, tmp_path: 
 
 def test_a_second_copy_is_refused(plant: Path, tmp_path: Path) -> None:
     state = tmp_path / "state"
-    with serving("--device", plant, "--state", state):
-        done = run("serve", "tcp://127.0.0.1:0", "--device", plant, "--state", state)
+    with serving(*SERVE, "--device", plant, "--state", state):
+        done = run(*SERVE, "--device", plant, "--state", state)
     assert done.code == 2
     assert f"--state: {state}: in use by another program" in done.err
 
@@ -87,9 +82,9 @@ def test_a_state_of_other_devices_is_refused_before_anything_is_served(
     plant: Path, tmp_path: Path
 ) -> None:
     state = tmp_path / "state"
-    with serving("--state", state) as (_, url), Context.from_url(url) as plc:
+    with serving(*SERVE, "--state", state) as (_, url), Context.from_url(url) as plc:
         plc.write_register(0, 1)
-    done = run("serve", "tcp://127.0.0.1:0", "--device", plant, "--state", state)
+    done = run(*SERVE, "--device", plant, "--state", state)
     assert done.code == 2
     assert done.out == ""
     assert f"--state: {state}: units.every: no such unit is served, only 1, 2; no value" in done.err
@@ -97,11 +92,11 @@ def test_a_state_of_other_devices_is_refused_before_anything_is_served(
 
 
 def test_a_file_that_cannot_be_made_is_told_once(plant: Path, tmp_path: Path) -> None:
-    done = run("serve", "tcp://127.0.0.1:0", "--state", tmp_path / "none" / "state")
+    done = run(*SERVE, "--state", tmp_path / "none" / "state")
     assert done.code == 2
     assert "none/state: No such file or directory" in done.err
     with (
-        serving("--device", plant, "--state", "/sys/state") as (process, url),
+        serving(*SERVE, "--device", plant, "--state", "/sys/state") as (process, url),
         Context.from_url(url, unit=1) as plc,
     ):
         plc.write_register(3, 33)
@@ -111,7 +106,7 @@ def test_a_file_that_cannot_be_made_is_told_once(plant: Path, tmp_path: Path) ->
 
 
 def test_it_is_written_at_the_end_though_the_server_failed(tmp_path: Path) -> None:
-    with serving("--state", tmp_path / "first") as (_, url):
+    with serving(*SERVE, "--state", tmp_path / "first") as (_, url):
         done = run("serve", url, "--state", tmp_path / "state")
     assert done.code == 1
     assert "Address already in use" in done.err
