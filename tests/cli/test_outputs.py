@@ -43,6 +43,14 @@ alarm,holding_registers,0,uint16,,,1
 flags,holding_registers,0,uint16,,3=hot; 2=cold,
 """
 
+COLUMNS = """Register;Parameter;Data Type;R/W;Factor;Vendor's
+40001;volts;U16;R;0.1;x
+40002;power;S32;RO;1;
+40003;setpoint;INT16;R/W;0.1;
+40010;serial;STR10;R;;
+00001;run;bool;W;;
+"""
+
 FLEET = """
 [[device]]
 name = "one"
@@ -243,6 +251,27 @@ SESSIONS = {
         read HOST -u 3 holding 0 --type bits16 --json
         poll FOLDER/bits.toml --once
     """,
+    "maps": """
+        map check FOLDER/columns.csv
+        map check FOLDER/bad.csv nothing.csv FOLDER/tank.csv
+        map check sdm120
+        map list --search EASTRON single
+        map list --search heat pumps
+        map list --search eastron toaster
+        map class sdm120 -o FOLDER/sdm120.py
+        map class sdm120 -o FOLDER/sdm120.py
+        # unit 1 has all points, 11 lacks some, and 30 has none
+        map check FOLDER/points.csv --device HOST
+        map check FOLDER/points.csv --device HOST -u 11
+        map check FOLDER/points.csv --device HOST -u 30
+        # headings of columns
+        map check FOLDER/german.csv
+        map check FOLDER/german.csv --column name=Bezeichnung --column type=Datentyp
+        map class FOLDER/german.csv --column name=Bezeichnung -o FOLDER/german.py
+        read HOST --map FOLDER/german.csv --column name=Bezeichnung --column type=Datentyp
+        write HOST --map FOLDER/german.csv --column name=Bezeichnung Spannung=8
+        read HOST 40001
+    """,
     "units": """
         read HOST -u 11-12,17 hr 0
         read HOST -u 11-12,17 hr 0 2
@@ -317,8 +346,13 @@ def url(tmp_path: Path) -> Iterator[str]:
         devices[unit] = Device(Mapping(holding_registers={40000: cells}))
     files = {"tank": TANK, "meter": METER, "meaning": MEANING, "bits": BITS}
     files["wrong"] = TANK.replace("coils,1", "relays,1").replace("uint16", "uint17")
+    files["columns"], files["bad"] = COLUMNS, "name,addr\n" + "a,x\n" * 30
+    points = (f"p{at},holding_registers,{at},uint16\n" for at in range(4))
+    files["points"] = f"name,table,address,type\n{''.join(points)}"
     for name, text in files.items():
         (tmp_path / f"{name}.csv").write_text(text)
+    german = "Zähler;;\nBezeichnung;Register;Datentyp\nSpannung;40001;U16\n"
+    (tmp_path / "german.csv").write_bytes(german.encode("cp1252"))
     with Server(devices).background("tcp://127.0.0.1:0") as running:
         for unit, name in ((7, "tank"), (3, "bits")):
             text = FLEET.format(url=running.urls[0], unit=unit, map=name)

@@ -8,7 +8,7 @@ import os
 import signal
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -28,42 +28,6 @@ def mapped(*arguments: object, code: int = 0) -> Done:
     done = run("map", *arguments)
     assert done.code == code, done.err
     return done
-
-
-def test_what_a_map_has_and_takes(tmp_path: Path) -> None:
-    file = tmp_path / "meter.csv"
-    file.write_text(
-        "Register;Parameter;Data Type;R/W;Factor;Vendor's\n"
-        "40001;volts;U16;R;0.1;x\n"
-        "40002;power;S32;RO;1;\n"
-        "40003;setpoint;INT16;R/W;0.1;\n"
-        "40010;serial;STR10;R;;\n"
-        "00001;run;bool;W;;\n"
-    )
-    assert mapped("check", file).out.splitlines() == [
-        f"{file}: 5 points",
-        "  coils: 1 point, 1 of them can be written",
-        "  holding_registers: 4 points, 1 of them can be written",
-        "    read 0 3",
-        "    read 9 5",
-        "  columns that mean nothing here: Vendor's",
-        "  line 4: setpoint overlaps power at holding_registers 2",
-    ]
-
-
-def test_all_mistakes_of_all_files(tmp_path: Path) -> None:
-    good, bad = tmp_path / "good.toml", tmp_path / "bad.csv"
-    good.write_text('[[point]]\nname = "a"\ntable = "coils"\naddress = 1\n')
-    bad.write_text("name,addr\n" + "a,x\n" * 30)
-    done = mapped("check", str(bad), "nothing.csv", str(good), code=2)
-    assert done.out.splitlines()[0] == f"{good}: 1 point"
-    lines = done.err.splitlines()
-    assert len(lines) == 22
-    assert lines[0].startswith(f"libmodbus-py: {bad}, line 2, column addr: address must be a ")
-    assert lines[-2:] == [
-        "libmodbus-py: and possibly more",
-        "libmodbus-py: cannot read nothing.csv: No such file or directory",
-    ]
 
 
 @pytest.fixture
@@ -142,35 +106,6 @@ def test_the_maps_that_come_with_the_package() -> None:
         assert len(line.split()) > 2
 
 
-@each_case(
-    ("words", "names"),
-    [
-        (["sdm120"], ["sdm120"]),
-        (["EASTRON", "single"], ["sdm120", "sdm230"]),
-        (["heat", "pumps"], ["nibe_s"]),
-        (["eastron", "toaster"], []),
-    ],
-)
-def test_maps_are_found_by_words(words: list[str], names: list[str]) -> None:
-    done = mapped("list", "--search", *words, code=0 if names else 1)
-    assert [line.split()[0] for line in done.out.splitlines()] == names
-    assert (" has eastron and toaster\n" in done.err) == (not names)
-
-
-GERMAN = "Zähler;;\nBezeichnung;Register;Datentyp\nSpannung;40001;U16\n".encode("cp1252")
-
-
-def test_columns_are_named_on_the_command_line(url: str, tmp_path: Path) -> None:
-    (tmp_path / "zähler.csv").write_bytes(GERMAN)
-    file, named = tmp_path / "zähler.csv", ["--column", "name=Bezeichnung"]
-    named += ["--column", "type=Datentyp"]
-    assert mapped("check", file, *named).out.splitlines()[0] == f"{file}: 1 point"
-    assert "Spannung" in mapped("class", file, *named).out
-    assert run("read", url, "-u", 3, "--map", file, *named).out == "Spannung  7\n"
-    assert run("write", url, "-u", 3, "--map", file, *named, "Spannung=8").code == 0
-    assert "no column name" in mapped("check", file, code=2).err
-
-
 # --- map class --------------------------------------------------------------------
 
 
@@ -204,17 +139,6 @@ def test_the_names_of_files_stay_texts(folder: Path) -> None:
         compile(done.out, "made.py", "exec")
 
 
-@each_case("action", ["check", "class"])
-def test_maps_of_the_package_have_names(action: str) -> None:
-    done = run("map", action, "sdm120")
-    assert (done.code, done.err) == (0, "")
-    assert "points" in done.out
-    done = run("map", action, "sdm")
-    assert done.code == 2
-    assert "'sdm' is neither the path of a register map" in done.err
-    assert done.err.count("\n") == 1
-
-
 # --- map from-sunspec -------------------------------------------------------------
 
 
@@ -245,35 +169,15 @@ def device(*missing: int) -> Device:
     return Device(Mapping(holding_registers={at: [at] for at in range(20) if at not in missing}))
 
 
-def test_points_that_a_device_lacks_are_told(points: Path) -> None:
+@each_case(("missing", "most"), [((), 1), ((3, 11, 12), 30), (range(20), 40)])
+def test_few_requests_find_what_a_device_lacks(
+    points: Path, missing: Sequence[int], most: int
+) -> None:
     with ServerMaker() as maker:
-        server = maker(devices=device(3, 11, 12))
+        server = maker(devices=device(*missing))
         done = run("map", "check", points, "--device", server.url)
-    assert done.out.splitlines()[-1] == (f"  {server.url}, unit 1: 17 of 20 points can be read")
-    told = done.err.splitlines()
-    assert [line.split(":")[1].split()[0] for line in told] == ["p3", "p11", "p12"]
-    assert all("illegal data address (exception 2)" in line for line in told)
-    assert done.code == 1
-    assert len(server.transactions) <= 30
-
-
-def test_a_device_that_has_all_points(points: Path) -> None:
-    with ServerMaker() as maker:
-        server = maker(devices=device())
-        done = run("map", "check", points, "--device", server.url)
-    assert (done.code, done.err) == (0, "")
-    assert done.out.endswith("20 of 20 points can be read\n")
-    assert len(server.transactions) == 1
-
-
-def test_a_device_that_refuses_everything(points: Path) -> None:
-    with ServerMaker() as maker:
-        server = maker(devices=device(*range(20)))
-        done = run("map", "check", points, "--device", server.url)
-    assert done.code == 1
-    assert "all 20 points refused: " in done.err
-    assert done.err.count("\n") == 1
-    assert len(server.transactions) <= 40
+    assert done.code == (1 if missing else 0)
+    assert len(server.transactions) <= most
 
 
 def test_a_device_that_is_silent_or_busy(points: Path) -> None:
