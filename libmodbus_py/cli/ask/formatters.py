@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 # fmt: off
 __all__ = [
     "Printer", "ReadResult", "TerminalTable", "ValueText", "aligned", "printer_of", "result_of",
-    "titles",
 ]
 # fmt: on
 
@@ -95,7 +94,7 @@ def result_of(item: Item, cells: list[int] | ModbusError, source: Any = None) ->
     return ReadResult(item, rows, {**whence, **fields})
 
 
-def titles(item: Item) -> list[str]:
+def _titles(item: Item) -> list[str]:
     """Return the titles of the columns of CSV, one for each value, with units of measurement."""
     if item.table == "fifo_queue":
         raise ValueError("fifo cannot be used with --csv: its number of columns is unknown")
@@ -298,14 +297,14 @@ class _CsvRows:
     """Prints a header, then a row for each poll: the time, the unit, the values and the error."""
 
     def __init__(self, items: Sequence[Item], *, has_unit: bool) -> None:
-        self._titles = [title for item in items for title in titles(item)]
+        self._titles = [title for item in items for title in _titles(item)]
         self._has_unit = has_unit
         self._has_begun = False
 
     def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
         cells: list[str] = [] if results else [""] * len(self._titles)
         for each in results:
-            cells += [row.plain for row in each.rows] or [""] * len(titles(each.item))
+            cells += [row.plain for row in each.rows] or [""] * len(_titles(each.item))
         remarks = filter(None, (each.failure or each.remark for each in results))
         if not self._has_begun:
             self._has_begun = True
