@@ -19,10 +19,10 @@ __all__ = ["equivalents", "is_place", "place"]
 
 UNIT = "-u VALUE"
 PORT = "HOST:VALUE"
-URL = "a URL, such as tcp://HOST"
+URL = "HOST, udp://HOST, rtu+tcp://HOST:PORT, /dev/ttyUSB0 or ascii:///dev/ttyUSB0"
 PLACE = "hr N, which counts from 0, or a reference such as 40001"
-KIND = "co, di, ir or hr N, with --type for other types than uint16"
-FUNCTION = "co, di, hr or ir N for functions 1 to 4, write to write, raw HOST N for others"
+KIND = "co, di, ir or hr N for 0, 1, 3 or 4; --hex, or --type, with --order CDAB for int and float"
+FUNCTION = "co, di, hr or ir N for 1 to 4, write HOST co N or hr N to write, raw HOST N for others"
 
 OPTIONS = {
     **dict.fromkeys(("-m", "--mode"), URL),
@@ -45,18 +45,6 @@ OPTIONS = {
     "--baud": "-b VALUE",
 }
 """Option of another program -> what is typed here; VALUE stands for its value."""
-
-VALUES = {
-    URL: {"tcp": "HOST", "udp": "udp://HOST", "enc": "rtu+tcp://HOST:PORT"}
-    | {"rtu": "/dev/ttyUSB0", "ascii": "ascii:///dev/ttyUSB0"},
-    KIND: {"0": "co N", "1": "di N", "3": "ir N", "4": "hr N", "hex": "--hex"}
-    | {"int16": "--type int16", "string": "--type string:N"}
-    | {"int": "--type int32 --order CDAB", "float": "--type float32 --order CDAB"},
-    FUNCTION: {"1": "co N", "2": "di N", "3": "hr N", "4": "ir N"}
-    | dict.fromkeys(("5", "15"), "write HOST co N")
-    | dict.fromkeys(("6", "16"), "write HOST hr N"),
-}
-"""An answer above -> those to single values, or to parts of them between colons."""
 
 TAKEN = {
     "-p": (re.compile("[0-9]+"), PORT),
@@ -92,13 +80,9 @@ def equivalents(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
 
 
 def _of_value(answer: str, value: str) -> str:
-    """Return what is typed for a value of an option; the answer to all values if it is unknown."""
+    """Return what is typed for a value of an option."""
     if answer == PLACE and value.isdecimal() and int(value) > 0:
         return f"hr {int(value) - 1}, because hr counts from 0"
-    known = VALUES.get(answer, {})
-    parts = [known[part] for part in value.split(":") if part in known]
-    if parts:
-        return " ".join(parts)
     value = value.replace(":", "-") if answer == UNIT else value
     return answer.replace("VALUE", value or "N")
 
