@@ -178,18 +178,17 @@ def read(options: argparse.Namespace) -> int:
     readers = {unit: Reader(options, unit) for unit in units_of(options)}
     items = next(iter(readers.values())).items
     printer = printer_of(options, items, several=len(readers) > 1, are_polls=False)
-    with closing(connected(options)) as context:
 
-        def ask(unit: int) -> int:
-            results = readers[unit].ask(context)
-            printer(unit, results, "")
-            sys.stdout.flush()
-            failures = dict.fromkeys(each.failure for each in results if each.failure)
-            for text in failures:
-                complain(text)
-            return 1 if failures else 0
+    def ask(client: Context) -> int:
+        results = readers[client.unit].ask(client)
+        printer(client.unit, results, "")
+        sys.stdout.flush()
+        failures = dict.fromkeys(each.failure for each in results if each.failure)
+        for text in failures:
+            complain(text)
+        return 1 if failures else 0
 
-        return ask_units([*readers], ask, lambda unit, reason: printer(unit, [], reason))
+    return ask_units(options, ask, lambda unit, reason: printer(unit, [], reason))
 
 
 # --- read --watch --------------------------------------------------------------------
@@ -209,10 +208,7 @@ def watch(options: argparse.Namespace) -> int:
 
             shown = ShownWatch(title, interval)
             printers.append(shown.print)
-            page = over_http.tables_shown(
-                lambda: shown, options.page, options.page_token, sys.stderr
-            )
-            stack.enter_context(page)
+            stack.enter_context(over_http.tables_shown(lambda: shown, options))
         try:
             for due in _times(interval, options.count, options.lasts or float("inf")):
                 for reader in readers:

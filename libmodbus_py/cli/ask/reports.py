@@ -129,24 +129,21 @@ def _identify(options: argparse.Namespace) -> int:
 
 def _diagnose(options: argparse.Namespace) -> int:
     from ...protocol.plain import number_of
-    from ..arguments import connected
-    from .units import ask_units, client_of, fail, report_units, units_of
+    from .units import ask_units, fail, report_units, units_of
 
     if options.sub_function is None:
         return report_units(options, _questions())
     sub, data = _sub_function(options.sub_function), number_of("data", options.data)
-    units = units_of(options)
-    with closing(connected(options)) as context:
+    several = len(units_of(options)) > 1
 
-        def ask(unit: int) -> int:
-            answer = _answer(client_of(context, unit), sub, data)
-            if options.json:
-                print_json({"unit": unit, _name(sub): answer})
-            else:
-                print(f"unit {unit}: {answer}" if len(units) > 1 else answer, flush=True)
-            return 0
+    def ask(client: Context) -> None:
+        answer = _answer(client, sub, data)
+        if options.json:
+            print_json({"unit": client.unit, _name(sub): answer})
+        else:
+            print(f"unit {client.unit}: {answer}" if several else answer, flush=True)
 
-        return ask_units(units, ask, partial(fail, as_json=options.json, lacks="answer"))
+    return ask_units(options, ask, partial(fail, as_json=options.json, lacks="answer"))
 
 
 def _answer(context: Context, sub: int, data: int) -> int:

@@ -6,7 +6,7 @@ lack some functions, which are printed, too.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import closing
 from functools import partial
 from typing import Any
@@ -47,21 +47,26 @@ def client_of(context: Context, unit: int) -> Context:
 
 
 def ask_units(
-    units: Sequence[int], ask: Callable[[int], int], fail: Callable[[int, str], None]
+    options: argparse.Namespace,
+    ask: Callable[[Context], int | None],
+    fail: Callable[[int, str], None],
 ) -> int:
     """
-    Ask each unit, and return the highest exit code. Of several units one may fail: `fail` prints
-    it, and why. What a single unit raises is raised, and so is that there is no connection.
+    Ask each unit that was typed, and return the highest exit code; `ask` may return one. Of several
+    units one may fail: `fail` prints it, and why. What a single unit raises is raised, and so is
+    that there is no connection.
     """
+    units = units_of(options)
     codes = [0]
-    for unit in units:
-        try:
-            codes.append(ask(unit))
-        except (ModbusError, CommandError) as error:
-            if len(units) == 1 or isinstance(error, ModbusConnectionError):
-                raise
-            fail(unit, f"{error}{advice(error)}")
-            codes.append(1)
+    with closing(connected(options)) as context:
+        for unit in units:
+            try:
+                codes.append(ask(client_of(context, unit)) or 0)
+            except (ModbusError, CommandError) as error:
+                if len(units) == 1 or isinstance(error, ModbusConnectionError):
+                    raise
+                fail(unit, f"{error}{advice(error)}")
+                codes.append(1)
     return max(codes)
 
 
@@ -81,15 +86,9 @@ def report_units(
     options: argparse.Namespace, questions: Mapping[str, Callable[[Context], Named]]
 ) -> int:
     """Print the answers of each unit that was typed, and return the highest exit code."""
-    units = units_of(options)
-    with closing(connected(options)) as context:
-
-        def report(unit: int) -> int:
-            client = client_of(context, unit)
-            print_report(client, questions, as_json=options.json, several=len(units) > 1)
-            return 0
-
-        return ask_units(units, report, partial(fail, as_json=options.json, lacks="answer"))
+    as_json, several = options.json, len(units_of(options)) > 1
+    report = partial(print_report, questions=questions, as_json=as_json, several=several)
+    return ask_units(options, report, partial(fail, as_json=as_json, lacks="answer"))
 
 
 def print_report(

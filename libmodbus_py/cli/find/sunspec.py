@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from contextlib import closing
 from functools import partial
 from typing import Any
 
+from ...client.blocking import Context
 from .. import arguments
-from ..arguments import connected, declare
-from ..ask.units import ask_units, client_of, fail, units_of
+from ..arguments import declare
+from ..ask.units import ask_units, fail, units_of
 from ..output import complain, harmless, print_json
 
 __all__ = ["add_command"]
@@ -42,30 +42,28 @@ def add_command(command: argparse.ArgumentParser) -> None:
 
 
 def _sunspec(options: argparse.Namespace) -> int:
-    units = units_of(options)
+    several = len(units_of(options)) > 1
     print_rows = _print_csv if options.csv else _print_table
     if options.json:
         print_rows = _print_json
     rows: list[dict[str, Any]] = []
-    with closing(connected(options)) as context:
 
-        def report(unit: int) -> int:
-            found = _asked(client_of(context, unit), options.base)
-            if len(units) > 1:
-                found = [{"unit": unit, **row} for row in found]
-            if options.csv:  # one table of all units
-                rows.extend(found)
-            else:
-                print_rows(found)
-            return 0
+    def report(client: Context) -> None:
+        found = _asked(client, options.base)
+        if several:
+            found = [{"unit": client.unit, **row} for row in found]
+        if options.csv:  # one table of all units
+            rows.extend(found)
+        else:
+            print_rows(found)
 
-        code = ask_units(units, report, partial(fail, as_json=options.json, lacks="models"))
+    code = ask_units(options, report, partial(fail, as_json=options.json, lacks="models"))
     if rows:
         print_rows(rows)
     return code
 
 
-def _asked(context: Any, base: int | None) -> list[dict[str, Any]]:
+def _asked(context: Context, base: int | None) -> list[dict[str, Any]]:
     """Return a row for each point of each model of a unit."""
     from ...tools.sunspec import BASES, discover
 

@@ -79,10 +79,7 @@ def exposed(
 
 @contextlib.contextmanager
 def shown(
-    make: Callable[[], Server | Shown],
-    address: Address | None,
-    token_file: str | None,
-    to: TextIO | None = None,
+    make: Callable[[], Server | Shown], options: argparse.Namespace, to: TextIO | None = None
 ) -> Iterator[Callable[[], None]]:
     """
     Show what `make` returns on a live page while the block runs, if there is an address.
@@ -90,8 +87,9 @@ def shown(
     Yields a function that prints the URL of the page; with its token only if that is new, and the
     stream a terminal.
     """
+    address: Address | None = options.page
     if address is None:
-        if token_file is not None:
+        if options.page_token is not None:
             raise ValueError("--page-token needs --page")
         yield lambda: None
         return
@@ -102,7 +100,7 @@ def shown(
     from ...tools.page.table_source import TableSource
 
     stream = to or sys.stdout
-    token = _token_of(token_file)
+    token = _token_of(options.page_token)
     if token is None and not stream.isatty():
         raise ValueError(
             f"--page-token FILE, or {TOKEN} in the environment, must give the token of the"
@@ -131,11 +129,9 @@ def shown(
 
 
 @contextlib.contextmanager
-def tables_shown(
-    make: Callable[[], Shown], address: Address | None, token_file: str | None, to: TextIO
-) -> Iterator[None]:
-    """Show tables on a live page while the block runs, and print its URL at once."""
-    with shown(make, address, token_file, to) as print_url:
+def tables_shown(make: Callable[[], Shown], options: argparse.Namespace) -> Iterator[None]:
+    """Show tables on a live page while the block runs, and print its URL to stderr at once."""
+    with shown(make, options, sys.stderr) as print_url:
         print_url()
         yield
 

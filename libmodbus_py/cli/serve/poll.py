@@ -186,7 +186,7 @@ def _seen(
 
     with (
         over_http.exposed(fleet, options.metrics, values, to=sys.stderr),
-        over_http.tables_shown(make, options.page, options.page_token, sys.stderr),
+        over_http.tables_shown(make, options),
     ):
         yield
 

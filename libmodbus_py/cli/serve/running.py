@@ -92,7 +92,7 @@ class _ServingCommand:
         """
         options = self._options
         answer = answer or (lambda lines: self.tell("; ".join(lines) or NOTHING))
-        page = shown(make_shown, options.page, options.page_token)
+        page = shown(make_shown, options)
         with exposed(server, options.metrics), page as print_page:
 
             def listening(running: Running) -> None:
