@@ -4,6 +4,7 @@ Work that goes on, on a terminal: a status line, lines that are drawn again in p
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 
@@ -38,9 +39,7 @@ class Status:
             return
         self._next = now + REDRAWN_S
         self._is_shown = True
-        import shutil  # imports three compressors, which a pipe does not need
-
-        fitting = text[: shutil.get_terminal_size().columns - 1]
+        fitting = text[: _size().columns - 1]
         print(f"\r{fitting}\x1b[K", end="", file=sys.stderr, flush=True)
 
     def clear(self) -> None:
@@ -59,9 +58,7 @@ class Redrawn:
 
     def draw(self, lines: Sequence[tuple[str, bool]]) -> None:
         """Draw the lines that fit on the terminal, each with True if it is bold."""
-        import shutil
-
-        columns, rows = shutil.get_terminal_size()
+        columns, rows = _size()
         room = max(1, rows - 1)
         if len(lines) > room:
             more = len(lines) - room + 1
@@ -80,10 +77,8 @@ class Redrawn:
 
     def clear(self) -> None:
         """Remove the lines, before other output."""
-        import shutil
-
         if self._drawn:
-            self._stream.write(self._back(shutil.get_terminal_size().columns))
+            self._stream.write(self._back(_size().columns))
             self._stream.flush()
             self._drawn = []
 
@@ -91,6 +86,12 @@ class Redrawn:
         """Return the sequence that moves to the first line and clears all lines."""
         height = sum(max(1, -(-len(line) // columns)) for line in self._drawn)
         return f"\x1b[{height}A\r\x1b[J" if height else ""
+
+
+def _size() -> os.terminal_size:
+    import shutil  # imports three compressors, which a pipe does not need
+
+    return shutil.get_terminal_size()
 
 
 def progress(state: Progress | Searching, found: int = 0) -> str:

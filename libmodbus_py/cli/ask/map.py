@@ -110,11 +110,6 @@ examples:
 {arguments.URLS}"""
 
 
-DEVICE = """
---device URL
-    read all points of this device, and print those that it refuses
-"""
-
 SEARCH = """
 --search WORD ...
     print those alone whose name or description, which begins with the vendor, has all these words
@@ -122,10 +117,7 @@ SEARCH = """
 
 OF_OUTPUT = "-o --output FILE\n  a new file, .toml or .csv (TOML, printed)"
 
-OF_CLASS_OUTPUT = """
--o --output FILE
-    a .py file, new or written by this command before (printed)
-"""
+OF_CLASS_OUTPUT = "-o --output FILE\n  a .py file, new or written by this command before (printed)"
 
 
 def add_command(command: argparse.ArgumentParser) -> None:
@@ -142,7 +134,9 @@ def add_command(command: argparse.ArgumentParser) -> None:
     check = add("check", _check, CHECK, OF_CHECK)
     declare(check, f"FILE ...\n  {OF_FILE}", file={"dest": "files", "complete": arguments.maps})
     arguments.add_columns(check, rare="")
-    declare(check, DEVICE)
+    declare(
+        check, "--device URL\n  read all points of this device, and print those that it refuses"
+    )
     arguments.add_requests(check)
     search = {"action": "store", "nargs": "+", "default": [], "complete": arguments.names_of_maps}
     declare(add("list", _list, LIST, OF_LIST, "; --map takes their names"), SEARCH, search=search)

@@ -51,10 +51,7 @@ examples:
   libmodbus-py raw 'tcp://192.0.2.10?unit=7&timeout=0.5' 100"""
 
 
-LEVEL = """
---level L
-    basic, regular, extended, or the number of one object (regular)
-"""
+LEVEL = "--level L\n  basic, regular, extended, or the number of one object (regular)"
 
 DIAGNOSE = """\
 Print the exception status (function 7), the counters (8), the event

@@ -72,11 +72,6 @@ rare --padding C
     character that fills up text
 """
 
-OF_MAPS = """
---map FILE
-    register map, CSV or TOML, or an example such as meter
-"""
-
 OF_WATCH = """
 --watch [SECONDS]
     poll until Ctrl-C, each second unless given; on a terminal in a table
@@ -84,11 +79,6 @@ OF_WATCH = """
     end after N polls; implies --watch
 --for SECONDS
     end after a time, such as 90 or 1h30m; implies --watch
-"""
-
-OF_WRITE = """
---multiple
-    write single values with functions 15 and 16, not with 5 and 6
 """
 
 OF_REGISTERS = """
@@ -137,7 +127,7 @@ def _add_write(command: argparse.ArgumentParser) -> None:
     declare(command, text, what={"nargs": "+", "complete": names})
     _add_item_arguments(command)
     group = command.add_argument_group("writing")
-    declare(group, OF_WRITE)
+    declare(group, "--multiple\n  write single values with functions 15 and 16, not with 5 and 6")
     declare(group.add_mutually_exclusive_group(), OF_REGISTERS)
     declare(group, OF_SENDING)
     arguments.add_requests(command)
@@ -150,7 +140,8 @@ def _add_item_arguments(command: argparse.ArgumentParser, more: str = "") -> Non
     types = [*get_args(NumberType), *get_args(BitsType), *get_args(TimeType), "string:"]
     orders = {"complete": get_args(Order)}
     declare(group, OF_VALUES % more, _of_reads, type={"complete": types}, order=orders)
-    declare(group, OF_MAPS, map={"complete": maps})
+    text = "register map, CSV or TOML, or an example such as meter"
+    declare(group, f"--map FILE\n  {text}", map={"complete": maps})
     arguments.add_columns(group)
     declare(group, "--count-from-1\n  addresses count from 1, both typed and printed")
 

@@ -43,11 +43,6 @@ examples:
   libmodbus-py serve /dev/ttyUSB0 -b 9600 -p none --device plant.toml"""
 
 
-ARGUMENTS = f"""
-[URL ...]
-    where to listen, such as {EXAMPLE_URL}, the default for examples
-"""
-
 SOURCES = """
 --device FILE
     serve the devices of a device file
@@ -80,7 +75,8 @@ def add_command(command: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     command.description = DESCRIPTION
     command.epilog = f"{EXAMPLES}\n\n{arguments.SCHEMES_OF_URLS}"
-    declare(command, ARGUMENTS, url={"dest": "urls"})
+    text = f"where to listen, such as {EXAMPLE_URL}, the default for examples"
+    declare(command, f"[URL ...]\n  {text}", url={"dest": "urls"})
     example = {"const": "", "complete": lambda **_: [*example_files.DEVICES]}
     source = command.add_mutually_exclusive_group()
     declare(source, SOURCES, example=example, map={"complete": arguments.maps})
