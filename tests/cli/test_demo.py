@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.serving import serving
-from tests.support.commands import on_terminal, run
+from tests.support.commands import run
 
 
 def test_demo_shows_every_example_on_every_line() -> None:
@@ -52,11 +52,3 @@ def test_the_commands_that_demo_prints_at_its_end_work_in_any_folder(
         assert (done.code, done.err) == (0, "")
         assert "METER" in done.out
     assert [*tmp_path.iterdir()] == []
-
-
-@pytest.mark.parametrize(("environment", "colour"), [({}, True), ({"NO_COLOR": "1"}, False)])
-def test_demo_has_colour_on_a_terminal_only(environment: dict[str, str], colour: bool) -> None:
-    with on_terminal("demo", environment=environment) as terminal:
-        shown = terminal.read_to_end()
-        assert terminal.process.wait() == 0
-    assert ("\x1b[32m" in shown) == colour

@@ -85,10 +85,27 @@ SESSIONS = {
         write URL --map FOLDER/tank.csv setpoint 21.5 pump on --dry-run
         write URL holding 4 --mask 0xF2 0x25 --dry-run
         write ascii:///dev/ttyUSB0 -u 7 coils 1 on off --dry-run
+        write 127.0.0.1:1 -u 7 holding 1 3 --dry-run
+        write rtu:///dev/none holding 1 3 --dry-run
         write URL holding 0 789 --and-read 0 2
+        write URL holding 1 77 --and-read 1 2 --count-from-1
         write URL holding 0 555
         write URL --map FOLDER/tank.csv setpoint 215
         write URL input 0 1
+        # what is carried out before a write that fails
+        write URL holding 0 7 coils 1 1 holding 9999 1
+        read URL holding 0
+        write URL holding 9999 1
+        # what was stored is read back
+        write HOST -u 20 hr 0 5 6 7 co 3 on coils 7 1 0 1 --verify
+        write HOST -u 20 hr 0 5 --multiple co 1 on --verify
+        write HOST -u 20 hr 0 -1 --verify
+        write HOST -u 20 hr 10 3.5 --type float32 --order CDAB --verify
+        write HOST -u 20 hr 3 --mask 0xFF00 0x0012 --verify
+        write HOST -u 20 hr 3 1 2 --and-read 0 4 --verify
+        write HOST -u 20 file:4 3 8 9 --verify
+        write HOST -u 20 40123 7 --verify
+        write HOST -u 20 hr 7 1 --count-from-1 --verify
     """,
     "identify": """
         identify URL
@@ -108,6 +125,7 @@ SESSIONS = {
         scan URL --units 7,9 --timeout 5
         scan URL --units 7 --json --timeout 5
         scan URL --units 9 --timeout 5
+        scan URL --units 9 --json --timeout 5
         scan URL --units 9-7
         map check FOLDER/tank.csv
         map check FOLDER/wrong.csv
@@ -280,6 +298,8 @@ SESSIONS = {
         read HOST -u 12,13 hr 0 --json
         read HOST -u 12,13 hr 0 --csv
         read HOST -u 11,17 hr 0 --watch 0.01 --count 2
+        read HOST -u 11 hr 0 co 0 --watch 0.01 --count 2 --csv
+        read HOST -u 11 hr 0 co 0 --watch 0.01 --count 2 --json
         read HOST -u 13 hr 0 --watch 0.01 --count 2
         identify HOST -u 11-12,17 --level 0
         identify HOST -u 12,13,17 --level 0

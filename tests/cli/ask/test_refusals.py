@@ -112,14 +112,6 @@ def test_in_json_each_point_has_its_value_or_error(maker: ServerMaker, points: P
     assert [*told["errors"]] == ["missing"]
 
 
-def test_addresses_beside_a_refused_one_are_shown(maker: ServerMaker) -> None:
-    words = "holding 0 2 holding 2 holding 3 --json"
-    done = run("read", with_a_hole(maker).url, *words.split())
-    items = json.loads(done.out)["items"]
-    assert [each.get("values") for each in items] == [[10, 11], None, [13]]
-    assert "illegal data address" in items[1]["error"]
-
-
 def test_a_request_that_is_refused_is_halved(maker: ServerMaker, points: Path) -> None:
     server = with_a_hole(maker)
     run("read", server.url, "--map", points)

@@ -4,7 +4,6 @@ read --watch: on terminals and in pipes, whatever the server, the reader and the
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import signal
@@ -50,19 +49,6 @@ def test_a_pipe_gets_a_line_for_each_poll_at_once(running: Running, mapping: Map
         while not process.stdout.readline().endswith("  0 7\n"):
             pass
         assert interrupted(process) == ""
-
-
-def test_csv_and_json(running: Running) -> None:
-    with Started("read", running.urls[0], "holding", "0", "coils", "1", "--csv", *WATCH) as process:
-        rows = csv.reader(process.stdout)
-        assert next(rows) == ["time", "holding 0", "coils 1", "error"]
-        assert [next(rows)[1:], next(rows)[1:]] == [["0", "0", ""]] * 2
-        interrupted(process)
-    with Started("read", running.urls[0], "holding", "0", "--json", *WATCH) as process:
-        first, second = (json.loads(process.stdout.readline()) for _ in range(2))
-        assert first["values"] == second["values"] == [0]
-        assert first["time"] < second["time"]
-        interrupted(process)
 
 
 def test_a_server_that_goes_and_comes_back_is_shown(mapping: Mapping) -> None:

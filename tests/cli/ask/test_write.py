@@ -4,11 +4,8 @@ The command write: items, ranges and names, and what is sent for them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-
-import pytest
 
 from libmodbus_py import Access, Device, IllegalDataAddress, Mapping, Server, load_map
 from tests.support.cases import each, each_case
@@ -49,18 +46,6 @@ def test_writes_are_these_bytes(url: str, words: str, pdus: list[str]) -> None:
     dry = run("write", url, *words.split(), "--dry-run")
     shown = [line.split("  ")[0][2 + 21 :] for line in dry.out.splitlines()]
     assert shown == pdus
-
-
-def test_a_dry_run_sends_nothing_and_needs_nobody() -> None:
-    done = run("write", "127.0.0.1:1", "-u", "7", "holding", "1", "3", "--dry-run")
-    assert (done.code, done.err) == (0, "")
-    assert done.out == (
-        "> 00 01 00 00 00 06 07 06 00 01 00 03  unit 7, WriteRegister(address=1, value=3)\n"
-    )
-    done = run("write", "rtu:///dev/none", "holding", "1", "3", "--dry-run")
-    assert done.out.startswith("> 01 06 00 01 00 03 98 0b  ")
-    done = run("write", "ascii:///dev/none", "holding", "1", "3", "--dry-run")
-    assert done.out.startswith(r"> :010600010003F5\r\n  ")
 
 
 def test_names_are_written_scaled_and_checked(url: str, meter: str, mapping: Mapping) -> None:
@@ -116,22 +101,6 @@ def test_names_and_places_are_written_as_typed(url: str, meter: str) -> None:
     ]
 
 
-def test_what_is_read_behind_a_write_is_shown_as_it_was_typed(url: str) -> None:
-    words = "holding 1 77 --and-read 1 2 --count-from-1"
-    done = run("write", url, *words.split())
-    assert [line.split()[0] for line in done.out.splitlines()] == ["1", "2"]
-    assert done.out.split()[1] == "77"
-
-
-def test_a_write_that_fails_says_what_was_carried_out_before_it(url: str) -> None:
-    done = run("write", url, "hr", 0, 7, "coils", 1, 1, "hr", 9999, 1)
-    assert (done.code, done.out) == (1, "")
-    assert done.err.endswith("; carried out before: 2 requests\n")
-    assert "illegal data address" in done.err
-    assert run("read", url, "hr", 0).out.split() == ["0", "7"]
-    assert "carried out" not in run("write", url, "hr", 9999, 1).err
-
-
 # --- values of points that say what they mean ----------------------------------------
 
 
@@ -177,38 +146,6 @@ def test_every_kind_of_value_can_be_typed(tmp_path: Path) -> None:
 
 
 # --- --verify: what was written is read back ----------------------------------------
-
-
-@pytest.fixture
-def stored() -> Mapping:
-    return Mapping(coils=100, holding_registers=200)
-
-
-@pytest.fixture
-def stored_at(stored: Mapping) -> Iterator[str]:
-    device = Device(stored, files={4: [0] * 20})
-    with Server(device).background("tcp://127.0.0.1:0") as running:
-        yield running.urls[0]
-
-
-@each_case(
-    "words",
-    [
-        "hr 0 5",
-        "hr 0 5 6 7 co 3 on coils 7 1 0 1",
-        "hr 0 5 --multiple co 1 on",
-        "hr 0 -1",
-        "hr 10 3.5 --type float32 --order CDAB",
-        "hr 3 --mask 0xFF00 0x0012",
-        "hr 3 1 2 --and-read 0 4",
-        "file:4 3 8 9",
-        "40123 7",
-        "hr 7 1 --count-from-1",
-    ],
-)
-def test_what_was_stored_is_right(stored_at: str, words: str) -> None:
-    done = run("write", stored_at, *words.split(), "--verify")
-    assert (done.code, done.err) == (0, "")
 
 
 class Stubborn:
