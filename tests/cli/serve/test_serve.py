@@ -155,7 +155,8 @@ def test_sharing_a_device_takes_one_command(device: str) -> None:
         for url, scheme in zip([first, *others], schemes, strict=True):
             assert url.startswith(f"{scheme}://")
             with Context.from_url(url, unit=1) as context:
-                assert context.read_holding_registers(0, 1) == [0]
+                context.write_register(0, len(url))
+                assert context.read_holding_registers(0, 1) == [len(url)]
 
 
 def test_the_gateway_is_shown() -> None:
