@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 from ...protocol.errors import ModbusError
 from ...protocol.plain import clock_text, plain, text_of, time_text, without_controls
 from ...protocol.values import Interpretation, ValueType, readings, value_type
-from ..output import print_json
-from ..screen import Redrawn
+from ..output import Redrawn, print_json
 from .items import ALL, HEX, REGISTERS, Item, reason_of
 from .units import fail
 

@@ -29,8 +29,7 @@ from ...tools.simulator.example_files import map_file
 from .. import arguments
 from ..arguments import connected, declare, endpoint_of
 from ..main import INTERRUPTED, CommandError
-from ..output import PROGRAM, complain, counted, written_to
-from ..screen import Status, missing, progress
+from ..output import PROGRAM, Status, complain, counted, missing, progress, written_to
 
 __all__ = ["add_command"]
 

@@ -25,8 +25,7 @@ from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, ModbusError
 from ..arguments import connected, endpoint_of
 from ..main import CommandError, advice
-from ..output import complain, counted
-from ..screen import Status
+from ..output import Status, complain, counted
 from ..serve import over_http
 from .formatters import Printer, ReadResult, TerminalTable, printer_of, result_of
 from .items import Item, Words, reason_of

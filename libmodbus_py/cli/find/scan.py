@@ -33,8 +33,7 @@ from ...tools.scan.search import MOST_REQUESTS, Extent, Searching, search
 from .. import arguments
 from ..arguments import declare, endpoint_of
 from ..main import INTERRUPTED
-from ..output import counted, print_json
-from ..screen import Status, duration, missing, progress
+from ..output import Status, counted, duration, missing, print_json, progress
 
 __all__ = ["add_command"]
 
@@ -255,9 +254,9 @@ class _Report:
             return f"{len(self.tried)} of {hosts}, those that accepted a connection"
         settings: dict[str, list[str]] = {}
         for setting, units in self.tried.items():
-            settings.setdefault(_units(units), []).append(setting)
+            settings.setdefault(_units(units), []).append(_form(setting))
         return "; ".join(
-            f"unit{'s' * (not units.isdigit())} {units} at {_settings(at)}"
+            f"unit{'s' * (not units.isdigit())} {units} at {', '.join(at)}"
             for units, at in settings.items()
         )
 
@@ -284,24 +283,13 @@ def _at(found: Found) -> str:
     """Return the setting at which a unit was found, such as " at 9600 8E1"; "" on networks."""
     if found.baudrate is None:
         return ""
-    return f" at {found.baudrate} {_form(f'{found.data_bits}{found.parity}{found.stop_bits}')}"
+    form = f"{found.data_bits}{found.parity}{found.stop_bits}"
+    return f" at {_form(f'{found.baudrate} {form}')}"
 
 
-def _form(form: str) -> str:
-    """Return all forms of characters that one finds: a receiver checks only the first stop bit."""
-    return f"{form[:-1]}1 or {form}" if form.endswith("N2") else form
-
-
-def _settings(settings: Iterable[str]) -> str:
-    """Return settings such as "9600 8E1", with those rates together that have the same forms."""
-    forms: dict[str, list[str]] = {}
-    for setting in settings:
-        rate, _, form = setting.partition(" ")  # a URL has no form
-        forms.setdefault(rate, []).append(form and f" {_form(form)}")
-    rates: dict[str, list[str]] = {}
-    for rate, found in forms.items():
-        rates.setdefault(",".join(found), []).append(rate)
-    return ", ".join("/".join(each) + form for form, each in rates.items())
+def _form(setting: str) -> str:
+    """Return all settings that one such as 9600 8N2 finds: receivers check one stop bit only."""
+    return re.sub("([0-9]N)2$", r"\g<1>1 or \g<1>2", setting)
 
 
 def _units(units: Iterable[int]) -> str:

@@ -43,9 +43,6 @@ def add_command(command: argparse.ArgumentParser) -> None:
 
 def _sunspec(options: argparse.Namespace) -> int:
     several = len(units_of(options)) > 1
-    print_rows = _print_csv if options.csv else _print_table
-    if options.json:
-        print_rows = _print_json
     rows: list[dict[str, Any]] = []
 
     def report(client: Context) -> None:
@@ -54,12 +51,15 @@ def _sunspec(options: argparse.Namespace) -> int:
             found = [{"unit": client.unit, **row} for row in found]
         if options.csv:  # one table of all units
             rows.extend(found)
+        elif options.json:
+            for row in found:
+                print_json(row)
         else:
-            print_rows(found)
+            _print_table(found)
 
     code = ask_units(options, report, partial(fail, as_json=options.json, lacks="models"))
     if rows:
-        print_rows(rows)
+        _print_csv(rows)
     return code
 
 
@@ -87,11 +87,6 @@ def _asked(context: Context, base: int | None) -> list[dict[str, Any]]:
                 }
             )
     return rows
-
-
-def _print_json(rows: list[dict[str, Any]]) -> None:
-    for row in rows:
-        print_json(row)
 
 
 def _print_csv(rows: list[dict[str, Any]]) -> None:

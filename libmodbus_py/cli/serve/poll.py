@@ -30,8 +30,7 @@ from ...tools.files.texts import compared
 from .. import arguments, logs, tracing
 from ..arguments import declare
 from ..main import CommandError
-from ..output import complain, inform
-from ..screen import Redrawn, Status
+from ..output import Redrawn, Status, complain, inform
 from . import fleet as workers
 from . import over_http
 from .running import Hangup, notify_ready

@@ -89,12 +89,11 @@ def test_the_end_says_what_was_tried_on_a_line() -> None:
     assert (done.code, done.out) == (1, "")
     estimate, tried = done.err.splitlines()
     assert estimate.startswith("247 units at 24 settings, ")
-    assert tried == (
-        "tried units 1-247 at 9600/19200/38400/57600/115200/4800/2400/1200"
-        " 8E1, 8N1 or 8N2, 8O1: no unit found"
-    )
+    assert tried.startswith("tried units 1-247 at 9600 8E1, 9600 8N1 or 8N2, 19200 8E1, ")
+    assert tried.endswith(": no unit found")
+    assert tried.count(" 8E1") == tried.count(" 8N1 or 8N2") == tried.count(" 8O1") == 8
     assert short.err.splitlines()[-1] == (
-        "tried units 1-3,9 at 9600/300 8E1, 8N1 or 8N2: no unit found"
+        "tried units 1-3,9 at 9600 8E1, 9600 8N1 or 8N2, 300 8E1, 300 8N1 or 8N2: no unit found"
     )
 
 
@@ -112,7 +111,8 @@ def test_a_stopped_scan_says_only_what_was_tried(monkeypatch: pytest.MonkeyPatch
         done = run("scan", "/dev/line")
     assert done.code == 130
     assert done.err.splitlines()[-1] == (
-        "tried units 1-3,247 at 9600/19200 8E1, 8N1 or 8N2; unit 1 at 9600 8O1: 1 unit found so far"
+        "tried units 1-3,247 at 9600 8E1, 9600 8N1 or 8N2, 19200 8E1, 19200 8N1 or 8N2;"
+        " unit 1 at 9600 8O1: 1 unit found so far"
     )
 
 

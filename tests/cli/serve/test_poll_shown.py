@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Device, Fleet, Mapping, Server
-from libmodbus_py.cli.screen import Redrawn
+from libmodbus_py.cli.output import Redrawn
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.shown_fleet import fleet_lines
 from libmodbus_py.services.fleet.statistics import KeptReadings
