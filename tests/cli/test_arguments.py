@@ -1,5 +1,5 @@
 """
-Options: those of URLs, their names, their texts, and what is said of wrong ones.
+Options: those of URLs have the same names, and apply to clients, servers and gateways.
 """
 
 from __future__ import annotations

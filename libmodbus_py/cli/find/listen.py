@@ -77,7 +77,8 @@ def add_command(command: argparse.ArgumentParser) -> None:
 def _listen(options: argparse.Namespace) -> int:
     logging.basicConfig(format="%(message)s", level=logging.WARNING)  # to stderr
     place = options.url
-    if "://" in place or not place.endswith(".pcapng"):  # the path of a device is a URL, too
+    is_live = "://" in place or not place.endswith(".pcapng")
+    if is_live:  # the path of a device is a URL, too
         place = with_options([place], options, SERIAL_OPTIONS)[0].url
     else:
         why = f"applies to serial ports only, not to {place}"
@@ -93,7 +94,7 @@ def _listen(options: argparse.Namespace) -> int:
             for number, handler in before.items():
                 if handler is not signal.SIG_IGN:
                     signal.signal(number, stop)
-            if is_live := not options.url.endswith(".pcapng"):
+            if is_live:
                 print(f"listening on {line.url}", file=sys.stderr, flush=True)
             _print_all(line, options)
             if is_live and sys.stdout.isatty():

@@ -38,7 +38,7 @@ from ..main import CommandError
 from ..output import complain, print_json
 from .running import Hangup, notify_ready
 
-__all__ = ["add_arguments", "add_command", "poll"]
+__all__ = ["add_arguments", "add_command", "poll", "waited_for"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -113,7 +113,7 @@ def poll(
     for zone in options.zone:
         in_key(zone)
     if options.push:
-        return _waited_for(_push(servers, settings, connections))
+        return waited_for(_push(servers, settings, connections))
 
     async def work() -> int:
         hung_up = hangup.answered(
@@ -148,13 +148,16 @@ def poll(
         return 0
 
     journal = file.made_journal()
-    return _waited_for(work())
+    return waited_for(work())
 
 
-def _waited_for(running: Coroutine[Any, Any, int]) -> int:
+def waited_for(running: Coroutine[Any, Any, T]) -> T:
+    """Run a fleet or a question about it to its end, and raise what ends a command."""
     try:
         return asyncio.run(running)
     except (EngineError, JournalError, OutputError) as error:
+        if isinstance(error, OutputError) and isinstance(error.__cause__, OSError):
+            raise error.__cause__ from None
         raise CommandError(str(error)) from None
 
 
@@ -231,7 +234,7 @@ async def _opened(
 
 
 def _fleet(options: argparse.Namespace) -> int:
-    return _waited_for(_status(parse_servers(options.engine), options.json))
+    return waited_for(_status(parse_servers(options.engine), options.json))
 
 
 async def _status(servers: list[str], as_json: bool) -> int:

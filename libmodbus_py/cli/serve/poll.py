@@ -20,8 +20,7 @@ from ...server.running import Handler, frozen_garbage, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, FleetFileError, load
 from ...services.fleet.fleet import Fleet
-from ...services.fleet.journal.schema import JournalError
-from ...services.fleet.outputs.output import KINDS, Output, OutputError, check_exclusive, made
+from ...services.fleet.outputs.output import KINDS, Output, check_exclusive, made
 from ...services.fleet.statistics import LastValues
 from ...services.fleet.trial import overloads, trying
 from ...services.tasks import WriterThread
@@ -29,7 +28,6 @@ from ...system import allow_all_descriptors
 from ...tools.files.texts import compared
 from .. import arguments, logs, tracing
 from ..arguments import declare
-from ..main import CommandError
 from ..output import Redrawn, Status, complain, inform
 from . import fleet as workers
 from . import over_http
@@ -139,14 +137,7 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
         return workers.poll(options, file, outputs, seen, show, hangup)
     fleet = Fleet(file.devices, outputs=outputs, journal=file.made_journal())
     with seen(fleet):
-        try:
-            asyncio.run(_run(fleet, options, file, hangup, show))
-        except OutputError as error:
-            if isinstance(error.__cause__, OSError):
-                raise error.__cause__ from None
-            raise CommandError(str(error)) from None
-        except JournalError as error:
-            raise CommandError(str(error)) from None
+        workers.waited_for(_run(fleet, options, file, hangup, show))
     if not options.once:
         return 0
     left = [line for line, is_left in _counts(fleet) if is_left]

@@ -1,5 +1,5 @@
 """
-scan of ranges of hosts, quick scans, and what a scan does not know.
+scan of ranges of hosts, quick scans, what a scan does not know, and how its options may be typed.
 """
 
 from __future__ import annotations
