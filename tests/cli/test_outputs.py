@@ -346,12 +346,14 @@ def url(tmp_path: Path) -> Iterator[str]:
         coils={0: [True, False, True]}, holding_registers=registers, input_registers={0: [7]}
     )
     devices = {
-        1: meter(),
+        1: meter(),  # of METER
+        # of MEANING, BITS and TANK
         2: Device(Mapping(holding_registers={0: [2305, 0xFFFF, 1, 0x51, 0, 60, 0]})),
         3: Device(
             Mapping(coils={5: [1]}, discrete_inputs={0: [0, 1]}, holding_registers={0: [0b1001]})
         ),
         7: Device(mapping, files={4: [1, 2, 3]}, identification={0: b"Maker", 1: b"M1", 2: b"1.0"}),
+        # of zeros, to write to
         20: Device(
             Mapping(coils=100, holding_registers=2000), files={4: [0] * 10000, 5: [0] * 10000}
         ),

@@ -339,19 +339,22 @@ UNREACHABLE = [
 ]
 
 
-@each_case(
-    ("code", "line", "said"), [*((2, *row) for row in WRONG), *((1, *row) for row in UNREACHABLE)]
-)
-def test_one_line_names_what_is_wrong(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, code: int, line: str, said: str
-) -> None:
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     resolve(monkeypatch, "plc.example")
     for name, content in FILES.items():
         (tmp_path / name).write_text(content)
-    done = run(*shlex.split(line.replace("FOLDER", str(tmp_path))))
+    return tmp_path
+
+
+@each_case(
+    ("code", "line", "said"), [*((2, *row) for row in WRONG), *((1, *row) for row in UNREACHABLE)]
+)
+def test_one_line_names_what_is_wrong(folder: Path, code: int, line: str, said: str) -> None:
+    done = run(*shlex.split(line.replace("FOLDER", str(folder))))
     assert (done.code, done.out) == (code, ""), done.err
     assert done.err.startswith("libmodbus-py: ")
     assert done.err.count("\n") == 1
     assert said in done.err
     assert not re.search("sesame|token=", done.err)
-    assert {each.name: each.read_text() for each in tmp_path.iterdir()} == FILES
+    assert {each.name: each.read_text() for each in folder.iterdir()} == FILES
