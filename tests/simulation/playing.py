@@ -8,16 +8,17 @@ import asyncio
 import json
 import random
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from libmodbus_py.client.queue import ONE_AT_A_TIME
 
 from .casts import CASTS
-from .exchange import Exchange
+from .events import START, Events
 from .rules import Broken
 from .world import FAULTS, Options, World
 
@@ -45,6 +46,35 @@ def chosen(seed: int) -> Options:
         pause=pause,
         seconds=min(seconds, LONGEST.get(cast, seconds)),
     )
+
+
+class Sent(NamedTuple):
+    """Bytes that were sent together."""
+
+    at: float
+    place: str
+    connection: int
+    is_client: bool
+    data: bytes
+
+
+class Exchange:
+    """Keeps the last of what was sent."""
+
+    def __init__(self, events: Events, most: int = 400) -> None:
+        self._events = events
+        self._sent: deque[Sent] = deque(maxlen=most)
+
+    def tell(self, place: str, connection: int, is_client: bool, data: bytes) -> None:
+        """See `Network.tap`."""
+        self._sent.append(Sent(self._events.now - START, place, connection, is_client, data))
+
+    def raw(self) -> Iterator[str]:
+        """Return a line for each piece: the time, the place, who sent it, and its bytes."""
+        for sent in self._sent:
+            arrow = "->" if sent.is_client else "<-"
+            where = f"{sent.place} {sent.connection}" if sent.connection else sent.place
+            yield f"{sent.at:10.4f}  {where:24} {arrow} {sent.data.hex(' ')}"
 
 
 @dataclass

@@ -1,8 +1,10 @@
 """
-The network in memory behaves as the system's does: the same scripts on both.
+Time in a network in memory, and who is not there; clients' and servers' tests show all else.
 """
 
 from __future__ import annotations
+
+import struct
 
 import pytest
 
@@ -10,6 +12,7 @@ from libmodbus_py import (
     AsyncClient,
     Context,
     Device,
+    Fault,
     Mapping,
     ModbusConnectionError,
     ModbusTimeoutError,
@@ -17,28 +20,10 @@ from libmodbus_py import (
 )
 
 from .network import Network
-from .scripted import Scripted, Write
+from .scripted import Scripted
+from .stage import Stage
 
-REGISTERS = {0: range(500, 510)}
-
-
-def echo(request: bytes, write: Write) -> None:
-    """Answer a read of one register over TCP with its address."""
-    write(request[:4] + b"\0\5" + request[6:8] + b"\2" + request[8:10])
-
-
-@pytest.mark.parametrize("url", ["tcp://10.0.0.1", "rtu+tcp://10.0.0.1", "rtu:///dev/line"])
-def test_a_server_answers_asyncio_clients(url: str) -> None:
-    network = Network()
-
-    async def main() -> None:
-        server = Server({17: Device(Mapping(holding_registers=REGISTERS))})
-        async with server.serving(url), AsyncClient(f"{url}?unit=17") as plc:
-            assert await plc.read_holding_registers(2, 2) == [502, 503]
-            await plc.write_register(2, 7)
-            assert await plc.read_holding_registers(2, 2) == [7, 503]
-
-    network.run(main)
+READ = bytes.fromhex("0001 0000 0006 11 03 0002 0001")
 
 
 def test_pauses_between_attempts_to_connect_are_those_of_the_seed() -> None:
@@ -85,16 +70,20 @@ def test_nobody_listens() -> None:
     network.run(main)
 
 
-def test_a_dropped_connection_is_told() -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", lambda request, write: peer.drop_all())
-
-    async def main() -> None:
-        async with AsyncClient(peer.url) as plc:
-            with pytest.raises(ModbusConnectionError):
-                await plc.read_holding_registers(0, 1)
-            peer.on_request = echo
-            assert await plc.read_holding_registers(3, 1) == [3]
-
-    network.run(main)
-    assert peer.connections == 2
+def test_on_a_stage_time_passes_only_while_the_test_waits() -> None:
+    late = {None: [Fault("delay", seconds=500)]}
+    server = Server({17: Device(Mapping(holding_registers={2: [502]}))}, late)
+    with Stage() as stage, server.background("tcp://10.0.0.1:0") as running:
+        with stage.talk(running.urls[0], "10.0.0.2") as client:
+            client.sendall(READ)
+            before = stage.now
+            stage.pass_time(0)
+            assert stage.now == before
+            assert client.recv(100)[-2:] == struct.pack(">H", 502)
+            assert stage.now - before == pytest.approx(500, abs=0.001)
+        with (
+            Context.from_url(running.urls[0], unit=17, timeout=100) as plc,
+            pytest.raises(ModbusTimeoutError),
+        ):
+            plc.read_holding_registers(2, 1)
+        assert stage.now - before >= 600
