@@ -33,6 +33,7 @@ __all__ = [
     "Checksum",
     "FrameVector",
     "Reference",
+    "exchanges",
     "rows",
 ]
 
@@ -119,6 +120,14 @@ FRAMES = [
 REQUESTS = [vector for vector in FRAMES if vector.kind == "request"]
 RESPONSES = [vector for vector in FRAMES if vector.kind == "response"]
 EXCEPTIONS = [vector for vector in FRAMES if vector.kind == "exception"]
+
+
+def exchanges() -> list[tuple[FrameVector, FrameVector]]:
+    """Return request and answer of each example that has both."""
+    asked = {vector.id: vector for vector in REQUESTS}
+    answers = [*RESPONSES, *EXCEPTIONS]
+    return [(asked[each.request], each) for each in answers if each.request in asked]
+
 
 CHECKSUMS = [
     Checksum(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import random
 import tracemalloc
 from collections.abc import Iterable
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 
@@ -20,13 +20,15 @@ from libmodbus_py.tools.listener.transaction import Heard, Kind
 from tests.server.test_server import BODIES
 from tests.support.cases import each_case
 from tests.support.talk import ascii_frame, rtu
-from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES
+from tests.support.vectors import exchanges
 
 ASK = rtu("01 03 00 00 00 02")
 ANSWER = rtu("01 03 04 00 07 00 09")
 WRITE = rtu("01 06 00 05 12 34")
 OTHER_WRITE = rtu("01 06 00 06 12 34")
 REFUSAL = rtu("01 83 02")
+
+MAKE = {"rtu": rtu, "ascii": ascii_frame}
 
 ECHOED = ["06 00 05 12 34", "05 00 05 FF 00", "16 00 04 00 F2 00 25", "08 00 00 A5 37"]
 
@@ -52,29 +54,15 @@ def named(pieces: Iterable[Piece], framing: str = "rtu") -> list[tuple[str, byte
     return [(each.part, each.frame.pdu if each.frame else each.data) for each in heard]
 
 
-def pairs_of(framing: str) -> list[tuple[bytes, bytes]]:
-    """Question and answer of each worked example that has both."""
-    asked = {vector.id: vector for vector in REQUESTS}
-    pairs = [
-        (asked[answer.request], answer)
-        for answer in (*RESPONSES, *EXCEPTIONS)
-        if answer.request in asked
-    ]
-    return [
-        (getattr(question, framing), getattr(answer, framing))
-        for question, answer in pairs
-        if question.unit != 0
-    ]
-
-
 @each_case("framing", ["rtu", "ascii"])
 @each_case("step", [0, 1, 7, -1], ids=["whole", "bytes", "sevens", "all in one piece"])
 def test_every_example_of_the_specification_finds_its_answer(framing: str, step: int) -> None:
-    pairs = pairs_of(framing)
+    pairs = [each for each in exchanges() if each[0].unit != 0]
     pieces: list[Piece] = []
     at = 0.0
-    for question, answer in pairs:
-        for data, pause in ((question, 0.01), (answer, 0.05)):
+    for vectors in pairs:
+        for vector, pause in zip(vectors, (0.01, 0.05), strict=True):
+            data = getattr(vector, framing)
             size = max(step, 0) or len(data)
             pieces += [(at, data[n : n + size]) for n in range(0, len(data), size)]
             at += pause
@@ -108,14 +96,6 @@ def test_refusals_and_requests_without_an_answer_or_with_a_wrong_one() -> None:
     assert (alone.kind, alone.unit, alone.request) == ("unasked", 1, None)
 
 
-def test_no_answer_is_told_without_another_question() -> None:
-    separator = Separator("rtu")
-    assert separator.feed(ASK, 0.0) == []
-    assert separator.tick(1.0) == []
-    assert [each.kind for each in separator.tick(20.0)] == ["unanswered"]
-    assert separator.tick(21.0) == []
-
-
 def test_requests_that_are_not_decoded() -> None:
     (refused,) = listen([(0.0, rtu("01 03 00 00 00 00")), (0.1, rtu("01 83 03"))])
     assert (refused.request, refused.kind) == (pdu.RawRequest(3, bytes(4)), "exception")
@@ -136,7 +116,7 @@ def test_a_frame_without_a_function_is_invalid(
     code: str, direction: str | None, framing: str
 ) -> None:
     separator = Separator(framing)  # type: ignore[arg-type]
-    frame = {"rtu": rtu, "ascii": ascii_frame}[framing](f"01 {code} 01")
+    frame = MAKE[framing](f"01 {code} 01")
     done = separator.feed(frame, 0.0, direction)  # type: ignore[arg-type]
     done += separator.end()
     assert [(each.kind, each.unit) for each in done] == [("invalid", 1)]
@@ -146,7 +126,7 @@ def test_a_frame_without_a_function_is_invalid(
 @pytest.mark.parametrize("framing", ["rtu", "ascii"])
 def test_a_good_frame_that_nobody_sends_is_no_damage(framing: str) -> None:
     """It is an exception to something that was not asked, or invalid, whatever ends it."""
-    make = {"rtu": rtu, "ascii": ascii_frame}[framing]
+    make = MAKE[framing]
     ask, answer = make("02 03 0000 0001"), make("02 03 02 0001")
     for body in ["00", "00 01 02 03", *BODIES]:
         frames = [ask, answer, make(f"02 {body}"), ask, answer]
@@ -199,6 +179,9 @@ LINES: list[tuple[list[Piece], str]] = [
     ([(0.0, ASK), (0.01, damaged(ANSWER))], "damaged"),
     ([(0.0, WRITE), (0.005, damaged(WRITE)), (0.4, WRITE), (0.405, WRITE)], "damaged, answered"),
     ([(0.0, WRITE), (0.005, damaged(WRITE)), (0.03, WRITE), (0.035, WRITE)], "damaged, answered"),
+    # behind silence a frame counts, whatever a front that claims more still waits for
+    *(([(0.0, bytes([1, code, 0xFA, 0])), (0.5, ASK), (0.505, ANSWER)], "damaged, answered")
+      for code in (3, 0x10, 0x55, 0x2B, 8, 0x83)),
 ]  # fmt: skip
 
 
@@ -263,32 +246,6 @@ def test_damage_in_place_of_a_response_and_beside_it() -> None:
     assert found == ["damaged", "answered"]
 
 
-@each_case("code", [3, 0x10, 0x55, 0x2B, 8, 0x83])
-def test_a_front_that_claims_more_holds_up_nothing(code: int) -> None:
-    """Behind silence a frame counts, whatever the front still waits for."""
-    separator = Separator("rtu")
-    done = separator.feed(bytes([1, code, 0xFA, 0x00]), 0.0)
-    done += separator.feed(ASK, 0.5)
-    done += separator.feed(ANSWER, 0.505)
-    assert [each.kind for each in done] == ["damaged", "answered"]
-
-
-def test_a_front_that_is_followed_at_once() -> None:
-    """Nothing but silence behind two good frames shows that the front is none."""
-    separator = Separator("rtu")
-    done = separator.feed(bytes([1, 3, 0xFA, 0, 0]) + ASK + ANSWER, 0.0)
-    done += separator.tick(0.1)
-    assert [each.kind for each in done] == ["damaged", "answered"]
-
-
-def test_what_stays_unfinished_is_told() -> None:
-    separator = Separator("rtu")
-    assert separator.feed(ASK[:4], 0.0) == []
-    assert separator.tick(0.1) == []
-    (done,) = separator.tick(2.0)
-    assert (done.kind, done.error and done.error.received) == ("damaged", ASK[:4])
-
-
 def test_a_pause_inside_a_frame() -> None:
     """A long answer came in pieces of 32 bytes, with gaps."""
     data = rtu("01 03 A0" + "00 07" * 80)
@@ -312,46 +269,65 @@ def test_noise_is_told_before_it_ends_and_takes_a_bounded_memory(framing: str) -
     assert any(each.kind == "damaged" for each in done)
 
 
-class TestNoise:
-    @each_case("framing", ["rtu", "ascii"])
-    @each_case("seed", range(30))
-    def test_recovers(self, framing: str, seed: int) -> None:
-        """Whatever comes, nothing is raised; a line that is in order again is understood."""
-        choose = random.Random(seed)
-        separator = Separator(framing)  # type: ignore[arg-type]
-        make = rtu if framing == "rtu" else ascii_frame
-        ask, answer = make("01 03 00 00 00 02"), make("01 03 04 00 07 00 09")
-        at = 0.0
-        for _ in range(40):
-            piece = choose.choice([ask, answer, choose.randbytes(choose.randint(0, 60))])
-            separator.feed(piece[choose.randrange(3) :], at)
-            at += choose.choice([0.0, 0.001, 0.03, 1.5])
-        at += 2
-        separator.tick(at)
-        separator.feed(ask, at)
-        done = separator.feed(answer, at + 0.01)
-        assert [each.kind for each in done][-1] == "answered"
+@each_case("framing", ["rtu", "ascii"])
+@each_case("seed", range(30))
+def test_a_line_that_is_in_order_again_is_understood(framing: str, seed: int) -> None:
+    """Whatever comes before, nothing is raised."""
+    choose = random.Random(seed)
+    separator = Separator(framing)  # type: ignore[arg-type]
+    make = MAKE[framing]
+    ask, answer = make("01 03 00 00 00 02"), make("01 03 04 00 07 00 09")
+    at = 0.0
+    for _ in range(40):
+        piece = choose.choice([ask, answer, choose.randbytes(choose.randint(0, 60))])
+        separator.feed(piece[choose.randrange(3) :], at)
+        at += choose.choice([0.0, 0.001, 0.03, 1.5])
+    at += 2
+    separator.tick(at)
+    separator.feed(ask, at)
+    done = separator.feed(answer, at + 0.01)
+    assert [each.kind for each in done][-1] == "answered"
 
 
-class TestKnownDirections:
-    def test_both_ways(self) -> None:
-        separator = Separator("rtu")
-        assert separator.feed(WRITE, 0.0, "client") == []
-        assert separator.feed(WRITE, 1.0, "client")[0].kind == "unanswered"
-        (done,) = separator.feed(WRITE, 1.9, "server")
-        assert (done.kind, done.repeats) == ("answered", 1)
-        separator.feed(OTHER, 2.0, "client")
-        (done,) = separator.feed(rtu("02 03 02 00 05"), 2.1, "server")  # shorter than a request
-        assert done.kind == "answered"
+# --- time passes, and directions are known --------------------------------------------------------
 
-    def test_what_stays_unfinished_is_told(self) -> None:
-        separator = Separator("rtu")
-        separator.feed(ASK, 0.0, "client")
-        separator.feed(ANSWER[:3], 0.1, "server")
-        assert separator.tick(0.5) == []
-        assert [each.kind for each in separator.tick(9.0)] == ["damaged"]
-        separator.feed(ASK, 10.0, "client")
-        assert [each.kind for each in separator.feed(ANSWER, 10.1, "server")] == ["answered"]
+
+FRONT = bytes([1, 3, 0xFA, 0, 0])
+
+
+@each_case(
+    ("pieces", "told"),
+    [
+        ([(ASK, None)], {1.0: [], 20.0: [("unanswered", b"")], 21.0: []}),
+        ([(ASK[:4], None)], {0.1: [], 2.0: [("damaged", ASK[:4])]}),
+        # Nothing but silence behind two good frames shows that the front is none.
+        ([(FRONT + ASK + ANSWER, None)], {0.1: [("damaged", FRONT), ("answered", b"")]}),
+        ([(ASK, "client"), (ANSWER[:3], "server")], {0.5: [], 9.0: [("damaged", ANSWER[:3])]}),
+    ],
+)
+def test_what_is_over_is_told_without_another_byte(pieces: list[Any], told: Any) -> None:
+    separator = Separator("rtu")
+    for data, direction in pieces:
+        assert separator.feed(data, 0.0, direction) == []
+    for at, expected in told.items():
+        done = separator.tick(at)
+        found = [(each.kind, each.error.received if each.error else b"") for each in done]
+        assert found == expected, at
+    is_known = pieces[0][1] is not None
+    assert separator.feed(ASK, 30.0, "client" if is_known else None) == []
+    (done,) = separator.feed(ANSWER, 30.1, "server" if is_known else None)
+    assert done.kind == "answered"
+
+
+def test_known_directions() -> None:
+    separator = Separator("rtu")
+    assert separator.feed(WRITE, 0.0, "client") == []
+    assert separator.feed(WRITE, 1.0, "client")[0].kind == "unanswered"
+    (done,) = separator.feed(WRITE, 1.9, "server")
+    assert (done.kind, done.repeats) == ("answered", 1)
+    separator.feed(OTHER, 2.0, "client")
+    (done,) = separator.feed(rtu("02 03 02 00 05"), 2.1, "server")  # shorter than a request
+    assert done.kind == "answered"
 
 
 def test_no_framing() -> None:
