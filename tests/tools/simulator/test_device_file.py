@@ -47,9 +47,19 @@ def test_values_lie_where_the_file_says() -> None:
         ('type = "float16"', [0]),
         ('type = "bits16"', [0]),
         (f'type = "bits16"\nvalue = {[1, *[0] * 14, 1]}', [0x8001]),
+        # Values are those that users see.
+        ("scale = 0.1\nvalue = 230.5", [2305]),
+        ("scale = 0.1\nvalues = [230.5, 0.04, 0.06]", [2305, 0, 1]),
+        ("scale = 0.1\noffset = -20\nvalue = -20", [0]),
+        ("scale = 10\nvalue = 655350", [65535]),
+        ("scale = -1\nvalue = -7", [7]),
+        ("offset = 100", [0]),
+        ("type = 'int32'\nscale = 0.001\nvalue = -0.001", [0xFFFF, 0xFFFF]),
+        ("type = 'float32'\nscale = 0.5\nvalue = 0.5", [0x3F80, 0]),
+        ("scale = 1\nunits = 'V'\nvalue = 3", [3]),
     ],
 )
-def test_types_are_those_of_values(content: str, registers: list[int]) -> None:
+def test_types_and_scales(content: str, registers: list[int]) -> None:
     device = unit(f"[[unit.holding_registers]]\naddress = 3\n{content}")
     assert holding(device, 3, len(registers)) == registers
     with pytest.raises(IllegalDataAddress):

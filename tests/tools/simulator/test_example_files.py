@@ -6,42 +6,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import fields
 from inspect import signature
 from pathlib import Path
 
 import pytest
 
-from libmodbus_py import (
-    Context,
-    IllegalDataAddress,
-    Point,
-    pdu,
-)
+from libmodbus_py import Context, IllegalDataAddress, Point, Server, pdu
 from libmodbus_py.tools.faults.fault import KINDS, PLACES, Fault
 from libmodbus_py.tools.simulator import example_files
 from libmodbus_py.tools.simulator.clockwork import BEHAVIOURS
-from libmodbus_py.tools.simulator.device_file import FIFO, FILE, SERVER_ID, UNIT
+from libmodbus_py.tools.simulator.device_file import FIFO, FILE, SERVER_ID, UNIT, load
 from libmodbus_py.tools.simulator.points import CONTENTS, DEFAULTS
-from tests.support.commands import Started
 
 PLANT = Path(__file__).parents[3] / "examples" / "plant.toml"
 
 
-@contextmanager
-def served(*arguments: str) -> Iterator[str]:
-    """Serve with the command, and yield its first URL."""
-    with Started("serve", *arguments) as process:
-        yield process.stdout.readline().removeprefix("listening on ").rstrip("\n")
-        process.terminate()
-        assert process.wait() == 0
-
-
 @pytest.fixture(scope="module")
 def plant() -> Iterator[str]:
-    with served("tcp://127.0.0.1:0", "--device", str(PLANT)) as url:
-        yield url
+    with Server(*load(PLANT)).background("tcp://127.0.0.1:0") as running:
+        yield running.urls[0]
 
 
 def test_the_example_keeps_what_its_comments_promise(plant: str) -> None:
@@ -86,6 +70,11 @@ def test_the_example_refuses_what_its_comments_say(plant: str) -> None:
                 ask()
 
 
+OF_FAULTS = Fault.__dataclass_fields__
+OF_BEHAVIOURS = {key for make in BEHAVIOURS.values() for key in signature(make).parameters}
+OF_BEHAVIOURS -= {"point", "others"}
+
+
 def test_the_examples_have_every_key() -> None:
     text = PLANT.read_text() + Path(example_files.path_of("meter")).read_text()
     keys = set(re.findall(r"^(\w+) =|[{,] (\w+) =", text, re.MULTILINE))
@@ -93,11 +82,9 @@ def test_the_examples_have_every_key() -> None:
     present |= set(re.findall(r"^\[+(?:unit\.)?(\w+)[].]", text, re.MULTILINE))
     # What registers say is in register maps; `test_every_key_of_points` tries those keys here.
     meaning = [each.name for each in fields(Point) if each.init]
-    meaning = meaning[meaning.index("missing") :]
-    for expected in (UNIT, SERVER_ID, FIFO, *CONTENTS.values(), Fault.__dataclass_fields__):
-        assert set(expected) <= {*present, *meaning}
-    for make in BEHAVIOURS.values():
-        assert {*signature(make).parameters} - {"point", "others"} <= present
+    present.update(meaning[meaning.index("missing") :])
+    for expected in (UNIT, SERVER_ID, FIFO, *CONTENTS.values(), OF_FAULTS, OF_BEHAVIOURS):
+        assert set(expected) <= present
     for kind in KINDS:
         assert f'kind = "{kind}"' in text
 
@@ -106,10 +93,6 @@ def test_the_page_about_the_simulator_explains_every_key() -> None:
     text = (PLANT.parents[1] / "docs" / "how-to" / "simulator.md").read_text()
     text = text[text.index("## All keys") :]
     explained = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", text))))
-    expected = [FILE, UNIT, SERVER_ID, FIFO, DEFAULTS, *CONTENTS.values(), KINDS, PLACES]
-    expected += [
-        Fault.__dataclass_fields__,
-        *(signature(each).parameters for each in BEHAVIOURS.values()),
-    ]
-    for keys in expected:
-        assert set(keys) - {"point", "others"} <= explained
+    keys = [FILE, UNIT, SERVER_ID, FIFO, DEFAULTS, *CONTENTS.values(), KINDS, PLACES]
+    for expected in (*keys, OF_FAULTS, OF_BEHAVIOURS):
+        assert set(expected) <= explained

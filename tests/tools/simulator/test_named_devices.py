@@ -13,12 +13,11 @@ from typing import Any
 import pytest
 
 from libmodbus_py import IllegalDataAddress, device_file, load_map, pdu
-from libmodbus_py.device_file import DeviceFileError, SimulatedDevice, Simulation, load, parse
+from libmodbus_py.device_file import SimulatedDevice, Simulation, load, parse
 from libmodbus_py.fleet import load as load_fleet
 from libmodbus_py.tools.page.server_source import set_point
 from libmodbus_py.tools.page.units import ShownUnit, point_rows
 from libmodbus_py.tools.simulator import example_files
-from tests.support.cases import each_case
 from tests.tools.simulator.simulated_units import Clock, answer, holding, inputs
 
 METER = """name,table,address,type,scale,unit,access
@@ -50,29 +49,6 @@ def made(tmp_path: Path) -> Write:
         return the(load(tmp_path / "device.toml", **options))
 
     return make
-
-
-# --- scales ----------------------------------------------------------------------------------
-
-REGISTER = "[[unit]]\n[[unit.input_registers]]\naddress = 0\n"
-
-
-@each_case(
-    ("content", "registers"),
-    [
-        ("scale = 0.1\nvalue = 230.5", [2305]),
-        ("scale = 0.1\nvalues = [230.5, 0.04, 0.06]", [2305, 0, 1]),
-        ("scale = 0.1\noffset = -20\nvalue = -20", [0]),
-        ("scale = 10\nvalue = 655350", [65535]),
-        ("scale = -1\nvalue = -7", [7]),
-        ("offset = 100", [0]),
-        ("type = 'int32'\nscale = 0.001\nvalue = -0.001", [0xFFFF, 0xFFFF]),
-        ("type = 'float32'\nscale = 0.5\nvalue = 0.5", [0x3F80, 0]),
-        ("scale = 1\nunits = 'V'\nvalue = 3", [3]),
-    ],
-)
-def test_values_are_those_that_users_see(content: str, registers: list[int]) -> None:
-    assert inputs(the(parse(REGISTER + content)), 0, len(registers)) == registers
 
 
 def test_what_moves_is_scaled() -> None:
@@ -126,13 +102,6 @@ def test_a_device_knows_its_names_and_points() -> None:
     assert (float_.type, float_.order, float_.access, ticks.access) == (
         *("float32", "CDAB", "read", "read"),
     )
-
-
-def test_names_of_ranges_are_their_own() -> None:
-    text = "[[unit]]\ncoils = [{{ address = 0 {} }}, {{ address = 5, name = '{}' }}]"
-    for name, same in ((", name = 'a'", "a"), ("", "coils_0")):
-        with pytest.raises(DeviceFileError, match=rf"coils\[1\].name: there is .* a point {same}"):
-            parse(text.format(name, same))
 
 
 def test_defaults_hold_where_nothing_else_is_said() -> None:

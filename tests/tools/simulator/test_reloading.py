@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import os
 import queue
 import signal
 import threading
@@ -24,6 +23,7 @@ from libmodbus_py.tools.simulator.reloading import Reloader
 from libmodbus_py.tools.simulator.simulated import Simulation
 from tests.support.cases import each_case
 from tests.support.commands import Started
+from tests.support.peers import until
 from tests.tools.simulator.simulated_units import Clock
 
 PLAIN = """
@@ -43,29 +43,24 @@ holding_registers = [{ address = 0, value = 3 }]
 """
 
 
-def until(is_so: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 30
-    while not is_so():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 # --- what stays ------------------------------------------------------------------------------
 
 
-def after(before: str, change: Callable[[SimulatedDevice], object], text: str) -> SimulatedDevice:
-    """Unit 1, served from one text, changed, and read again from another."""
+def after(
+    before: str, change: Callable[[SimulatedDevice, Clock], object], text: str
+) -> SimulatedDevice:
+    """Unit 1, served from one text, changed, and read again from another after ten seconds."""
     clock = Clock()
     old = parse(before, clock=clock)
     assert isinstance(old.devices, dict)
-    change(old.devices[1])
+    change(old.devices[1], clock)
     clock.now += 10
     made = parse(text, clock=clock).going_on_from(old)
     assert isinstance(made.devices, dict)
     return made.devices[1]
 
 
-def write_all(device: SimulatedDevice) -> None:
+def write_all(device: SimulatedDevice, _: Clock) -> None:
     for request in (
         pdu.WriteRegisters(0, [11, 12]),
         pdu.WriteRegisters(10, [0, 55]),
@@ -79,7 +74,7 @@ def write_all(device: SimulatedDevice) -> None:
 @each_case("text", [PLAIN, "# a comment\n" + PLAIN, PLAIN.replace("id = 2", "id = 9")])
 def test_a_unit_of_which_the_file_says_the_same_stays_the_same(text: str) -> None:
     seen: list[Device] = []
-    assert after(PLAIN, seen.append, text) is seen[0]
+    assert after(PLAIN, lambda device, _: seen.append(device), text) is seen[0]
 
 
 def test_values_that_clients_wrote_stay_in_ranges_that_stay() -> None:
@@ -110,17 +105,17 @@ def test_what_the_file_says_otherwise_is_as_it_says(old: str, new: str, found: l
 
 def test_what_moves_goes_on() -> None:
     text = PLAIN.replace("id = 1", "id = 1\nname = 'other'")
-    walked: list[int] = []
+    moving = pdu.ReadInputRegisters(0, 2)
+    found: list[list[int]] = []
 
-    def look(device: SimulatedDevice) -> None:
-        device._clockwork._clock.now += 10  # type: ignore[attr-defined]
-        request = pdu.ReadInputRegisters(1, 1)
-        walked.extend(request.decode_response(device.answer(request.encode())))
-        device._clockwork._clock.now -= 10  # type: ignore[attr-defined]
+    def look_ahead(device: SimulatedDevice, clock: Clock) -> None:
+        clock.now += 10
+        found.append(moving.decode_response(device.answer(moving.encode())))
+        clock.now -= 10
 
-    device = after(PLAIN, look, text)
-    request = pdu.ReadInputRegisters(0, 2)
-    assert request.decode_response(device.answer(request.encode())) == [10, *walked]
+    device = after(PLAIN, look_ahead, text)
+    assert moving.decode_response(device.answer(moving.encode())) == found[0]
+    assert found[0][0] == 10
 
 
 # --- reading again ---------------------------------------------------------------------------
@@ -280,54 +275,38 @@ def test_the_end_of_a_server_in_the_middle_of_a_reading_leaves_no_task(
     assert told == []
 
 
-def test_reading_again_leaks_nothing(path: Path) -> None:
+def test_devices_that_were_replaced_are_not_kept(path: Path) -> None:
     with reloading(path) as (ask, client, told):
-        # The server has accepted the connection when it has answered.
-        assert client.read_holding_registers(0, 2) == [1, 2]
-        gc.collect()
-        descriptors = len(os.listdir("/proc/self/fd"))
         for number in range(25):
             path.write_text(PLAIN.replace("id = 1", f"id = 1\nname = 'number {number}'"))
             told.clear()
             ask()
             until(lambda: bool(told))
         assert client.read_holding_registers(0, 2) == [1, 2]
-        assert len(os.listdir("/proc/self/fd")) <= descriptors
         gc.collect()
         until(lambda: sum(isinstance(each, SimulatedDevice) for each in gc.get_objects()) < 10)
 
 
-# --- the command line ------------------------------------------------------------------------
-
-
-@contextmanager
-def command(*arguments: str) -> Iterator[tuple[Started, str]]:
-    with Started("serve", "tcp://127.0.0.1:0", *arguments) as process:
-        yield process, process.stdout.readline().strip().removeprefix("listening on ")
-
-
-def test_hangups_read_the_file_again_and_connections_stay(path: Path) -> None:
-    with command("--device", str(path)) as (process, url), Context.from_url(url, unit=1) as client:
-        assert client.read_holding_registers(0, 1) == [1]
-        path.write_text("[[unit]")
-        process.send_signal(signal.SIGHUP)
-        assert process.stderr.readline().startswith(f"the former content is used: {path}: ")
-        path.write_text(PLAIN.replace("[1, 2]", "[8, 9]"))
-        for _ in range(200):
-            process.send_signal(signal.SIGHUP)
-            client.read_holding_registers(0, 1)
-        until(lambda: client.read_holding_registers(0, 1) == [8])
-        told = process.stderr.readline()
-        assert told == f"{path}: read again, 2 units: 1 changed\n"
+@pytest.mark.parametrize("by", ["hangups", "a look at the file"])
+def test_the_command_reads_its_file_again_and_connections_stay(by: str, path: Path) -> None:
+    options = ["--reload"] if by == "a look at the file" else []
+    hangups = 200 if by == "hangups" else 0
+    with Started("serve", "tcp://127.0.0.1:0", "--device", path, *options) as process:
+        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+        with Context.from_url(url, unit=1, timeout=5) as client:
+            assert client.read_holding_registers(0, 1) == [1]
+            path.write_text("[[unit]")
+            for _ in range(min(hangups, 1)):
+                process.send_signal(signal.SIGHUP)
+            assert process.stderr.readline().startswith(f"the former content is used: {path}: ")
+            other = path.with_name("other.toml")
+            other.write_text(PLAIN.replace("[1, 2]", "[8, 9]"))
+            other.rename(path)
+            for _ in range(hangups):
+                process.send_signal(signal.SIGHUP)
+                client.read_holding_registers(0, 1)
+            until(lambda: client.read_holding_registers(0, 1) == [8])
+        assert process.stderr.readline() == f"{path}: read again, 2 units: 1 changed\n"
         process.send_signal(signal.SIGHUP)
         process.send_signal(signal.SIGTERM)
         assert process.wait() == 0
-
-
-def test_a_file_that_changes_is_read_again_with_reload(path: Path) -> None:
-    arguments = ("--device", str(path), "--reload")
-    with command(*arguments) as (_, url), Context.from_url(url, unit=1, timeout=5) as client:
-        other = path.with_name("other.toml")
-        other.write_text(PLAIN.replace("[1, 2]", "[8, 9]"))
-        other.rename(path)
-        until(lambda: client.read_holding_registers(0, 1) == [8])

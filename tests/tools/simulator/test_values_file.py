@@ -57,7 +57,7 @@ def kept(folder: Path, units: Any, told: list[str] | None = None) -> ValuesFile:
     return ValuesFile(str(folder / "state"), lambda: units, tell=tell)
 
 
-def after_a_write(folder: Path) -> Units:
+def after_a_write(folder: Path) -> None:
     """Serve the plant once, with values that clients write."""
     units = plant(folder)
     file = kept(folder, units)
@@ -72,21 +72,9 @@ def after_a_write(folder: Path) -> Units:
         assert units[unit].answer(request.encode())[0] == request.function
     units[1].answer(pdu.ReadHoldingRegisters(900, 1).encode())  # a moving value
     file.close()
-    return units
 
 
-def test_written_values_survive_a_restart(folder: Path) -> None:
-    after_a_write(folder)
-    units = plant(folder)
-    file = kept(folder, units)
-    assert units[1]["setpoint"] == 21.5
-    assert units[1].mapping.holding_registers[100:202] == [8] * 100 + [7, 7]
-    assert list(units[1].files[4]) == [1, 9, 3]
-    assert units[2].mapping.coils[:] == [False] * 5 + [True] + [False] * 2
-    file.close()
-
-
-def test_the_file_has_only_what_is_not_as_at_first(folder: Path) -> None:
+def test_written_values_survive_a_restart_and_nothing_else_is_kept(folder: Path) -> None:
     after_a_write(folder)
     assert json.loads((folder / "state").read_text()) == {
         "libmodbus-py": "state",
@@ -103,13 +91,13 @@ def test_the_file_has_only_what_is_not_as_at_first(folder: Path) -> None:
             "2": {"points": {"coils_0": ["coils", 0, 8, None, "ABCD"]}, "coils": {"5": [1]}},
         },
     }
-
-
-def test_new_first_values_hold_where_nothing_was_written(folder: Path) -> None:
-    after_a_write(folder)
+    # New first values hold where nothing was written.
     units = plant(folder, PLANT.replace("value = 7", "value = 6"))
     kept(folder, units).close()
-    assert units[1].mapping.holding_registers[199:202] == [8, 6, 6]
+    assert units[1]["setpoint"] == 21.5
+    assert units[1].mapping.holding_registers[100:202] == [8] * 100 + [6, 6]
+    assert list(units[1].files[4]) == [1, 9, 3]
+    assert units[2].mapping.coils[:] == [False] * 5 + [True] + [False] * 2
 
 
 OTHERS = [
