@@ -62,9 +62,7 @@ class Plant:
         self.values = Values(lambda name: self.meters.setdefault(name, Meter(name)))
         self.counts: dict[str, float] = {"devices": 1, "down": 0}
 
-    def describe(
-        self, *points: tuple[str, str], every: float | None = 1.0, units: str = "V"
-    ) -> None:
+    def describe(self, *points: tuple[str, str], every: float | None = 1.0) -> None:
         self.values.describe(ShownPoint(*names, "V", every) for names in points)
 
     def status(self) -> tuple[str, bool]:

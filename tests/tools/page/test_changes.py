@@ -5,6 +5,7 @@ Values that are typed on a page: set, or refused with the reason; values that ar
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,12 @@ from libmodbus_py import (
     Mapping,
     ModbusTimeoutError,
     Server,
-    ServerDeviceBusy,
 )
 from libmodbus_py.page import live_page
 from libmodbus_py.tools.simulator.device_file import load
 from libmodbus_py.tools.simulator.simulated import SimulatedDevice
 from tests.support.golden import Golden, refusals
-from tests.tools.page.watching import NAMES, Visitor, shown, until
+from tests.tools.page.watching import NAMES, Visitor, is_served, shown, until
 
 H = "holding_registers"
 
@@ -190,21 +190,13 @@ def test_faults_are_switched_off_and_on() -> None:
             [None, "no_answer", "function 1", True],
         ]
         number = min(map(int, visitor.seen["faults"]))
-        with pytest.raises(ServerDeviceBusy):
-            plc.read_holding_registers(0, 1)
+        reads = partial(is_served, lambda: plc.read_holding_registers(0, 1))
+        assert not reads()
         assert visitor.post("/fault", number=number, on=False) == {}
         visitor.receive(lambda: not visitor.rows("faults")[0][3])
-        until(lambda: _reads(plc))
+        until(reads)
         visitor.post("/fault", number=number, on=True)
-        until(lambda: not _reads(plc))
-
-
-def _reads(plc: Context) -> bool:
-    try:
-        plc.read_holding_registers(0, 1)
-    except ServerDeviceBusy:
-        return False
-    return True
+        until(lambda: not reads())
 
 
 def test_a_fault_is_added() -> None:

@@ -94,49 +94,40 @@ def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_tha
         assert gone == "this value no longer exists"
 
 
-def test_history_is_that_of_memory_and_before_it_that_of_the_journal() -> None:
+@each_case(
+    ("every", "before"),
+    [
+        (10.0, [1.0, 2.0, None, 3.0, None]),
+        (300.0, [1.0, 2.0, 3.0, None]),
+        (None, [1.0, 2.0, 3.0]),
+    ],
+)
+def test_history_is_that_of_memory_and_before_it_that_of_the_journal_with_gaps(
+    every: float | None, before: list[float | None]
+) -> None:
     asked: list[Any] = []
     now = time.time()
 
     def older(device: str, name: str, since: float, until: float, most: int) -> Any:
         asked.append((device, name, round(until - since), most > 0))
-        return [(now - 3000, 1.0), (now - 2000, None), (now - 50, 2.0), (now - 5, 99.0)]
+        return [(now - 3000, 1.0), (now - 2995, 2.0), (now - 2500, 3.0), (now - 5, 99.0)]
 
     plant = Plant(older=older)
-    plant.describe(("a", "x"), every=math.inf)
+    plant.describe(("a", "x"), every=every)
     for at in range(40):
         plant.put("a", "x", 100 + at, now - 40 + at)
     with visited(plant) as visitor:
         found = visitor.history(row=["a", "x"], seconds=3600)
     assert asked == [("a", "x", 3560, True)]
-    assert found["values"] == [1.0, None, 2.0, *range(100, 140)]
+    assert found["values"] == [*before, *range(100, 140)]
     assert len(found["times"]) == len(found["values"])
     assert found["units"] == "V"
 
 
-@each_case(
-    ("every", "values"),
-    [
-        (10.0, [1.0, 2.0, None, 3.0, None, 7]),
-        (300.0, [1.0, 2.0, 3.0, None, 7]),
-        (None, [1.0, 2.0, 3.0, 7]),
-    ],
-)
-def test_a_time_in_which_the_journal_has_nothing_is_a_gap(
-    every: float | None, values: list[float | None]
-) -> None:
-    now = time.time()
-    older = [(now - 3000, 1.0), (now - 2995, 2.0), (now - 2500, 3.0)]
-    plant = Plant(older=lambda *_: older)
-    plant.describe(("a", "x"), every=every)
-    plant.put("a", "x", 7)
-    with visited(plant) as visitor:
-        assert visitor.history(row=["a", "x"], seconds=3600)["values"] == values
-
-
 def test_a_chart_has_numbers_up_to_now_and_gaps() -> None:
     now = time.time()
-    older = [(now - 9, 1.0), (now - 8, math.inf), (now - 7, math.nan), (now - 6, 10**400)]
+    odd = (math.inf, math.nan, 10**400, None)
+    older = [(now - 9, 1.0), *((now - 8 + at, value) for at, value in enumerate(odd))]
     plant = Plant(older=lambda *_: older)
     plant.describe(("a", "x"), every=None)
     plant.put("a", "x", 3.0, now + 3600)  # the clock was set back
@@ -144,7 +135,7 @@ def test_a_chart_has_numbers_up_to_now_and_gaps() -> None:
         plant.put("a", "x", value, now - 4 + at)
     with visited(plant) as visitor:
         found = visitor.history(row=["a", "x"], seconds=60)
-    assert found["values"] == [1.0, *[None] * 7, 2.0]
+    assert found["values"] == [1.0, *[None] * 8, 2.0]
 
 
 def test_wrong_requests_are_refused(golden: Golden) -> None:
@@ -201,6 +192,5 @@ def test_the_samples_of_many_values_take_a_bounded_memory() -> None:
     plant.describe(*(("a", str(at)) for at in range(20_000)))
     for at in range(1000):
         plant.put("a", "7", at, float(at))
-    assert (
-        len(plant.series(("a", "7"), "last values").samples.pairs()) == MOST_BYTES // 16 // 20_000
-    )
+    samples = plant.series(("a", "7"), "last values").samples
+    assert len(samples.pairs()) == MOST_BYTES // 16 // 20_000

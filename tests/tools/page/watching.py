@@ -12,11 +12,11 @@ from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from libmodbus_py import Device, Mapping, Server
+from libmodbus_py import Device, Mapping, Server, ServerDeviceBusy
 from libmodbus_py.maps.point import Point
 from libmodbus_py.page import live_page
 
-__all__ = ["Visitor", "made_server", "shown", "until"]
+__all__ = ["Visitor", "is_served", "made_server", "shown", "until"]
 
 POINTS = (
     Point("temperature", "holding_registers", 0, type="float32", order="CDAB", units="°C"),
@@ -56,6 +56,15 @@ def until(true: Callable[[], Any], seconds: float = 15) -> Any:
         assert time.monotonic() < end, "waited in vain"
         time.sleep(0.01)
     return found
+
+
+def is_served(ask: Callable[[], object]) -> bool:
+    """Return False if a client is told that the device is busy."""
+    try:
+        ask()
+    except ServerDeviceBusy:
+        return False
+    return True
 
 
 class Visitor:
