@@ -28,16 +28,16 @@ def made_device() -> Device:
 
 @contextmanager
 def serving(
-    stage: Stage, scheme: str, faults: dict[int | None, list[Fault]], **devices: Any
+    stage: Stage, scheme: str, *faults: Fault, of: int | None = 1, **devices: Any
 ) -> Iterator[str]:
-    """Serve units 1 and 2 on a stage; return the URL for clients."""
+    """Serve units 1 and 2 on a stage, of which one or all have faults; yield a URL for clients."""
     units = devices.get("units") or {1: made_device(), 2: made_device()}
     place = "tcp://10.0.0.1:0" if scheme.endswith("tcp") else "x:///dev/line?baudrate=115200"
-    with Server(units, faults).background(scheme + place[place.index(":") :]) as running:
+    with Server(units, {of: faults}).background(scheme + place[place.index(":") :]) as running:
         yield running.urls[0]
 
 
-def client_of(url: str, unit: int = 1, timeout: float = 200) -> Context:
+def client_of(url: str, unit: int = 1, timeout: float = 5000) -> Context:
     return Context.from_url(url, unit=unit, timeout=timeout, native=False)
 
 

@@ -108,17 +108,20 @@ def blocks(client: Talker, requests: bytes) -> bool:
     return False
 
 
-def test_what_is_not_answered_is_not_read(stage: Stage) -> None:
-    faults: dict[int | None, list[Fault]] = {1: [Fault("delay", seconds=FOREVER)]}
-    with serving(stage, "tcp", faults) as url, stage.talk(url) as flood:
-        assert blocks(flood, adu(READ) * 10_000)
-
-
-def test_a_client_that_does_not_take_its_answers_is_not_read(stage: Stage) -> None:
-    # Also where faults end again and again, each of which lets the server go on.
-    faults: dict[int | None, list[Fault]] = {1: [Fault("delay", every=50, seconds=0.001)]}
-    with serving(stage, "tcp", faults) as url, stage.talk(url) as flood:
-        assert blocks(flood, adu(b"\x03\0\0\0\x08") * 10_000)
+@pytest.mark.parametrize(
+    ("fault", "request_"),
+    [
+        (Fault("delay", seconds=FOREVER), READ),  # it is not answered
+        # Its answers are not taken: also where faults end again and again, each of which lets the
+        # server go on.
+        (Fault("delay", every=50, seconds=0.001), b"\x03\0\0\0\x08"),
+    ],
+)
+def test_a_client_that_gets_no_more_answers_is_not_read(
+    stage: Stage, fault: Fault, request_: bytes
+) -> None:
+    with serving(stage, "tcp", fault) as url, stage.talk(url) as flood:
+        assert blocks(flood, adu(request_) * 10_000)
 
 
 Step = list[Fragment] | float | str
@@ -180,7 +183,7 @@ def test_what_comes_before_the_connection_closes(
     stage: Stage, scheme: str, length: int | None
 ) -> None:
     fault = Fault("disconnect", function=3, length=length)
-    with serving(stage, scheme, {1: [fault]}) as url, stage.talk(url) as connection:
+    with serving(stage, scheme, fault) as url, stage.talk(url) as connection:
         if scheme == "tcp":
             connection.sendall(adu(b"\x01\0\0\0\x01", 7) + adu(READ, 8))
             before, answer = adu(b"\x01\x01\0", 7), adu(b"\x03\x02\x02\x2b", 8)
@@ -192,27 +195,23 @@ def test_what_comes_before_the_connection_closes(
 
 
 def test_what_is_asked_behind_a_closed_connection_is_not_executed(stage: Stage) -> None:
-    device, other = made_device(), made_device()
+    units = {1: made_device(), 2: made_device()}
     write = b"\x06\0\x01\0\x09"
-    with (
-        serving(
-            stage, "tcp", {1: [Fault("disconnect", function=3)]}, units={1: device, 2: other}
-        ) as url,
-        stage.talk(url) as connection,
-    ):
+    fault = Fault("disconnect", function=3)
+    with serving(stage, "tcp", fault, units=units) as url, stage.talk(url) as connection:
         requests = adu(write.replace(b"\1", b"\0")) + adu(READ) + adu(write) + adu(write, 1, 2)
         connection.sendall(requests)
         assert connection.receive(100) == adu(b"\x06\0\0\0\x09")
         # The server answers others, so it has dealt with these.
-        with client_of(url, 2, timeout=5000) as client:
+        with client_of(url, 2) as client:
             client.read_coils(0, 1)
-    assert device.mapping.holding_registers[0:2] == [9, 0]
-    assert other.mapping.holding_registers[1] == 0
+    assert units[1].mapping.holding_registers[0:2] == [9, 0]
+    assert units[2].mapping.holding_registers[1] == 0
 
 
 def test_a_disconnect_comes_after_answers_that_are_kept_back(stage: Stage) -> None:
     faults = [Fault("delay", function=1, seconds=100), Fault("disconnect", function=3, length=512)]
-    with serving(stage, "tcp", {1: faults}) as url, stage.talk(url) as connection:
+    with serving(stage, "tcp", *faults) as url, stage.talk(url) as connection:
         connection.sendall(adu(b"\x01\0\0\0\x01", 1) + adu(READ, 2) + adu(READ, 3))
         expected = adu(b"\x01\x01\0", 1) + adu(b"\x03\x02\x02\x2b", 2)
         assert connection.receive(100) == expected

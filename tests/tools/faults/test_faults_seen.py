@@ -67,10 +67,7 @@ def test_a_client_sees_the_fault_and_the_next_request_succeeds(
         fault = replace(fault, seconds=0.015)
     # A second of silence ends a frame there.
     timeout = 0.2 if scheme == "ascii" else 200
-    with (
-        serving(stage, scheme, {1: [fault]}) as url,
-        client_of(url, timeout=timeout) as client,
-    ):
+    with serving(stage, scheme, fault) as url, client_of(url, timeout=timeout) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
         with pytest.raises(error) as seen:
             client.read_holding_registers(0, 3)
@@ -107,6 +104,6 @@ def test_a_client_with_patience_gets_delayed_and_trickled_answers(
     stage: Stage, scheme: str
 ) -> None:
     faults = [Fault("delay", function=3, seconds=50), Fault("trickle", seconds=0.5)]
-    with serving(stage, scheme, {1: faults}) as url, client_of(url, timeout=5000) as client:
+    with serving(stage, scheme, *faults) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
         assert client.read_coils(0, 3) == [False] * 3

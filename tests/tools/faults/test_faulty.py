@@ -24,20 +24,12 @@ from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.tools.faults.fault import KINDS, Fault
 from libmodbus_py.tools.faults.server import Faults
 from tests.simulation.stage import Stage
-from tests.tools.faults.serving import (
-    FOREVER,
-    READ,
-    REQUEST,
-    adu,
-    client_of,
-    made_device,
-    serving,
-)
+from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
 
 
 def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Stage) -> None:
     bad = Fault("exception", code=4, table="holding_registers", address=2)
-    with serving(stage, "tcp", {1: [bad]}) as url, client_of(url, timeout=5000) as client:
+    with serving(stage, "tcp", bad) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 2) == [555, 0]
         with pytest.raises(ServerDeviceFailure):
             client.read_holding_registers(0, 3)
@@ -48,22 +40,19 @@ def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Stage) ->
 def test_units_without_faults_are_answered_in_c(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    quick, slow = made_device(), made_device()
-    for device in (quick, slow):
+    units = {1: made_device(), 2: made_device()}
+    for device in units.values():
         monkeypatch.setattr(device, "answer", lambda *_: pytest.fail("not in C"))
-    faults: dict[int | None, list[Fault]] = {2: [Fault("exception", code=6)]}
-    with (
-        serving(stage, "tcp", faults, units={1: quick, 2: slow}) as url,
-        client_of(url, timeout=5000) as client,
-    ):
+    fault = Fault("exception", code=6)
+    with serving(stage, "tcp", fault, of=2, units=units) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
         with pytest.raises(ServerDeviceBusy):
             client.for_unit(2).read_coils(0, 1)
 
 
 def test_what_is_answered_in_c_waits_behind_what_a_fault_keeps_back(stage: Stage) -> None:
-    faults: dict[int | None, list[Fault]] = {2: [Fault("delay", seconds=100)]}
-    with serving(stage, "tcp", faults) as url, stage.talk(url) as connection:
+    fault = Fault("delay", seconds=100)
+    with serving(stage, "tcp", fault, of=2) as url, stage.talk(url) as connection:
         coil = b"\x01\0\0\0\x01"
         for requests in (adu(coil, 1, 1), adu(coil, 2, 2) + adu(coil, 3, 1) + adu(coil, 4, 2)):
             connection.sendall(requests)
@@ -84,10 +73,8 @@ def test_the_first_fault_that_is_due_happens_and_all_count() -> None:
 
 
 def test_faults_of_all_units_also_hit_units_that_do_not_exist(stage: Stage) -> None:
-    with (
-        serving(stage, "tcp", {None: [Fault("exception", code=10, every=2)]}) as url,
-        client_of(url, unit=99) as client,
-    ):
+    fault = Fault("exception", code=10, every=2)
+    with serving(stage, "tcp", fault, of=None) as url, client_of(url, unit=99) as client:
         with pytest.raises(GatewayTargetFailedToRespond):
             client.read_coils(0, 1)
         with pytest.raises(ExceptionResponse, match="exception 10"):
@@ -95,10 +82,8 @@ def test_faults_of_all_units_also_hit_units_that_do_not_exist(stage: Stage) -> N
 
 
 def test_on_serial_lines_what_nobody_answers_is_not_counted(stage: Stage) -> None:
-    with (
-        serving(stage, "rtu", {None: [Fault("exception", code=6, every=2)]}) as url,
-        client_of(url, timeout=2) as client,
-    ):
+    fault = Fault("exception", code=6, every=2)
+    with serving(stage, "rtu", fault, of=None) as url, client_of(url, timeout=2) as client:
         client.for_unit(0).write_register(0, 7)
         with pytest.raises(ModbusTimeoutError):
             client.for_unit(99).read_coils(0, 1)
@@ -108,10 +93,8 @@ def test_on_serial_lines_what_nobody_answers_is_not_counted(stage: Stage) -> Non
 
 
 def test_a_device_in_listen_only_mode_stays_silent(stage: Stage) -> None:
-    with (
-        serving(stage, "rtu", {None: [Fault("exception", code=6, function=3)]}) as url,
-        client_of(url) as client,
-    ):
+    fault = Fault("exception", code=6, function=3)
+    with serving(stage, "rtu", fault, of=None) as url, client_of(url) as client:
         client.diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY)
         with pytest.raises(ModbusTimeoutError):
             client.read_holding_registers(0, 1)
@@ -124,8 +107,9 @@ def test_a_refused_write_is_not_executed_and_all_others_are(stage: Stage) -> Non
         device = made_device()
         settings: dict[str, Any] = {"code": 6} if kind == "exception" else {}
         settings |= {"length": 3} if kind in ("truncate", "garbage") else {}
+        fault = Fault(kind, **settings)
         with (
-            serving(stage, "tcp", {1: [Fault(kind, **settings)]}, units={1: device}) as url,
+            serving(stage, "tcp", fault, units={1: device}) as url,
             stage.talk(url) as connection,
         ):
             connection.sendall(adu(b"\x06\0\0\0\x09"))
@@ -139,10 +123,8 @@ def test_a_refused_write_is_not_executed_and_all_others_are(stage: Stage) -> Non
 
 @pytest.mark.parametrize("transport", ["rtu", "tcp"])
 def test_counters_know_the_refusals_of_a_fault(stage: Stage, transport: str) -> None:
-    with (
-        serving(stage, transport, {1: [Fault("exception", code=6, function=3)]}) as url,
-        client_of(url, timeout=2) as client,
-    ):
+    fault = Fault("exception", code=6, function=3)
+    with serving(stage, transport, fault) as url, client_of(url, timeout=2) as client:
         for _ in range(3):
             with pytest.raises(ServerDeviceBusy):
                 client.read_holding_registers(0, 1)
@@ -154,10 +136,8 @@ def test_counters_know_the_refusals_of_a_fault(stage: Stage, transport: str) -> 
 
 
 def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
-    with (
-        serving(stage, "tcp", {None: [Fault("exception", code=6)]}) as url,
-        stage.talk(url) as connection,
-    ):
+    fault = Fault("exception", code=6)
+    with serving(stage, "tcp", fault, of=None) as url, stage.talk(url) as connection:
         connection.sendall(adu(b"\x83\x01", 1) + adu(READ, 2))
         assert connection.receive(9) == adu(b"\x83\x06", 2)
 
@@ -172,10 +152,10 @@ def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
 def test_others_are_answered_while_the_fault_lasts(stage: Stage, fault: Fault, unit: int) -> None:
     # The other client asks another unit, or the same one by another function.
     only = Fault(fault.kind, function=3, seconds=fault.seconds)
-    with serving(stage, "tcp", {1: [only]}) as url, stage.talk(url) as slow:
+    with serving(stage, "tcp", only) as url, stage.talk(url) as slow:
         slow.sendall(adu(READ))
         head = slow.receive(1 if fault.kind == "trickle" else 0)
-        with client_of(url, unit, timeout=5000) as client:
+        with client_of(url, unit) as client:
             for _ in range(20):
                 assert client.read_coils(0, 8) == [False] * 8
         stage.pass_time(FOREVER / 2)
@@ -212,8 +192,8 @@ def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(
 
 
 def test_a_server_stops_while_answers_wait(stage: Stage) -> None:
-    faults: dict[int | None, list[Fault]] = {None: [Fault("delay", seconds=FOREVER)]}
-    with serving(stage, "tcp", faults) as url:
+    fault = Fault("delay", seconds=FOREVER)
+    with serving(stage, "tcp", fault, of=None) as url:
         clients = [stage.talk(url) for _ in range(5)]
         for client in clients:
             client.sendall(adu(READ))
@@ -221,7 +201,7 @@ def test_a_server_stops_while_answers_wait(stage: Stage) -> None:
         begun = stage.now
     assert all(client.is_closed() for client in clients)
     assert stage.now - begun < 0.01
-    with serving(stage, "rtu", faults) as url, client_of(url, timeout=50) as line:
+    with serving(stage, "rtu", fault, of=None) as url, client_of(url, timeout=50) as line:
         with pytest.raises(ModbusTimeoutError):
             line.read_coils(0, 1)
         begun = stage.now
@@ -229,10 +209,10 @@ def test_a_server_stops_while_answers_wait(stage: Stage) -> None:
 
 
 def test_a_client_that_leaves_costs_its_answers_only(stage: Stage) -> None:
-    with serving(stage, "tcp", {1: [Fault("delay", function=3, seconds=50)]}) as url:
+    with serving(stage, "tcp", Fault("delay", function=3, seconds=50)) as url:
         for _ in range(10):
             with stage.talk(url) as connection:
                 connection.sendall(adu(READ) * 3)
         stage.pass_time(100)
-        with client_of(url, timeout=5000) as client:
+        with client_of(url) as client:
             assert client.read_holding_registers(0, 1) == [555]
