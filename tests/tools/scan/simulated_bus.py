@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import termios
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
 
 from libmodbus_py import Device, Server, framing
@@ -51,14 +51,14 @@ def of(device: Device) -> Answer:
 
 @contextmanager
 def line(units: dict[int, Device]) -> Iterator[SerialWire]:
-    """A pseudo-terminal with units; whoever scans it restores its settings and closes it."""
+    """A pseudo-terminal with units; whoever scans it restores its settings."""
     with SerialWire() as wire, ExitStack() as stack:
         if units:
             stack.enter_context(Server(units).background(f"rtu://{wire.server}"))
-        before = _settings(wire.client), _open_at(wire.client)
+        before = _settings(wire.client)
         yield wire
         if os.path.exists(wire.client):  # else it was unplugged
-            until(lambda: (_settings(wire.client), _open_at(wire.client)) == before)
+            until(lambda: _settings(wire.client) == before)
 
 
 def _settings(path: str) -> list[Any]:
@@ -67,15 +67,6 @@ def _settings(path: str) -> list[Any]:
         return termios.tcgetattr(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _open_at(path: str) -> int:
-    """Return how often this process has a port open."""
-    found = 0
-    for each in os.listdir("/proc/self/fd"):
-        with suppress(OSError):
-            found += os.readlink(f"/proc/self/fd/{each}") == path
-    return found
 
 
 @contextmanager

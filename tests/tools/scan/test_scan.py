@@ -17,20 +17,13 @@ import pytest
 from libmodbus_py import Context, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.scan import Found, Scan, scan, search
 from tests.interop.test_interop_pymodbus_server import pymodbus_serving
+from tests.simulation.network import Network
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.golden import Golden, refusals
 from tests.support.interop import UNIT, program
 from tests.support.peers import FakeServer, dead, mbap, refusing, url_of
-from tests.tools.scan.simulated_bus import (
-    Member,
-    SimulatedBus,
-    answering,
-    line,
-    of,
-    served,
-    simulated,
-)
+from tests.tools.scan.simulated_bus import Member, SimulatedBus, answering, line, of, served
 
 GOLDEN = Path(__file__).with_name("golden")
 
@@ -72,48 +65,46 @@ def three_units() -> dict[int, Member]:
 
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
-def test_three_units_are_found_at_their_two_rates(scheme: str) -> None:
-    with simulated() as network:
-        bus = SimulatedBus(network, three_units(), scheme)
-        scanned = scan(bus.url, baudrates=[9600, 19200], parities="EN", units=[5, 6, 17, 42])
-        assert bus.asked == []
-        assert scanned.total == 16
-        found = all_of(scanned)
-        assert [at(each) for each in found] == [
-            (5, 9600, "N", 2),
-            (42, 9600, "N", 2),
-            (17, 19200, "E", 1),
-        ]
-        assert [each.exception for each in found] == [None, None, 2]
-        for each in found:
-            assert each.data_bits == (7 if scheme == "ascii" else 8)
-            assert each.server_id is not None
-            assert each.server_id.running
-            assert each.identification is not None
-            assert each.identification.names == OBJECTS
-            assert (each.is_late, each.is_any) == (False, False)
-            assert each.took < 0.1
-        assert only_read([asked[2] for asked in bus.asked])
-        assert scanned.requests == len(bus.asked)
-        with Context.from_url(found[0].url) as client:  # the URL is one of a client
-            assert client.read_holding_registers(0, 10) == [0] * 10
+def test_three_units_are_found_at_their_two_rates(network: Network, scheme: str) -> None:
+    bus = SimulatedBus(network, three_units(), scheme)
+    scanned = scan(bus.url, baudrates=[9600, 19200], parities="EN", units=[5, 6, 17, 42])
+    assert bus.asked == []
+    assert scanned.total == 16
+    found = all_of(scanned)
+    assert [at(each) for each in found] == [
+        (5, 9600, "N", 2),
+        (42, 9600, "N", 2),
+        (17, 19200, "E", 1),
+    ]
+    assert [each.exception for each in found] == [None, None, 2]
+    for each in found:
+        assert each.data_bits == (7 if scheme == "ascii" else 8)
+        assert each.server_id is not None
+        assert each.server_id.running
+        assert each.identification is not None
+        assert each.identification.names == OBJECTS
+        assert (each.is_late, each.is_any) == (False, False)
+        assert each.took < 0.1
+    assert only_read([asked[2] for asked in bus.asked])
+    assert scanned.requests == len(bus.asked)
+    with Context.from_url(found[0].url) as client:  # the URL is one of a client
+        assert client.read_holding_registers(0, 10) == [0] * 10
 
 
-def test_a_late_answer_is_its_own_units_and_not_the_next_ones() -> None:
+def test_a_late_answer_is_its_own_units_and_not_the_next_ones(network: Network) -> None:
     members = {7: Member(of(meter(holding_registers=1)), 9600, 2, after=0.3)}
-    with simulated() as network:
-        bus = SimulatedBus(network, members)
-        scanned = scan(bus.url, baudrates=[9600], parities=["N"], units=[7, 8, 9, 10], timeout=0.2)
-        (found,) = all_of(scanned)
-        assert (found.unit, found.is_late, found.exception) == (7, True, None)
-        # As each unit found is, though its answers come too late, too.
-        assert {asked[2][0] for asked in bus.asked if asked[1] == 7} == {3, 17, 43}
-        # And the frames of eight and seven characters, of eleven bits each.
-        assert found.took == pytest.approx(0.3 + 15 * 11 / 9600, abs=0.001)
+    bus = SimulatedBus(network, members)
+    scanned = scan(bus.url, baudrates=[9600], parities=["N"], units=[7, 8, 9, 10], timeout=0.2)
+    (found,) = all_of(scanned)
+    assert (found.unit, found.is_late, found.exception) == (7, True, None)
+    # As each unit found is, though its answers come too late, too.
+    assert {asked[2][0] for asked in bus.asked if asked[1] == 7} == {3, 17, 43}
+    # And the frames of eight and seven characters, of eleven bits each.
+    assert found.took == pytest.approx(0.3 + 15 * 11 / 9600, abs=0.001)
     assert any("came late" in note for note in scanned.notes)
 
 
-def test_a_late_answer_is_its_own_units_on_tcp_too() -> None:
+def test_a_late_answer_is_its_own_units_on_tcp_too(network: Network) -> None:
     """Through a gateway that works off what it was asked, one after the other."""
     answers: list[bytes] = []
 
@@ -121,11 +112,10 @@ def test_a_late_answer_is_its_own_units_on_tcp_too() -> None:
         answers.append(mbap(request, b"\x03\x02\0\1" if request[6] == 2 else b"\x83\x0b"))
         return [answers.pop(0)] if len(answers) > 2 else []  # each comes two requests later
 
-    with simulated() as network:
-        server = served(network, "tcp://10.0.0.1", slow)
-        scanned = scan(server.url, units=[1, 2, 3, 4, 5], timeout=0.1)
-        assert [(each.unit, each.is_late) for each in all_of(scanned)] == [(2, True)]
-        assert server.connections == 1
+    server = served(network, "tcp://10.0.0.1", slow)
+    scanned = scan(server.url, units=[1, 2, 3, 4, 5], timeout=0.1)
+    assert [(each.unit, each.is_late) for each in all_of(scanned)] == [(2, True)]
+    assert server.connections == 1
 
 
 @pytest.mark.parametrize(
@@ -138,26 +128,26 @@ def test_a_late_answer_is_its_own_units_on_tcp_too() -> None:
         ([lambda request: [request]], "echo=True?"),
     ],
 )
-def test_noise_and_an_echo_do_not_make_a_unit(answers: list[Any], note: str) -> None:
-    with simulated() as network:
-        unit = served(network, "rtu:///dev/line", *answers)
-        url = f"{unit.url}?baudrate=115200&parity=N"
-        scanned = scan(url, units=range(1, 7), timeout=QUICK)
-        assert all_of(scanned) == []
-        assert len(unit.requests) == 6
+def test_noise_and_an_echo_do_not_make_a_unit(
+    network: Network, answers: list[Any], note: str
+) -> None:
+    unit = served(network, "rtu:///dev/line", *answers)
+    url = f"{unit.url}?baudrate=115200&parity=N"
+    scanned = scan(url, units=range(1, 7), timeout=QUICK)
+    assert all_of(scanned) == []
+    assert len(unit.requests) == 6
     (told,) = scanned.notes
     assert note in told
 
 
-def test_a_line_that_never_falls_silent_is_left_soon() -> None:
-    with simulated() as network:
-        bus = SimulatedBus(network, {})
-        bus.flood(b"\x55", 0.0012)
-        scanned = scan(bus.url, baudrates=[9600], parities=["N"], timeout=0.1)
-        started = network.events.now
-        assert all_of(scanned) == []
-        assert len(bus.asked) < 2  # of 247
-        assert network.events.now - started < 0.02 * scanned.longest
+def test_a_line_that_never_falls_silent_is_left_soon(network: Network) -> None:
+    bus = SimulatedBus(network, {})
+    bus.flood(b"\x55", 0.0012)
+    scanned = scan(bus.url, baudrates=[9600], parities=["N"], timeout=0.1)
+    started = network.events.now
+    assert all_of(scanned) == []
+    assert len(bus.asked) < 2  # of 247
+    assert network.events.now - started < 0.02 * scanned.longest
     assert "or others send" in scanned.notes[0]
 
 
@@ -197,16 +187,15 @@ SCHEMES = ["tcp", "udp", "rtu+tcp", "ascii+tcp"]
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_units_are_found_over_networks(scheme: str) -> None:
-    with simulated() as network:
-        units = {1: meter(holding_registers=1), 17: meter()}
-        peer = answering(network, f"{scheme}://10.0.0.1", units)
-        found = all_of(scan(peer.url, units=[1, 2, 17, 18]))
-        assert [(each.unit, each.exception, each.baudrate) for each in found] == [
-            (1, None, None),
-            (17, 2, None),
-        ]
-        assert all(each.identification is not None for each in found)
+def test_units_are_found_over_networks(network: Network, scheme: str) -> None:
+    units = {1: meter(holding_registers=1), 17: meter()}
+    peer = answering(network, f"{scheme}://10.0.0.1", units)
+    found = all_of(scan(peer.url, units=[1, 2, 17, 18]))
+    assert [(each.unit, each.exception, each.baudrate) for each in found] == [
+        (1, None, None),
+        (17, 2, None),
+    ]
+    assert all(each.identification is not None for each in found)
 
 
 def test_what_a_gateway_says_of_nobody_is_nobody() -> None:
@@ -270,24 +259,24 @@ def _hang_up(listener: socket.socket, unit: int) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_silence_does_not_cost_the_connection(scheme: str) -> None:
+def test_silence_does_not_cost_the_connection(network: Network, scheme: str) -> None:
     """Some devices take one at a time, and late answers come over the one that was asked."""
-    with simulated() as network:
-        server = served(network, f"{scheme}://10.0.0.1", lambda request: [])
-        scanned = scan(server.url, units=range(1, 9), timeout=QUICK)
-        assert all_of(scanned) == []
-        assert server.connections == 1
+    server = served(network, f"{scheme}://10.0.0.1", lambda request: [])
+    scanned = scan(server.url, units=range(1, 9), timeout=QUICK)
+    assert all_of(scanned) == []
+    assert server.connections == 1
 
 
-def test_a_dead_host_is_an_error_soon() -> None:
+@pytest.mark.parametrize("begin", [scan, search])
+def test_a_dead_host_is_an_error_soon(begin: Callable[..., Any]) -> None:
     with dead() as port, pytest.raises(ModbusConnectionError):
-        next(scan(f"tcp://127.0.0.1:{port}", timeout=0.1))
-    with refusing() as bound, pytest.raises(ModbusConnectionError):
-        next(scan(url_of(bound)))
-    with refusing() as bound, pytest.raises(ModbusConnectionError):
-        next(scan(url_of(bound).replace("tcp", "udp")))
+        next(begin(f"tcp://127.0.0.1:{port}", timeout=0.1))
+    with refusing() as bound:
+        for url in (url_of(bound), url_of(bound).replace("tcp", "udp")):
+            with pytest.raises(ModbusConnectionError):
+                next(begin(url))
     with pytest.raises(ModbusConnectionError, match="cannot open"):
-        next(scan("rtu:///dev/nowhere"))
+        next(begin("rtu:///dev/nowhere"))
 
 
 # --- peers ---------------------------------------------------------------------------------
@@ -380,7 +369,7 @@ def test_units_are_found_over_tls(tmp_path: Path) -> None:
         assert server.statistics.accepted < 9
 
 
-def test_an_identification_without_an_end_is_cut_after_four_pages() -> None:
+def test_an_identification_without_an_end_is_cut_after_four_pages(network: Network) -> None:
     asked: list[int] = []
 
     def answer(request: bytes) -> list[bytes]:
@@ -390,9 +379,8 @@ def test_an_identification_without_an_end_is_cut_after_four_pages() -> None:
         page = bytes([43, 14, request[9], 2, 0xFF, at + 1, 1, at, 1, 0x41])
         return [mbap(request, page)]
 
-    with simulated() as network:
-        server = served(network, "tcp://10.0.0.1", answer)
-        (found,) = all_of(scan(server.url, units=[5], timeout=PATIENT))
+    server = served(network, "tcp://10.0.0.1", answer)
+    (found,) = all_of(scan(server.url, units=[5], timeout=PATIENT))
     assert asked == [0, 1, 2, 3]
     assert found.identification is not None
     assert found.identification.objects == dict.fromkeys(range(4), b"A")

@@ -4,8 +4,7 @@ What a unit has, over sockets and pseudo-terminals: devices that refuse in their
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
+from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.scan import Extent, Search, search
 from libmodbus_py.tools.scan.search import FINEST, Cells, halving
+from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.interop import program
-from tests.support.peers import FakeServer, mbap, refusing, url_of
-from tests.tools.scan import simulated_bus as peers
-from tests.tools.scan.simulated_bus import line, simulated
+from tests.support.peers import mbap
+from tests.tools.scan.simulated_bus import line, served
 
 PATIENT = 1.0
 
@@ -53,14 +52,8 @@ def replying(answer: Answers) -> Callable[[bytes], list[bytes]]:
     return reply
 
 
-def served(answer: Answers) -> FakeServer:
-    return FakeServer(replying(answer))
-
-
-@contextmanager
-def simulated_device(answer: Answers) -> Iterator[Scripted]:
-    with simulated() as network:
-        yield peers.served(network, "tcp://10.0.0.1", replying(answer))
+def answering(network: Network, answer: Answers) -> Scripted:
+    return served(network, "tcp://10.0.0.1", replying(answer))
 
 
 def test_all_that_there_is_is_found_with_few_requests() -> None:
@@ -123,15 +116,16 @@ def test_ranges_are_found_on_a_line() -> None:
         (11, 1, 1, "the unit does not answer any more"),
     ],
 )
-def test_what_refuses_all_is_left_soon(code: int, tables: int, requests: int, ended: str) -> None:
-    with simulated_device(lambda *asked: code) as server:
-        searched = search(server.url, timeout=PATIENT)
-        assert [each.ranges for each in searched] == [[]] * tables
-        assert searched.requests == requests
-        assert {each.ended for each in searched.extents} == {ended}
+def test_what_refuses_all_is_left_soon(
+    network: Network, code: int, tables: int, requests: int, ended: str
+) -> None:
+    searched = search(answering(network, lambda *asked: code).url, timeout=PATIENT)
+    assert [each.ranges for each in searched] == [[]] * tables
+    assert searched.requests == requests
+    assert {each.ended for each in searched.extents} == {ended}
 
 
-def test_a_busy_device_is_asked_again() -> None:
+def test_a_busy_device_is_asked_again(network: Network) -> None:
     asked: dict[tuple[int, int, int], int] = {}
 
     def answer(function: int, *where: int) -> int:
@@ -142,24 +136,22 @@ def test_a_busy_device_is_asked_again() -> None:
             return 6
         return 0 if sum(where) <= 30 else 2
 
-    with simulated_device(answer) as server:
-        searched = search(server.url, timeout=PATIENT, most_requests=300)
-        assert ranges(searched)["holding_registers"] == [range(30)]
+    searched = search(answering(network, answer).url, timeout=PATIENT, most_requests=300)
+    assert ranges(searched)["holding_registers"] == [range(30)]
 
 
-def test_a_device_that_is_silent_where_nothing_is_is_searched_on() -> None:
+def test_a_device_that_is_silent_where_nothing_is_is_searched_on(network: Network) -> None:
     def answer(function: int, address: int, count: int) -> int | None:
         if function != 3:
             return 1
         return 0 if address + count <= 10 else None
 
-    with simulated_device(answer) as server:
-        searched = search(server.url, timeout=0.03, most_requests=150)
-        assert ranges(searched)["holding_registers"] == [range(10)]
-        assert searched.extents[2].ended == BOUND
+    searched = search(answering(network, answer).url, timeout=0.03, most_requests=150)
+    assert ranges(searched)["holding_registers"] == [range(10)]
+    assert searched.extents[2].ended == BOUND
 
 
-def test_a_unit_that_answers_no_more_is_left_with_what_was_found() -> None:
+def test_a_unit_that_answers_no_more_is_left_with_what_was_found(network: Network) -> None:
     answered: list[int] = []
 
     def answer(function: int, address: int, count: int) -> int | None:
@@ -168,23 +160,20 @@ def test_a_unit_that_answers_no_more_is_left_with_what_was_found() -> None:
         answered.append(count)
         return 0 if len(answered) < 5 else None
 
-    with simulated_device(answer) as server:
-        searched = search(server.url, timeout=0.03)
-        found = ranges(searched)
-        assert found["holding_registers"] == [range(1 + 125 * 3)]
-        assert searched.extents[-1].ended == "the unit does not answer any more"
-        assert searched.requests < 30
+    searched = search(answering(network, answer).url, timeout=0.03)
+    assert ranges(searched)["holding_registers"] == [range(1 + 125 * 3)]
+    assert searched.extents[-1].ended == "the unit does not answer any more"
+    assert searched.requests < 30
 
 
 @pytest.mark.parametrize("bound", [4, 5, 100, 1000])
-def test_the_bound_holds(bound: int) -> None:
-    with simulated_device(lambda function, address, count: 0 if count == 1 else 3) as server:
-        searched = search(server.url, timeout=PATIENT, most_requests=bound)
-        with searched:
-            extents = list(searched)
-        assert searched.requests == len(server.requests) == bound
-        assert {each.ended for each in extents} == {BOUND}
-        assert all(each.unseen for each in extents)
+def test_the_bound_holds(network: Network, bound: int) -> None:
+    server = answering(network, lambda function, address, count: 0 if count == 1 else 3)
+    with search(server.url, timeout=PATIENT, most_requests=bound) as searched:
+        extents = list(searched)
+    assert searched.requests == len(server.requests) == bound
+    assert {each.ended for each in extents} == {BOUND}
+    assert all(each.unseen for each in extents)
 
 
 def test_libmodbus_own_server_is_searched(compiled: Callable[[str], Path]) -> None:
@@ -200,31 +189,25 @@ def test_libmodbus_own_server_is_searched(compiled: Callable[[str], Path]) -> No
     }
 
 
-def test_it_can_be_left_and_tells_what_was_found() -> None:
-    with served(lambda *asked: 0) as server:
-        searched = search(server.url, timeout=PATIENT)
-        first = next(searched)
-        assert isinstance(first, Extent)
-        searched.close()
-        assert list(searched) == []
-        assert searched.extents == [first]
+def test_it_can_be_left_and_tells_what_was_found(network: Network) -> None:
+    url = answering(network, lambda *asked: 0).url
+    searched = search(url, timeout=PATIENT)
+    first = next(searched)
+    assert isinstance(first, Extent)
+    searched.close()
+    assert list(searched) == []
+    assert searched.extents == [first]
 
     def fail(told: Any) -> None:
         if told.requests == 4:
             raise KeyboardInterrupt
 
-    with served(lambda *asked: 0) as server:
-        searched = search(server.url, timeout=PATIENT, on_progress=fail)
-        with pytest.raises(KeyboardInterrupt):
-            next(searched)
-        (extent,) = searched.extents
-        assert extent.ended == "the user, or a lost connection"
-        assert extent.ranges == [range(6001)]
-
-
-def test_a_host_that_refuses_is_an_error() -> None:
-    with refusing() as bound, pytest.raises(ModbusConnectionError):
-        next(search(url_of(bound)))
+    searched = search(url, timeout=PATIENT, on_progress=fail)
+    with pytest.raises(KeyboardInterrupt):
+        next(searched)
+    (extent,) = searched.extents
+    assert extent.ended == "the user, or a lost connection"
+    assert extent.ranges == [range(6001)]
 
 
 # --- which cells exist, by what can be read -------------------------------------------------------

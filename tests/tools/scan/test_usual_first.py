@@ -10,7 +10,8 @@ from libmodbus_py import Device, Mapping
 from libmodbus_py.scan import scan
 from libmodbus_py.tools.scan.probe import FIRST_UNITS, USUAL_UNITS
 from libmodbus_py.tools.scan.scan import Progress
-from tests.tools.scan.simulated_bus import Member, SimulatedBus, of, simulated
+from tests.simulation.network import Network
+from tests.tools.scan.simulated_bus import Member, SimulatedBus, of
 
 TIMEOUT = 0.05
 
@@ -27,13 +28,12 @@ def probed(bus: SimulatedBus) -> list[tuple[int, int]]:
     return [(baudrate, unit) for baudrate, unit, pdu in bus.asked if pdu == b"\x03\0\0\0\1"]
 
 
-def test_usual_settings_and_units_are_asked_first() -> None:
-    with simulated() as network:
-        bus = SimulatedBus(network, {})
-        told: list[Progress] = []
-        with scan(bus.url, timeout=TIMEOUT, on_progress=told.append) as scanned:
-            assert list(scanned) == []
-        places = list(dict.fromkeys(each.setting for each in told))
+def test_usual_settings_and_units_are_asked_first(network: Network) -> None:
+    bus = SimulatedBus(network, {})
+    told: list[Progress] = []
+    with scan(bus.url, timeout=TIMEOUT, on_progress=told.append) as scanned:
+        assert list(scanned) == []
+    places = list(dict.fromkeys(each.setting for each in told))
     assert places[:4] == ["9600 8E1", "9600 8N2", "19200 8E1", "19200 8N2"]
     assert places[4:9] == ["9600 8O1", "19200 8O1", "38400 8E1", "38400 8N2", "38400 8O1"]
     rates = list(dict.fromkeys(place.partition(" ")[0] for place in places[6:]))
@@ -56,67 +56,64 @@ def test_usual_settings_and_units_are_asked_first() -> None:
     [(9600, 1, 2), (9600, 2, 5), (19200, 2, 10), (38400, 1, 20), (115200, 2, 40), (1200, 1, 80)],
 )
 def test_a_device_as_it_left_the_factory_is_found_soon(
-    baudrate: int, stop_bits: int, most: float
+    network: Network, baudrate: int, stop_bits: int, most: float
 ) -> None:
-    with simulated() as network:
-        bus = SimulatedBus(network, {1: Member(of(device()), baudrate, stop_bits)})
-        started = network.events.now
-        with scan(bus.url) as scanned:
-            found = next(scanned)
-        assert (found.unit, found.baudrate, found.stop_bits) == (1, baudrate, stop_bits)
-        assert network.events.now - started < most
-        assert {unit for units in scanned.tried.values() for unit in units} <= {*FIRST_UNITS}
-
-
-def test_the_settings_at_which_a_unit_answered_are_the_first_of_the_second_round() -> None:
-    members = {7: Member(of(device()), 19200, 1), 55: Member(of(device()), 19200, 1)}
-    with simulated() as network:
-        bus = SimulatedBus(network, members)
-        told: list[Progress] = []
-        scanned = scan(bus.url, timeout=TIMEOUT, on_progress=told.append)
+    bus = SimulatedBus(network, {1: Member(of(device()), baudrate, stop_bits)})
+    started = network.events.now
+    with scan(bus.url) as scanned:
         found = next(scanned)
-        assert (found.unit, found.baudrate, found.parity) == (7, 19200, "E")
-        assert len(told) < FIRST + 3 * len(USUAL_UNITS)
-        late = [(each.unit, each.baudrate, each.parity) for each in scanned]
-        second = told[SETTINGS * len(USUAL_UNITS)]
-        assert (second.setting, second.unit) == ("19200 8E1", 11)
-        # One stop bit: odd parity looks the same on this bus.
-        assert late == [(7, 19200, "O"), (55, 19200, "E"), (55, 19200, "O")]
+    assert (found.unit, found.baudrate, found.stop_bits) == (1, baudrate, stop_bits)
+    assert network.events.now - started < most
+    assert {unit for units in scanned.tried.values() for unit in units} <= {*FIRST_UNITS}
 
 
-def test_it_says_before_it_starts_how_long_each_part_takes() -> None:
-    with simulated() as network:
-        bus = SimulatedBus(network, {})
-        scanned = scan(bus.url, timeout=TIMEOUT)
-        started = network.events.now
-        ends: list[float] = []
-
-        def note(progress: Progress) -> None:
-            if progress.done == FIRST:
-                ends.append(network.events.now - started)
-
-        scanned = scan(bus.url, timeout=TIMEOUT, on_progress=note)
-        list(scanned)
-        assert bus.asked
-        assert 0.6 * scanned.longest_first < ends[0] < scanned.longest_first
-        assert ends[0] < network.events.now - started < scanned.longest
-
-
-def test_what_was_typed_is_asked_in_one_round_and_its_order() -> None:
-    with simulated() as network:
-        bus = SimulatedBus(network, {})
-        scanned = scan(bus.url, baudrates=[19200, 9600], parities="E", units=[40, 1], timeout=0.05)
-        list(scanned)
-        assert probed(bus) == [(19200, 40), (19200, 1), (9600, 40), (9600, 1)]
-        assert scanned.longest_first == scanned.longest
+def test_the_settings_at_which_a_unit_answered_are_the_first_of_the_second_round(
+    network: Network,
+) -> None:
+    members = {7: Member(of(device()), 19200, 1), 55: Member(of(device()), 19200, 1)}
+    bus = SimulatedBus(network, members)
+    told: list[Progress] = []
+    scanned = scan(bus.url, timeout=TIMEOUT, on_progress=told.append)
+    found = next(scanned)
+    assert (found.unit, found.baudrate, found.parity) == (7, 19200, "E")
+    assert len(told) < FIRST + 3 * len(USUAL_UNITS)
+    late = [(each.unit, each.baudrate, each.parity) for each in scanned]
+    second = told[SETTINGS * len(USUAL_UNITS)]
+    assert (second.setting, second.unit) == ("19200 8E1", 11)
+    # One stop bit: odd parity looks the same on this bus.
+    assert late == [(7, 19200, "O"), (55, 19200, "E"), (55, 19200, "O")]
 
 
-def test_one_device_that_ignores_the_unit_is_not_asked_again() -> None:
-    with simulated() as network:
-        every = {unit: Member(of(device()), 9600, 2) for unit in range(256)}
-        bus = SimulatedBus(network, every)
-        with scan(bus.url, baudrates=[9600, 19200], parities="N", timeout=TIMEOUT) as scanned:
-            found = list(scanned)
-        assert [(each.is_any, each.baudrate) for each in found] == [(True, 9600)]
-        assert len([unit for baudrate, unit in probed(bus) if baudrate == 9600]) == 3
-        assert sum("all units are answered alike" in note for note in scanned.notes) == 1
+def test_it_says_before_it_starts_how_long_each_part_takes(network: Network) -> None:
+    bus = SimulatedBus(network, {})
+    scanned = scan(bus.url, timeout=TIMEOUT)
+    started = network.events.now
+    ends: list[float] = []
+
+    def note(progress: Progress) -> None:
+        if progress.done == FIRST:
+            ends.append(network.events.now - started)
+
+    scanned = scan(bus.url, timeout=TIMEOUT, on_progress=note)
+    list(scanned)
+    assert bus.asked
+    assert 0.6 * scanned.longest_first < ends[0] < scanned.longest_first
+    assert ends[0] < network.events.now - started < scanned.longest
+
+
+def test_what_was_typed_is_asked_in_one_round_and_its_order(network: Network) -> None:
+    bus = SimulatedBus(network, {})
+    scanned = scan(bus.url, baudrates=[19200, 9600], parities="E", units=[40, 1], timeout=0.05)
+    list(scanned)
+    assert probed(bus) == [(19200, 40), (19200, 1), (9600, 40), (9600, 1)]
+    assert scanned.longest_first == scanned.longest
+
+
+def test_one_device_that_ignores_the_unit_is_not_asked_again(network: Network) -> None:
+    every = {unit: Member(of(device()), 9600, 2) for unit in range(256)}
+    bus = SimulatedBus(network, every)
+    with scan(bus.url, baudrates=[9600, 19200], parities="N", timeout=TIMEOUT) as scanned:
+        found = list(scanned)
+    assert [(each.is_any, each.baudrate) for each in found] == [(True, 9600)]
+    assert len([unit for baudrate, unit in probed(bus) if baudrate == 9600]) == 3
+    assert sum("all units are answered alike" in note for note in scanned.notes) == 1
