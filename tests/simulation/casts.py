@@ -7,42 +7,27 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import random
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
-from libmodbus_py import AsyncClient, Context, Gateway, Route
+from libmodbus_py import Context, Gateway, Route
 from tests.services.workers import simulated as workers_simulated
 
 from .fleets import fleet, plant
-from .processes import HOST
 from .rules import Rest
-from .world import World
+from .world import Ask, World, clients
 
 __all__ = ["CASTS"]
 
 # How long everybody is left alone when the faults are over: units rest for half a minute at most.
 SETTLING = 70.0
 
-Ask = Callable[[int], Awaitable[None]]
-"""Asks a unit once."""
-
-
-async def _act(world: World, ask: Ask, numbers: range, until: float, host: str = "") -> None:
-    """Ask one unit after the other until a time, as a client on a host."""
-    if host:
-        HOST.set(host)
-    while world.events.now < until:
-        await asyncio.sleep(world.pause())
-        await ask(world.random.choice(numbers))
-
 
 async def _play(world: World, asks: Sequence[Ask], numbers: range) -> None:
     """Let all clients ask while things go wrong, and each ask every unit when nothing does."""
     until = world.events.now + world.options.seconds
-    await asyncio.gather(*(_act(world, ask, numbers, until) for ask in asks))
+    await asyncio.gather(*(world.act(ask, numbers, until) for ask in asks))
     await _serve_all(world, asks, numbers)
 
 
@@ -75,23 +60,9 @@ async def _direct(world: World, url: str, numbers: range, timeout: float, most: 
     limit = (
         (3 * one + 2 * timeout) * tasks if is_line else (one if count == tasks else beside_others)
     )
-    async with _clients(url, count, timeout=timeout, retries=retries) as plcs:
-        asks = [partial(_ask, world, plcs[number % len(plcs)], limit) for number in range(tasks)]
+    async with clients(url, count, timeout=timeout, retries=retries) as plcs:
+        asks = [world.asking(plcs[number % len(plcs)], limit) for number in range(tasks)]
         await _play(world, asks, numbers)
-
-
-async def _ask(world: World, plc: AsyncClient, limit: float, unit: int, **how: Any) -> None:
-    await world.ask(plc, world.call(unit, limit, **how))
-
-
-@asynccontextmanager
-async def _clients(url: str, count: int, **options: Any) -> AsyncIterator[list[AsyncClient]]:
-    plcs = [AsyncClient(url, **options) for _ in range(count)]
-    try:
-        yield plcs
-    finally:
-        for plc in plcs:
-            await plc.close()
 
 
 async def _on_tcp(world: World) -> None:
@@ -138,10 +109,9 @@ async def _through_gateway(world: World) -> None:
     patience = random.choice([0.5, 3.0])
     async with (
         gateway.serving("tcp://10.0.1.1"),
-        _clients("tcp://10.0.1.1", world.options.clients, timeout=patience) as plcs,
+        clients("tcp://10.0.1.1", world.options.clients, timeout=patience) as plcs,
     ):
-        how: dict[str, Any] = {"age": 0.1, "is_direct": False}
-        asks = [partial(_ask, world, plc, patience, **how) for plc in plcs]
+        asks = [world.asking(plc, patience, age=0.1, is_direct=False) for plc in plcs]
         try:
             await _play(world, asks, numbers)
         finally:
@@ -165,11 +135,11 @@ async def _past_silent_unit(world: World) -> None:
     world.witness.resting[1] = Rest(timeout)
     async with (
         Gateway([Route(url, numbers)]).serving("tcp://10.0.1.1"),
-        _clients("tcp://10.0.1.1", options.clients, timeout=5.0) as plcs,
+        clients("tcp://10.0.1.1", options.clients, timeout=5.0) as plcs,
     ):
-        asks = [partial(_ask, world, plc, 5.0, is_direct=False) for plc in plcs]
+        asks = [world.asking(plc, 5.0, is_direct=False) for plc in plcs]
         until = world.events.now + options.seconds
-        await asyncio.gather(*(_act(world, ask, numbers, until) for ask in asks))
+        await asyncio.gather(*(world.act(ask, numbers, until) for ask in asks))
         world.witness.resting.clear()
         await _serve_all(world, asks, numbers)
 
@@ -186,13 +156,11 @@ async def _crowd(world: World) -> None:
     world.wire.hosts_take_turns = True
     async with (
         gateway.serving("tcp://10.0.1.1"),
-        _clients("tcp://10.0.1.1", len(hosts), timeout=30.0) as plcs,
+        clients("tcp://10.0.1.1", len(hosts), timeout=30.0) as plcs,
     ):
-        asks = [partial(_ask, world, plc, 30.0, is_direct=False) for plc in plcs]
+        asks = [world.asking(plc, 30.0, is_direct=False) for plc in plcs]
         until = world.events.now + options.seconds
-        acts = (
-            _act(world, ask, numbers, until, host) for ask, host in zip(asks, hosts, strict=True)
-        )
+        acts = (world.act(ask, numbers, until, host) for ask, host in zip(asks, hosts, strict=True))
         await asyncio.gather(*(asyncio.create_task(act) for act in acts))
         await _serve_all(world, asks[:1], numbers)
 

@@ -7,16 +7,15 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from functools import partial
 
-from libmodbus_py import AsyncClient, Device, Gateway, Mapping, Route, Server
+from libmodbus_py import Device, Gateway, Mapping, Route, Server
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.trial import MAP, Asked
 
 from .engine import Engine
 from .workers import SimulatedWorker, push_fleet
-from .world import World
+from .world import World, clients
 
 __all__ = ["fleet", "plant"]
 
@@ -163,23 +162,16 @@ async def plant(world: World) -> None:
     ]
     cast = Fleet(world, PLACES, UNITS, interval=60.0, lease=LONG_LEASE)
     until = world.events.now + world.options.seconds
-    plcs = [AsyncClient("tcp://10.0.1.1", timeout=3.0) for _ in range(world.options.clients)]
-    async with Gateway(routes).serving("tcp://10.0.1.1"), cast.polling(3):
-        try:
-            acts = (_ask_until(world, plc, numbers, until) for plc in plcs)
-            await asyncio.gather(*acts, _disturb_until(world, cast, until))
-            await cast.recover()
-            cast.look()
-        finally:
-            for plc in plcs:
-                await plc.close()
-
-
-async def _ask_until(world: World, plc: AsyncClient, numbers: range, until: float) -> None:
-    call = partial(world.call, limit=3.0, is_direct=False)
-    while world.events.now < until:
-        await asyncio.sleep(world.pause())
-        await world.ask(plc, call(world.random.choice(numbers)))
+    async with (
+        Gateway(routes).serving("tcp://10.0.1.1"),
+        cast.polling(3),
+        clients("tcp://10.0.1.1", world.options.clients, timeout=3.0) as plcs,
+    ):
+        asks = [world.asking(plc, 3.0, is_direct=False) for plc in plcs]
+        acts = (world.act(ask, numbers, until) for ask in asks)
+        await asyncio.gather(*acts, _disturb_until(world, cast, until))
+        await cast.recover()
+        cast.look()
 
 
 async def _disturb_until(world: World, cast: Fleet, until: float) -> None:

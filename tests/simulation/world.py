@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import asyncio
 import random
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +16,12 @@ from libmodbus_py import AsyncClient, Context, ModbusError
 from .devices import COUNT, Behaviour, Bus, Host, Unit
 from .network import Network
 from .processes import HOST
-from .rules import Call, Witness
-from .wire import Wire
+from .rules import Call, Wire, Witness
 
-__all__ = ["FAULTS", "Options", "World"]
+__all__ = ["FAULTS", "Ask", "Options", "World", "clients"]
+
+Ask = Callable[[int], Awaitable[None]]
+"""Asks a unit once."""
 
 FAULTS = ("silent", "late", "refuse", "split", "flip", "drop", "other_function", "cancel", "twice")
 """What may go wrong; each may be left out to find the shortest run that fails."""
@@ -139,6 +143,22 @@ class World:
         self.witness.begin(call)
         return call
 
+    async def act(self, ask: Ask, numbers: range, until: float, host: str = "") -> None:
+        """Ask one unit after the other until a time, as a client on a host."""
+        if host:
+            HOST.set(host)
+        while self.events.now < until:
+            await asyncio.sleep(self.pause())
+            await ask(self.random.choice(numbers))
+
+    def asking(self, plc: AsyncClient, limit: float, **how: Any) -> Ask:
+        """Return what asks a unit once, with a client."""
+
+        async def ask(unit: int) -> None:
+            await self.ask(plc, self.call(unit, limit, **how))
+
+        return ask
+
     async def ask(self, plc: AsyncClient, call: Call) -> None:
         """Ask, and tell the witness what became of it."""
         try:
@@ -166,6 +186,17 @@ class World:
 
     def pause(self) -> float:
         return self.random.expovariate(1 / self.options.pause)
+
+
+@asynccontextmanager
+async def clients(url: str, count: int, **options: Any) -> AsyncIterator[list[AsyncClient]]:
+    """Make so many clients of one URL."""
+    plcs = [AsyncClient(url, **options) for _ in range(count)]
+    try:
+        yield plcs
+    finally:
+        for plc in plcs:
+            await plc.close()
 
 
 def _requested(plc: AsyncClient | Context, call: Call) -> Any:
