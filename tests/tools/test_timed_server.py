@@ -7,13 +7,12 @@ from __future__ import annotations
 import socket
 import socketserver
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 
 from libmodbus_py.tools import timed_server
 from libmodbus_py.tools.timed_server import TimedServer
-
-FOREVER = 60.0
 
 ERRORS = {b"r": ConnectionResetError(), b"e": ZeroDivisionError("of the handler")}
 
@@ -37,15 +36,10 @@ def short_sweeps(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(timed_server, "SWEEP", 0.01)
 
 
-@pytest.fixture
-def limit() -> float:
-    return FOREVER
-
-
-@pytest.fixture
-def server(limit: float) -> Iterator[TimedServer]:
-    with TimedServer("127.0.0.1", 0, Reading, limit).serving("timed") as made:
-        yield made
+@contextmanager
+def serving(limit: float = 60.0) -> Iterator[TimedServer]:
+    with TimedServer("127.0.0.1", 0, Reading, limit).serving("timed") as server:
+        yield server
 
 
 def connected(server: TimedServer) -> socket.socket:
@@ -60,17 +54,16 @@ def is_answered(connection: socket.socket, data: bytes = b"x") -> bool:
         return False
 
 
-@pytest.mark.parametrize("limit", [0.05])
-def test_a_connection_is_closed_when_its_time_is_over(server: TimedServer) -> None:
-    with connected(server) as silent, connected(server) as kept:
+def test_a_connection_is_closed_when_its_time_is_over() -> None:
+    with serving(limit=0.05) as server, connected(server) as silent, connected(server) as kept:
         assert is_answered(kept, b"k")
         assert silent.recv(1) == b""
         assert is_answered(kept)
 
 
-def test_the_oldest_makes_room(server: TimedServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_oldest_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(timed_server, "MOST_CONNECTIONS", 2)
-    with connected(server) as kept, connected(server) as oldest:
+    with serving() as server, connected(server) as kept, connected(server) as oldest:
         assert is_answered(kept, b"k")
         assert is_answered(oldest)
         with connected(server) as latest:
@@ -80,7 +73,7 @@ def test_the_oldest_makes_room(server: TimedServer, monkeypatch: pytest.MonkeyPa
 
 
 def test_all_connections_are_closed_at_the_end() -> None:
-    with TimedServer("127.0.0.1", 0, Reading, FOREVER).serving("timed") as server:
+    with serving() as server:
         first, second = connected(server), connected(server)
         assert is_answered(first)
         assert is_answered(second, b"k")
@@ -92,7 +85,7 @@ def test_all_connections_are_closed_at_the_end() -> None:
 def test_what_a_handler_raises_is_logged_unless_the_client_has_gone(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    with TimedServer("127.0.0.1", 0, Reading, FOREVER).serving("timed") as server:
+    with serving() as server:
         for data in ERRORS:
             with connected(server) as connection:
                 assert not is_answered(connection, data)

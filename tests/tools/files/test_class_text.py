@@ -210,15 +210,13 @@ def test_attributes_are_identifiers_and_differ(names: list[str]) -> None:
 
 NASTY = RegisterMap(
     [
-        Point(name, "holding_registers", at, access=access)  # type: ignore[arg-type]
-        for at, (name, access) in enumerate(
-            (name, access)
-            for name in (
+        Point(name, "holding_registers", at)
+        for at, name in enumerate(
+            (
                 *("float", "property", "Any", "Meter", "MeterName", "MAP", "overload", "keys"),
                 *("items", "get", "self", "values", "attributes", "Context", "super", "value"),
                 *("class", "a b", "a-b", "ClientT", "str", "int", "datetime", "Literal", "copy"),
             )
-            for access in ("read_write",)
         )
     ]
     + [

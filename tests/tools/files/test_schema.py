@@ -14,10 +14,7 @@ from libmodbus_py.protocol.mistakes import Path as KeyPath
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.tools.files.csv_text import CELLS
 from libmodbus_py.tools.files.map_file import POINT, READERS
-from libmodbus_py.tools.files.schema import (
-    in_bytes,
-    in_seconds,
-)
+from libmodbus_py.tools.files.schema import in_bytes, in_seconds
 from libmodbus_py.tools.files.texts import line_of
 from tests.support.cases import each_case
 
@@ -143,6 +140,3 @@ def test_a_wrong_amount_is_named_with_what_is_allowed(
 ) -> None:
     with pytest.raises(error, match=r'^keep must be a time in "1 minute".."100 years", not '):
         in_seconds("keep", given, "1 minute", "100 years")
-
-
-# --- files that are read again --------------------------------------------------------------------
