@@ -254,23 +254,24 @@ def pair(
     return one, other
 
 
-class MemoryListener:
-    """A socket that listens: whoever connected waits here to be accepted."""
+class _Inbox:
+    """A socket at which something waits to be taken."""
 
     def __init__(self, descriptors: Descriptors, on_close: Callable[[], object]) -> None:
         self._descriptors = descriptors
         self._descriptor = descriptors.new()
-        self._waiting: deque[tuple[MemorySocket, tuple[str, int]]] = deque()
+        self._waiting: deque[tuple[Any, tuple[str, int]]] = deque()
         self._on_close = on_close
 
     def fileno(self) -> int:
         return self._descriptor
 
-    def put(self, client: MemorySocket, address: tuple[str, int]) -> None:
-        self._waiting.append((client, address))
+    def put(self, what: Any, source: tuple[str, int]) -> None:
+        """Let something arrive from there."""
+        self._waiting.append((what, source))
         self._descriptors.readable.add(self._descriptor)
 
-    def accept(self) -> tuple[MemorySocket, tuple[str, int]]:
+    def take(self) -> tuple[Any, tuple[str, int]]:
         if not self._waiting:
             self._descriptors.readable.discard(self._descriptor)
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
@@ -279,13 +280,23 @@ class MemoryListener:
     def close(self) -> None:
         if self._descriptor >= 0:
             self._on_close()
-            for client, _ in self._waiting:
-                client.close()
             self._descriptors.forget(self._descriptor)
             self._descriptor = -1
 
 
-class MemoryDatagrams:
+class MemoryListener(_Inbox):
+    """A socket that listens: whoever connected waits here to be accepted."""
+
+    def accept(self) -> tuple[MemorySocket, tuple[str, int]]:
+        return self.take()
+
+    def close(self) -> None:
+        super().close()
+        while self._waiting:
+            self._waiting.popleft()[0].close()
+
+
+class MemoryDatagrams(_Inbox):
     """A socket of a server that receives datagrams from anybody, and answers them."""
 
     def __init__(
@@ -294,36 +305,16 @@ class MemoryDatagrams:
         send: Callable[[bytes, tuple[str, int]], object],
         on_close: Callable[[], object],
     ) -> None:
-        self._descriptors = descriptors
-        self._descriptor = descriptors.new()
-        self._inbox: deque[tuple[bytes, tuple[str, int]]] = deque()
+        super().__init__(descriptors, on_close)
         self._send = send
-        self._on_close = on_close
-
-    def fileno(self) -> int:
-        return self._descriptor
-
-    def put(self, data: bytes, source: tuple[str, int]) -> None:
-        """Let a datagram arrive."""
-        self._inbox.append((data, source))
-        self._descriptors.readable.add(self._descriptor)
 
     def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
-        if not self._inbox:
-            self._descriptors.readable.discard(self._descriptor)
-            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-        data, source = self._inbox.popleft()
+        data, source = self.take()
         return data[:size], source
 
     def sendto(self, data: bytes, target: tuple[str, int]) -> int:
         self._send(data, target)
         return len(data)
-
-    def close(self) -> None:
-        if self._descriptor >= 0:
-            self._on_close()
-            self._descriptors.forget(self._descriptor)
-            self._descriptor = -1
 
 
 class MemoryEpoll:
