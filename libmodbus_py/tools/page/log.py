@@ -4,7 +4,6 @@ The log of a page: transactions as rows of text, and which client wrote which ad
 
 from __future__ import annotations
 
-import re
 import reprlib
 import threading
 import time
@@ -23,7 +22,7 @@ from ...protocol.plain import time_text
 from ..files.csv_text import csv_rows
 from ..listener.pairing import Exchange, TracePairing
 from .streams import Tables
-from .text import cell_text
+from .text import cell_text, in_words
 from .units import ShownServer, ShownUnit
 
 __all__ = ["Log", "LogRow", "named_cells", "request_name", "request_words"]
@@ -173,7 +172,7 @@ def _cell(value: Any) -> Any:
 
 def request_name(kind: type[Request[Any]]) -> str:
     """Return the name of a kind of requests in words, such as "read holding registers"."""
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", kind.__name__).lower()
+    return in_words(kind.__name__)
 
 
 def request_words(request: Request[Any]) -> str:

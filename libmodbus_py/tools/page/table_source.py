@@ -14,7 +14,7 @@ from ...protocol.checks import integer, number
 from .log import Log
 from .samples import Pairs, Samples, Series, charted, samples_of_each, with_gaps
 from .streams import Action, Download, Tables
-from .text import cell_text, value_text
+from .text import cell_text, in_words, value_text
 
 # fmt: off
 __all__ = [
@@ -208,10 +208,10 @@ class ValueRow:
             return [names, ["new", "", 0], ["", units], [], "", "", 0]
         is_good = reading[5] == "good"
         age = max(reading[0], self.device.answered_at) if is_good else reading[0]
-        reason = "" if self.device.is_down else _in_words(reading[6])
+        reason = "" if self.device.is_down else re.sub("^Modbus|Error$", "", reading[6])
         return [
             names,
-            [reading[5], reason, 0],
+            [reading[5], cell_text(in_words(reason)), 0],
             ["-" if reading[3] is None else value_text(reading[3]), units],
             samples.spark(),
             "" if samples.low is None else value_text(samples.low),
@@ -256,12 +256,6 @@ class Values:
         """Return the numbers of a value; None if there is no such value."""
         value = self._values.get(name)
         return None if value is None else Series(value.samples, value.point.units)
-
-
-def _in_words(reason: str) -> str:
-    """Return the name of an error as words: "IllegalDataAddress" is "illegal data address"."""
-    plain = re.sub("^Modbus|Error$", "", reason)
-    return cell_text(re.sub("(?<=[a-z])(?=[A-Z])", " ", plain).lower())
 
 
 def problem_text(error: Exception | str) -> str:

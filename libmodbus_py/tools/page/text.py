@@ -4,13 +4,14 @@ Values and names as the text of a cell.
 
 from __future__ import annotations
 
+import re
 import reprlib
 from typing import Any
 
 from ...maps.point import Point
 from ...protocol.plain import text_of
 
-__all__ = ["cell_text", "point_text", "value_text"]
+__all__ = ["cell_text", "in_words", "point_text", "value_text"]
 
 # Characters of a cell.
 MOST_TEXT = 200
@@ -28,6 +29,11 @@ def cell_text(text: object) -> str:
     cut = found[:MOST_TEXT]
     plain = cut if cut.isprintable() else "".join(x if x.isprintable() else "?" for x in cut)
     return plain if len(found) <= MOST_TEXT else f"{plain}..."
+
+
+def in_words(name: str) -> str:
+    """Return the name of a class as words: "IllegalDataAddress" is "illegal data address"."""
+    return re.sub("(?<=[a-z])(?=[A-Z])", " ", name).lower()
 
 
 def value_text(value: Any) -> str:
@@ -55,8 +61,7 @@ def point_text(point: Point, cells: list[Any], source: Any) -> tuple[Any, str]:
     if value is None:
         return None, f"- ({reason})"
     values = value if point.count > 1 else [value]
-    text = ", ".join(_text_of(point, each) for each in values[:MOST_TEXT])
-    return value, text if len(text) <= MOST_TEXT else f"{text[:MOST_TEXT]}..."
+    return value, cell_text(", ".join(_text_of(point, each) for each in values[:MOST_TEXT]))
 
 
 def _text_of(point: Point, value: Any) -> str:

@@ -333,7 +333,12 @@ class Walker(Generic[Item]):
         return self
 
     def __next__(self) -> Item:
-        return next(self.__steps)
+        try:
+            return next(self.__steps)
+        except ModbusConnectionError:
+            if self.__prober.is_closed:  # as `close` has a request under way fail
+                raise StopIteration from None
+            raise
 
     def close(self) -> None:
         """Stop; any number of times, from any thread and from signal handlers."""

@@ -162,9 +162,6 @@ class _Rounds:
                     done, left = done + len(units), left - len(units) * _each(scan.place)
                     if scan.refused is not None and all(each.refused for each in self._scans):
                         raise scan.refused
-        except ModbusConnectionError:
-            if not prober.is_closed:
-                raise
         finally:
             for scan in self._scans:
                 self.notes += scan.notes()
@@ -294,8 +291,7 @@ class _PlaceScan:
 def _each(place: Place) -> float:
     """Return the seconds that the probe of an absent unit takes."""
     spacing = float(place.endpoint.client_options.get("request_spacing", 0.0))
-    silence = 3.5 * 11 / place.settings["baudrate"] if place.is_serial else 0.0
-    return max(place.wait(PROBE_SIZE) + max(0.002, silence), spacing)
+    return max(place.wait(PROBE_SIZE) + max(0.002, place.endpoint.pause), spacing)
 
 
 def _longest(place: Place, units: int) -> float:

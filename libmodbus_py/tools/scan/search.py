@@ -254,17 +254,13 @@ class _Tables:
         self._silent = 0
 
     def steps(self, place: Place) -> Generator[Extent, None, None]:
-        try:
-            with self._prober.at(place):
-                for index, table in enumerate(TABLES):
-                    left = self._most_requests - self._prober.requests
-                    ended = self._table(table, left // (len(TABLES) - index))
-                    yield self._extents[-1]
-                    if ended in (GONE, BUSY):
-                        return
-        except ModbusConnectionError:
-            if not self._prober.is_closed:
-                raise
+        with self._prober.at(place):
+            for index, table in enumerate(TABLES):
+                left = self._most_requests - self._prober.requests
+                ended = self._table(table, left // (len(TABLES) - index))
+                yield self._extents[-1]
+                if ended in (GONE, BUSY):
+                    return
 
     def _table(self, table: str, most: int) -> str:
         """Search a table with a limited number of requests; return why the search ended early."""
