@@ -30,6 +30,10 @@ from tests.tools.simulator.simulated_units import Clock, answer, holding, inputs
         ('type = "int16"\ncounter = { start = -1, interval = 0.5 }', [0xFFFF, 0, 1, 2, 3, 4]),
         ("counter = { step = 0.5, interval = 0.5 }", [0, 0, 1, 2, 2, 2]),
         ("sine = { low = 100, high = 200, period = 2 }", [150, 200, 150, 100, 150, 200]),
+        # What moves is scaled.
+        ("scale = 0.1\nsine = { low = 22, high = 24, period = 2 }", [230, 240, 230, 220, 230, 240]),
+        ("scale = 0.5\ncounter = { start = 1.5, step = 0.5, interval = 1 }", [3, 3, 4, 4, 5, 5]),
+        ("scale = 0.1\ncounter = { start = 6553.5, step = 0.1, interval = 0.5 }", [65535] * 6),
     ],
 )
 def test_values_at_each_half_second(behaviour: str, expected: list[int]) -> None:
@@ -174,6 +178,16 @@ def test_a_copy_follows_what_clients_write() -> None:
     answer(device, pdu.WriteRegisters(0, (5, 6)))
     assert inputs(device, 7, 2) == [10, 12]
     assert inputs(device, 8) == [12]
+
+
+def test_copies_of_scaled_values_are_scaled() -> None:
+    device = unit("""
+        input_registers = [
+            { address = 0, scale = 0.1, value = 230 },
+            { address = 3, scale = 0.01, copy = { table = "input_registers", address = 0, scale = 0.5 } },
+        ]
+    """)  # noqa: E501
+    assert inputs(device, 3) == [11500]
 
 
 def test_a_copy_of_what_is_no_value_is_exception_4() -> None:

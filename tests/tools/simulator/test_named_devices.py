@@ -51,25 +51,6 @@ def made(tmp_path: Path) -> Write:
     return make
 
 
-def test_what_moves_is_scaled() -> None:
-    clock = Clock()
-    text = """
-    [[unit]]
-    input_registers = [
-        { address = 0, scale = 0.1, sine = { low = 220, high = 240, period = 4 } },
-        { address = 1, scale = 0.5, counter = { start = 1.5, step = 0.5, interval = 1 } },
-        { address = 2, scale = 0.1, counter = { start = 6553.5, step = 0.1, interval = 1 } },
-        { address = 3, scale = 0.01, copy = { table = "input_registers", address = 0, scale = 0.5 } },
-    ]
-    """  # noqa: E501
-    device = the(parse(text, clock=clock))
-    assert inputs(device, 0, 4) == [2300, 3, 65535, 11500]
-    clock.now += 1
-    assert inputs(device, 0, 4) == [2400, 4, 65535, 12000]
-    clock.now += 2
-    assert inputs(device, 0, 2) == [2200, 6]
-
-
 # --- names, defaults and meanings ------------------------------------------------------------
 
 

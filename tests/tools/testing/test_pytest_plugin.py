@@ -26,11 +26,14 @@ HEAD = """
             plc.read_holding_registers(0, count)
 """
 
+Suite = pytest.Pytester
+Write = Callable[[str], object]
+
 READ_TEXT = "unit 1: ReadHoldingRegisters(address=0, count=1) -> [[]0[]]"
 
 
 @pytest.fixture
-def suite(pytester: pytest.Pytester) -> pytest.Pytester:
+def suite(pytester: Suite) -> Suite:
     """A suite for which every warning is an error; without a plugin that takes a second to load."""
     # An editable installation says that the package has the tests, too, which are imported here.
     ignored = "ignore:Module already imported:pytest.PytestAssertRewriteWarning"
@@ -40,18 +43,15 @@ def suite(pytester: pytest.Pytester) -> pytest.Pytester:
     return pytester
 
 
-Write = Callable[[str], object]
-
-
 @pytest.fixture
-def write(suite: pytest.Pytester) -> Write:
+def write(suite: Suite) -> Write:
     return lambda tests: suite.makepyfile(HEAD + tests)
 
 
 class TestReports:
     @pytest.mark.parametrize("options", [[], ["-n2"]], ids=["here", "in workers"])
     def test_a_failing_test_shows_what_passed_at_its_servers(
-        self, suite: pytest.Pytester, write: Write, options: list[str]
+        self, suite: Suite, write: Write, options: list[str]
     ) -> None:
         write("""
     def test_other(modbus_server):
@@ -78,9 +78,7 @@ class TestReports:
         )
         result.stdout.no_fnmatch_line("*count=3*")
 
-    def test_so_does_one_that_fails_before_or_after(
-        self, suite: pytest.Pytester, write: Write
-    ) -> None:
+    def test_so_does_one_that_fails_before_or_after(self, suite: Suite, write: Write) -> None:
         write("""
     @pytest.fixture
     def early(modbus_server):
@@ -101,7 +99,7 @@ class TestReports:
         assert len(re.findall("- modbus transactions -", result.stdout.str())) == 2
         result.stdout.fnmatch_lines(["*test_early*", READ_TEXT, "*test_late*", READ_TEXT])
 
-    def test_nobody_else_shows_them(self, suite: pytest.Pytester, write: Write) -> None:
+    def test_nobody_else_shows_them(self, suite: Suite, write: Write) -> None:
         write("""
     def test_good(modbus_server): read(modbus_server)
     def test_without(): assert False
@@ -115,7 +113,7 @@ class TestReports:
         result.stdout.no_fnmatch_line("*modbus transactions*")
 
     def test_the_last_fifty_and_the_beginning_of_long_ones(
-        self, suite: pytest.Pytester, write: Write
+        self, suite: Suite, write: Write
     ) -> None:
         write("""
     def test_many(modbus_server):
@@ -131,7 +129,7 @@ class TestReports:
         assert "... 10 earlier ones" in lines
         assert all(len(line) < 170 and line.endswith("...") for line in found)
 
-    def test_an_answer_that_came_late_says_so(self, suite: pytest.Pytester, write: Write) -> None:
+    def test_an_answer_that_came_late_says_so(self, suite: Suite, write: Write) -> None:
         write("""
     def test_late(modbus_server, modbus_faults):
         modbus_faults.switch_on(Fault("delay", seconds=0.2))
@@ -142,7 +140,7 @@ class TestReports:
 
 
 class TestLeftBehind:
-    def test_nothing_by_many_tests(self, suite: pytest.Pytester, write: Write) -> None:
+    def test_nothing_by_many_tests(self, suite: Suite, write: Write) -> None:
         write("""
     import gc
     from libmodbus_py.tools.testing.recording import RecordingServer
@@ -168,7 +166,7 @@ class TestLeftBehind:
         """)
         suite.runpytest("-q").assert_outcomes(passed=61)
 
-    def test_nothing_in_children_that_live_on(self, suite: pytest.Pytester, write: Write) -> None:
+    def test_nothing_in_children_that_live_on(self, suite: Suite, write: Write) -> None:
         write("""
     LEFT = []
 
@@ -195,9 +193,7 @@ class TestLeftBehind:
         # Python 3.12 warns of any fork beside threads.
         suite.runpytest_subprocess("-W", "ignore::DeprecationWarning").assert_outcomes(passed=2)
 
-    def test_nothing_when_the_run_is_interrupted(
-        self, suite: pytest.Pytester, write: Write
-    ) -> None:
+    def test_nothing_when_the_run_is_interrupted(self, suite: Suite, write: Write) -> None:
         write("""
     def test_it(modbus_server, modbus_serial_line):
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -217,7 +213,7 @@ class TestLeftBehind:
         result.stdout.fnmatch_lines_random(["*KeyboardInterrupt*", "left: [[][]]"])
 
     def test_a_test_that_hangs_is_ended_and_shows_what_passed(
-        self, suite: pytest.Pytester, write: Write
+        self, suite: Suite, write: Write
     ) -> None:
         write("""
     @pytest.mark.timeout(60)
@@ -241,7 +237,7 @@ class TestLeftBehind:
 
 
 class TestOthers:
-    def test_it_can_be_switched_off(self, suite: pytest.Pytester, write: Write) -> None:
+    def test_it_can_be_switched_off(self, suite: Suite, write: Write) -> None:
         write("\n    def test_it(modbus_server): pass\n")
         result = suite.runpytest("-p", "no:libmodbus_py")
         result.assert_outcomes(errors=1)
