@@ -138,7 +138,7 @@ def test_results_commands_and_status(tmp_path):
         asked_devices(1) as (urls, asked),
     ):
         file = fleet_file(tmp_path, urls, interval=0.2, engine=engine)
-        # A worker whose standard output is gone ends, and says so.
+        # A worker whose standard output is closed ends as every command does: silently, with 1.
         unread, gone = os.pipe()
         os.close(unread)
         command = [sys.executable, "-m", "libmodbus_py", "poll", str(file), "--json"]
@@ -146,7 +146,7 @@ def test_results_commands_and_status(tmp_path):
         done = subprocess.run(command, stdout=gone, stderr=subprocess.PIPE, text=True, timeout=60)
         os.close(gone)
         assert done.returncode == 1
-        assert done.stderr.splitlines()[-1] == "libmodbus-py: standard output: Broken pipe"
+        assert "libmodbus-py:" not in done.stderr
         polls = asked.polls
         with Workers(file, tmp_path) as workers:
             workers.start("a", server.urls)
