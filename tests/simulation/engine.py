@@ -67,6 +67,7 @@ class Engine:
         self.losses: float = 0.0  # probability, of requests, answers and watched changes
         self.latest: dict[str, Change] | None = {}  # None while there is no bucket
         self.revision: int = 0
+        self.served: float = math.inf  # the newest revision that consumers get: the server lags
         self.stream: deque[tuple[float, str, bytes]] = deque(maxlen=MOST_KEPT)
         self.is_up: bool = True
         self.processes: Iterator[int] = itertools.count(1)
@@ -155,6 +156,12 @@ class Engine:
                 self._feed(consumer)
         return self.revision
 
+    def catch_up(self, to: float = math.inf) -> None:
+        """Let consumers get what a server that lagged behind has now."""
+        self.served = to
+        for consumer in self._consumers:
+            self._feed(consumer)
+
     # --- what clients ask of it -----------------------------------------------------------------
 
     def loses(self) -> bool:
@@ -200,14 +207,10 @@ class Engine:
             self._feed(consumer)
             reply(None)
 
-    def consumer_info(self, reply: Reply, subscription: Subscription) -> None:
-        for consumer in self._consumers:
-            if consumer.subscription is subscription:
-                delivered = SimpleNamespace(consumer_seq=consumer.sequence)
-                pending = len(self._unread(consumer))
-                reply(SimpleNamespace(num_pending=pending, delivered=delivered))
-                return
-        reply(js_errors.NotFoundError(code=404, err_code=10014, description="no consumer"))
+    def last_message(self, reply: Reply) -> None:
+        newest = max((each.revision for each in (self.latest or {}).values()), default=0)
+        not_found = js_errors.NotFoundError(code=404, err_code=10037, description="no message")
+        reply(SimpleNamespace(seq=newest) if newest else not_found)
 
     def end_consumer(self, reply: Reply, subscription: Subscription) -> None:
         self._consumers = [each for each in self._consumers if each.subscription != subscription]
@@ -273,7 +276,7 @@ class Engine:
 
     def _unread(self, consumer: _Consumer) -> list[Change]:
         entries = (self.latest or {}).values()
-        changes = [each for each in entries if each.revision > consumer.position]
+        changes = [each for each in entries if consumer.position < each.revision <= self.served]
         return sorted(changes, key=lambda each: each.revision)
 
     def _feed(self, consumer: _Consumer) -> None:

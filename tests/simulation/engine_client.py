@@ -278,10 +278,6 @@ class Subscription:
         while True:
             await cb(await self._messages.get())
 
-    async def consumer_info(self) -> Any:
-        engine = self._client.engine
-        return await self._client.ask(TIMEOUT, engine.consumer_info, self)
-
     async def unsubscribe(self) -> None:
         engine = self._client.engine
         self._client.forget(self)
@@ -348,6 +344,9 @@ class JetStream:
             await subscription.end()
             raise
         return subscription
+
+    async def get_last_msg(self, name: str, subject: str) -> Any:
+        return await self._ask(self._engine.last_message)
 
     async def stream_info(self, name: str) -> Any:
         return await self._ask(self._engine.stream_info)

@@ -4,6 +4,7 @@ Key-value buckets and streams of JetStream: create, check, watch and conditional
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -88,7 +89,12 @@ class Bucket:
 
 
 class Watch:
-    """Reports the changes of a bucket in order, until one was missed; see `Bucket.watch`."""
+    """
+    Reports the changes of a bucket in order, until one was missed; see `Bucket.watch`.
+
+    The contents are complete when the newest change that the bucket had before the watch began has
+    come: the server that sends them may lag behind the others, and has fewer then.
+    """
 
     def __init__(
         self, name: str, on_change: Callable[[Change | None], None], on_gap: Callable[[], None]
@@ -99,12 +105,16 @@ class Watch:
         self._on_change = on_change
         self._on_gap = on_gap
         self._last = 0
+        self._newest = 0
         self._is_synced = False
         self._subscription: Js.PushSubscription | None = None
 
     async def begin(self, js: JetStreamContext) -> None:
+        import nats.js.errors as js_errors
         from nats.js import api
 
+        with contextlib.suppress(js_errors.NotFoundError):  # an empty bucket
+            self._newest = (await js.get_last_msg(self._stream, f"{self._prefix}>")).seq or 0
         # No ordered consumer of nats-py: it repairs gaps silently, but workers must know of them.
         config = api.ConsumerConfig(
             deliver_policy=api.DeliverPolicy.LAST_PER_SUBJECT,
@@ -116,8 +126,7 @@ class Watch:
         self._subscription = await js.subscribe(
             f"{self._prefix}>", stream=self._stream, config=config, cb=self._receive
         )
-        info = await self._subscription.consumer_info()
-        if not (info.num_pending or self._last or (info.delivered and info.delivered.consumer_seq)):
+        if not self._newest:
             self._sync()
 
     async def _receive(self, message: Msg) -> None:
@@ -132,7 +141,7 @@ class Watch:
         operation = (message.headers or {}).get("KV-Operation")
         value = None if operation in ("DEL", "PURGE") else message.data
         self._on_change(Change(message.subject[len(self._prefix) :], value, at.sequence.stream))
-        if not at.num_pending:
+        if not at.num_pending and at.sequence.stream >= self._newest:
             self._sync()
 
     def _sync(self) -> None:

@@ -22,7 +22,8 @@ def test_a_watch_that_could_not_begin_is_told_nothing_more(
 ) -> None:
     network = Network()
     engine = Engine(network)
-    monkeypatch.setattr(engine, "consumer_info", lambda reply, subscription: None)
+    begin = engine.begin_consumer
+    monkeypatch.setattr(engine, "begin_consumer", lambda reply, *who: begin(lambda _: None, *who))
     engine.write("settings", b"1")
     told: list[Change | None] = []
 
@@ -35,6 +36,47 @@ def test_a_watch_that_could_not_begin_is_told_nothing_more(
         engine.write("settings", b"2")
         await asyncio.sleep(1.0)
         assert told == []
+        await client.close()
+
+    network.run(main)
+
+
+def test_contents_from_a_server_that_lags_behind_are_not_complete_without_the_newest_change() -> (
+    None
+):
+    network = Network()
+    engine = Engine(network)
+    engine.write("a", b"1")
+    engine.write("b", b"2")
+    told: list[Change | None] = []
+
+    async def main() -> None:
+        client = engine.client()
+        engine.served = 0  # of a server that was just started
+        await engine.bucket(client).watch(told.append)
+        await asyncio.sleep(1.0)
+        assert told == []
+        engine.catch_up(to=1)
+        await asyncio.sleep(1.0)
+        assert [each and each.key for each in told] == ["a"]
+        engine.catch_up()
+        engine.write("c", b"3")
+        await asyncio.sleep(1.0)
+        assert [each and each.key for each in told] == ["a", "b", None, "c"]
+        await client.close()
+
+    network.run(main)
+
+
+def test_an_empty_bucket_is_complete_at_once() -> None:
+    network = Network()
+    engine = Engine(network)
+    told: list[Change | None] = []
+
+    async def main() -> None:
+        client = engine.client()
+        await engine.bucket(client).watch(told.append)
+        assert told == [None]
         await client.close()
 
     network.run(main)
