@@ -22,9 +22,9 @@ from tests.support.peers import until
 from tests.support.served import (
     ANSWER_MOST,
     ANSWER_ONE,
-    KINDS,
     MOST_ANSWER,
     ONE_ANSWER,
+    OVER_TCP,
     READ_MOST,
     READ_ONE,
     adu,
@@ -33,7 +33,7 @@ from tests.support.served import (
     served,
 )
 
-KIND = pytest.mark.parametrize("kind", KINDS)
+KIND = pytest.mark.parametrize("kind", OVER_TCP)
 
 WRITE_MOST = bytes.fromhex("10 0000 007b f6") + bytes(246)
 

@@ -30,7 +30,7 @@ from tests.support.attacks import (
     receive,
 )
 from tests.support.peers import until
-from tests.support.served import KINDS, ONE_ANSWER, Served, ask, served
+from tests.support.served import ONE_ANSWER, OVER_TCP, Served, ask, served
 
 # They are for whoever asks for a report, in whatever format.
 pytestmark = pytest.mark.filterwarnings("ignore:record_property is incompatible")
@@ -127,7 +127,7 @@ def ask_on(server: Served, cycles: int) -> None:
     assert server.counts(connections=0)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", OVER_TCP)
 @pytest.mark.parametrize("work", [come_and_go, ask_on])
 def test_what_comes_and_goes_leaves_no_byte_in_the_server(
     stage: Stage, kind: str, work: Callable[[Served, int], None]

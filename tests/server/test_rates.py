@@ -16,9 +16,9 @@ from tests.simulation.stage import Stage
 from tests.support.attacks import connect, receive
 from tests.support.served import (
     ANSWER_ONE,
-    KINDS,
     ONE_ANSWER,
     OTHER,
+    OVER_TCP,
     READ_ONE,
     adu,
     ask,
@@ -26,7 +26,7 @@ from tests.support.served import (
     served,
 )
 
-KIND = pytest.mark.parametrize("kind", KINDS)
+KIND = pytest.mark.parametrize("kind", OVER_TCP)
 
 # The beginning of a long request, which only silence tells from the whole one that follows.
 NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")

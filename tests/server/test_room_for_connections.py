@@ -20,9 +20,9 @@ from libmodbus_py.server.sessions import ByFrame
 from libmodbus_py.server.units import TcpUnits, Units
 from tests.simulation.stage import Stage
 from tests.support.attacks import connect, descriptor_limit, receive
-from tests.support.served import ANSWER_ONE, KINDS, ONE_ANSWER, OTHER, READ_ONE, adu, ask, served
+from tests.support.served import ANSWER_ONE, ONE_ANSWER, OTHER, OVER_TCP, READ_ONE, adu, ask, served
 
-KIND = pytest.mark.parametrize("kind", KINDS)
+KIND = pytest.mark.parametrize("kind", OVER_TCP)
 
 
 def test_as_many_connections_as_descriptors_leave() -> None:
@@ -58,7 +58,7 @@ def test_a_full_server_can_refuse(stage: Stage, kind: str) -> None:
         first, second = server.connect(), server.connect()
         ask(first)
         ask(second)
-        assert server.connect().is_closed()
+        assert server.refuses()
         ask(first)
         ask(second)
         assert server.counts(connections=2, accepted=2, closed_for_others=0, refused_full=1)
@@ -133,7 +133,7 @@ def test_an_address_with_too_many_can_be_refused(stage: Stage, kind: str) -> Non
         ask(first)
         ask(second)
         for _ in range(3):
-            assert server.connect().is_closed()
+            assert server.refuses()
         other = server.connect(OTHER)
         ask(other)
         other.close()
@@ -176,7 +176,7 @@ def test_ipv4_within_ipv6_is_the_same_address() -> None:
 def test_hosts_outside_are_closed_at_once(stage: Stage, kind: str) -> None:
     with served(stage, kind, allow=["127.0.0.2", "127.1.0.0/16"]) as server:
         for source in ("127.0.0.1", "127.0.0.3"):
-            assert server.connect(source).is_closed()
+            assert server.refuses(source)
         for source in ("127.0.0.2", "127.1.2.3"):
             with server.connect(source) as inside:
                 ask(inside)

@@ -6,51 +6,33 @@ R-nn are the requirements of MB-TCP-Security-v36.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import itertools
 import logging
-import socket
 import ssl
-import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
-from libmodbus_py import Access, Context, Device, Fault, Limits, Mapping, Server
+from libmodbus_py import Access, Context, Device, Mapping, Server
 from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.role import encode_role
 from libmodbus_py.tools.certificates import Identity, make
 from tests.simulation.stage import Stage
 from tests.support import certificates
-from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_MOST, READ_ONE, adu
+from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, adu
 from tests.support.certificates import Papers
-from tests.support.interop import our_tls_server
-from tests.support.tls import VERSIONS, TlsClient, context, serving
+from tests.support.tls import VERSIONS, TlsClient, context, serving, talking
 
 LOGGER = "libmodbus_py.server.tls"
 
 ONE = adu(READ_ONE)
 ONE_ANSWER = adu(ANSWER_ONE)
-MOST_ANSWER = adu(bytes([3, 250]) + bytes(250))
 
 VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
-
-# Happens to nobody here, but makes every answer go the way of faults.
-NEVER = Fault("no_answer", function=100)
-
-# The server's ways to answer: in C by the chunk, through hooks, with faults.
-KINDS: dict[str, tuple[Callable[[], Device], dict[str, Any]]] = {
-    "plain": (lambda: Device(Mapping(10, 10, 1000, 1000)), {}),
-    "hooked": (lambda: Device(Mapping(10, 10, 1000, 1000), before_read=lambda access: None), {}),
-    "faulty": (lambda: Device(Mapping(10, 10, 1000, 1000)), {"faults": {None: [NEVER]}}),
-}
-KIND = pytest.mark.parametrize("kind", KINDS)
 
 
 @pytest.fixture
@@ -78,22 +60,6 @@ def noting(roles: list[str | None]) -> Device:
 def served(stage: Stage, papers: Papers, noting: Device) -> Iterator[tuple[Server, int]]:
     with serving(papers, noting) as served:
         yield served
-
-
-def connect(
-    stage: Stage, papers: Papers, port: int, version: ssl.TLSVersion | None = None
-) -> TlsClient:
-    """Return a client on the stage, after the handshake."""
-    told = context(papers, certificates.client(), version)
-    return TlsClient(port, told, stage=stage).handshake()
-
-
-def requests(count: int) -> bytes:
-    return b"".join(adu(READ_ONE, number) for number in range(count))
-
-
-def answers(count: int) -> bytes:
-    return b"".join(adu(ANSWER_ONE, number) for number in range(count))
 
 
 # --- roles --------------------------------------------------------------------------------------
@@ -402,8 +368,7 @@ def test_what_a_pinned_one_has_signed_is_not_pinned(
     security = papers.server(pin=papers.authority(certificates.authority()))
     with (
         caplog.at_level(logging.INFO, LOGGER),
-        serving(papers, device, security=security) as (server, port),
-        connect(stage, papers, port) as client,
+        talking(stage, papers, device, security=security) as (server, client),
     ):
         assert client.ask(ONE, 1) == b""
         assert (server.statistics.handshakes, server.statistics.handshakes_refused) == (0, 1)
@@ -495,390 +460,3 @@ def test_a_certificate_that_expired_meanwhile_resumes_nothing(
 def make_client(begin: datetime, end: datetime) -> Identity:
     days = (end - begin) / timedelta(days=1)
     return make("Test client", certificates.authority(), role="Chief", begin=begin, days=days)
-
-
-# --- requests and records -----------------------------------------------------------------------
-
-
-@VERSION
-@KIND
-@pytest.mark.parametrize(
-    "cut",
-    ["a record", "a byte in a record", "a record in bytes", "two records", "one and a half"],
-)
-def test_records_may_cut_requests_anywhere(
-    stage: Stage, papers: Papers, kind: str, cut: str, version: ssl.TLSVersion
-) -> None:
-    make_device, options = KINDS[kind]
-    sent = requests(50)
-    with (
-        serving(papers, make_device(), **options) as (server, port),
-        connect(stage, papers, port, version) as client,
-    ):
-        if cut == "a record":
-            client.send(sent)
-        elif cut == "a byte in a record":
-            client.send(*(bytes([byte]) for byte in sent))
-        elif cut == "a record in bytes":
-            for byte in client.encrypt(sent):
-                client.socket.send(bytes([byte]))
-        else:
-            end = 7 if cut == "two records" else 18
-            client.send(sent[:end])
-            stage.pass_time(1)
-            client.send(sent[end:])
-        assert client.receive(len(answers(50))) == answers(50)
-        assert server.statistics.requests == 50
-
-
-@KIND
-@pytest.mark.parametrize("rate", [None, 1000])
-@pytest.mark.parametrize("cuts", [[12], [12, 24], [12, 30], [12, 36, 40]], ids=repr)
-def test_records_read_together_are_carried_out_in_order(
-    stage: Stage, papers: Papers, kind: str, cuts: list[int], rate: int | None
-) -> None:
-    """The first holds one request and nothing else; what follows does not overtake it."""
-    pdus = ("06 0000 0005", "03 0000 0001", "06 0000 0006", "03 0000 0001")
-    answers = ("06 0000 0005", "03 02 0005", "06 0000 0006", "03 02 0006")
-    requests, expected = (
-        b"".join(adu(bytes.fromhex(pdu), number) for number, pdu in enumerate(each))
-        for each in (pdus, answers)
-    )
-    edges = [0, *cuts, len(requests)]
-    pieces = [requests[start:end] for start, end in itertools.pairwise(edges)]
-    make_device, options = KINDS[kind]
-    with (
-        serving(papers, make_device(), **options, limits=Limits(requests_per_second=rate)) as (
-            server,
-            port,
-        ),
-        connect(stage, papers, port) as client,
-    ):
-        client.send(*pieces)
-        assert client.receive(len(expected)) == expected
-        assert server.statistics.requests == 4
-
-
-def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, papers: Papers) -> None:
-    """Others have their turns between: what one record carries is up to 1365 requests."""
-    turns: list[str] = []
-    device = Device(
-        Mapping(10, 10, 1000, 1000), before_read=lambda access: turns.append(access.peer)
-    )
-    count = 16_384 // 12
-    with (
-        serving(papers, device) as (_, port),
-        connect(stage, papers, port) as greedy,
-        connect(stage, papers, port) as modest,
-    ):
-        *begin, end = (greedy.encrypt(requests(count)) for _ in range(1))
-        assert not begin
-        greedy.socket.sendall(end[:-1])
-        stage.pass_time(1)  # all but the last byte is with the server
-        modest.send(ONE)
-        greedy.socket.sendall(end[-1:])
-        modest.send(ONE)
-        assert modest.receive(2 * len(ONE_ANSWER)) == 2 * ONE_ANSWER
-        assert greedy.receive(len(answers(count))) == answers(count)
-    modest_name = min(set(turns), key=turns.count)
-    runs = "".join("m" if name == modest_name else "g" for name in turns).split("m")
-    assert turns.count(modest_name) == 2
-    assert len(runs[-1]) > count // 2, [len(run) for run in runs]  # it did not have to wait for all
-
-
-@VERSION
-def test_requests_in_the_last_flight_of_the_handshake_are_answered(
-    stage: Stage, papers: Papers, served: tuple[Server, int], version: ssl.TLSVersion
-) -> None:
-    told = context(papers, certificates.client(), version)
-    with TlsClient(served[1], told, stage=stage) as client:
-        client.socket.sendall(client.hello())
-        # The client's own end of the handshake, and 50 requests behind it, in one segment.
-        while True:
-            client._incoming.write(client.socket.recv(65536))
-            try:
-                client.tls.do_handshake()
-                break
-            except ssl.SSLWantReadError:
-                if version == VERSIONS["1.2"]:
-                    client._flush()
-        client.send(requests(50))
-        assert client.receive(len(answers(50))) == answers(50)
-
-
-@KIND
-@VERSION
-def test_who_says_goodbye_behind_a_request_gets_the_answer_and_a_goodbye(
-    stage: Stage, papers: Papers, kind: str, version: ssl.TLSVersion
-) -> None:
-    make_device, options = KINDS[kind]
-    with serving(papers, make_device(), **options) as (server, port):
-        with connect(stage, papers, port, version) as other:
-            for count in (1, 2, 1365):
-                with connect(stage, papers, port, version) as client:
-                    sent = client.encrypt(requests(count))
-                    # In one segment, if it is short: both are received in one turn.
-                    client.socket.sendall(sent + client.goodbye())
-                    other.send(ONE)
-                    received = raw_records(client)
-                    assert len(received) > len(answers(count))
-                    assert other.receive(len(ONE_ANSWER)) == ONE_ANSWER
-        assert stage.until(lambda: server.statistics.connections == 0)
-        assert server.statistics.requests == 1 + 2 + 1365 + 3
-        assert server.statistics.closed_out_of_step == 0
-
-
-def raw_records(client: TlsClient) -> bytes:
-    """Return what the server sends until it closes; ssl reads nothing after its own goodbye."""
-    data = b""
-    while piece := client.socket.recv(65536):
-        data += piece
-    return data
-
-
-def test_what_comes_behind_a_goodbye_is_not_looked_at(
-    stage: Stage, papers: Papers, device: Device
-) -> None:
-    with (
-        serving(papers, device) as (server, port),
-        connect(stage, papers, port) as client,
-    ):
-        late = client.encrypt(ONE)
-        client.socket.sendall(client.goodbye() + late * 3)
-        raw_records(client)
-        assert server.statistics.requests == 0
-
-
-def test_who_closes_his_half_of_tcp_still_gets_his_answers(
-    stage: Stage, papers: Papers, device: Device
-) -> None:
-    with (
-        serving(papers, device) as (_, port),
-        connect(stage, papers, port) as client,
-    ):
-        client.send(requests(50))
-        client.socket.shutdown(socket.SHUT_WR)
-        assert client.receive(len(answers(50))) == answers(50)
-        assert client.read() == b""
-
-
-def test_answers_that_are_kept_back_come_in_order(
-    stage: Stage, papers: Papers, device: Device
-) -> None:
-    late = {None: [Fault("delay", seconds=200, every=3)]}
-    with (
-        serving(papers, device, faults=late) as (_, port),
-        connect(stage, papers, port) as client,
-    ):
-        client.send(requests(4), *(adu(READ_ONE, number) for number in range(4, 8)))
-        assert client.receive(len(answers(8))) == answers(8)
-
-
-def test_a_header_that_makes_no_sense_closes_after_what_came_before(
-    stage: Stage, papers: Papers, device: Device
-) -> None:
-    with serving(papers, device) as (server, port):
-        with connect(stage, papers, port) as client:
-            client.send(ONE, b"\0\1\0\0\xff\xff\1\3")
-            assert client.receive(len(ONE_ANSWER)) == ONE_ANSWER
-            assert client.read() == b""  # with a goodbye
-        assert server.statistics.closed_out_of_step == 1
-
-
-# --- limits -------------------------------------------------------------------------------------
-
-
-@KIND
-def test_who_does_not_read_is_not_answered_for_ever(
-    stage: Stage, papers: Papers, kind: str
-) -> None:
-    make_device, options = KINDS[kind]
-    count, limits = 1365, Limits(max_unsent=10_000)
-    block = b"".join(adu(READ_MOST, number) for number in range(count))
-    told = context(papers, certificates.client())
-    with (
-        serving(papers, make_device(), limits=limits, **options) as (server, port),
-        TlsClient(port, told, stage=stage) as client,
-    ):
-        client.handshake()
-        statistics = server.statistics
-        client.socket.settimeout(600)
-        sent = 0
-        with contextlib.suppress(TimeoutError):
-            for _ in range(50):
-                client.send(block)
-                sent += count
-        assert sent < 50 * count
-        assert stage.until(lambda: statistics.paused > 0)
-        # And a slice at a time: a record has 350 kB of answers.
-        before = statistics.requests
-        stage.pass_time(600)
-        assert statistics.requests == before < sent
-
-
-def test_who_does_not_read_gets_all_when_he_does(
-    stage: Stage, papers: Papers, device: Device
-) -> None:
-    count, limits = 1365, Limits(max_unsent=1000)
-    with (
-        serving(papers, device, limits=limits) as (server, port),
-        connect(stage, papers, port) as client,
-    ):
-        block = b"".join(adu(READ_MOST, number) for number in range(count))
-        for _ in range(2):  # more answers than the network in memory carries
-            client.send(block)
-        assert stage.until(lambda: server.statistics.paused > 0)
-        for _ in range(2):
-            for number in range(count):
-                answer = client.receive(len(MOST_ANSWER))
-                assert answer[:2] == struct.pack(">H", number)
-                assert answer[2:] == MOST_ANSWER[2:]
-
-
-def test_who_says_goodbye_and_does_not_read_is_not_waited_for(
-    stage: Stage, papers: Papers, device: Device
-) -> None:
-    limits = Limits(frame_timeout=50, max_unsent=2**30)
-    block = b"".join(adu(READ_MOST, number) for number in range(1365))
-    with (
-        serving(papers, device, limits=limits) as (server, port),
-        connect(stage, papers, port) as client,
-    ):
-        sent = client.encrypt(*[block] * 2)  # 700 kB of answers
-        client.socket.sendall(sent + client.goodbye())
-        begun = stage.now
-        assert stage.until(lambda: server.statistics.connections == 0)
-        assert server.statistics.requests == 2 * 1365
-        assert 50 <= stage.now - begun <= 51.1
-        assert server.statistics.closed_slow == 1
-
-
-@KIND
-def test_requests_per_second_hold_within_a_record(stage: Stage, papers: Papers, kind: str) -> None:
-    make_device, options = KINDS[kind]
-    limits = Limits(requests_per_second=200)
-    with (
-        serving(papers, make_device(), limits=limits, **options) as (server, port),
-        connect(stage, papers, port) as client,
-    ):
-        begin = stage.now
-        client.send(requests(800))
-        assert client.receive(len(answers(800))) == answers(800)
-        # 200 at once, the rest at 200 a second; the last slice is not waited for.
-        assert 2.0 < stage.now - begin <= 3.01
-        assert server.statistics.throttled > 1
-
-
-@pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
-def test_who_is_idle_after_the_handshake_stays(
-    stage: Stage, papers: Papers, device: Device, version: ssl.TLSVersion
-) -> None:
-    """Only a frame, or a record, that has begun must end in time."""
-    limits = Limits(frame_timeout=0.2, handshake_timeout=5)
-    with (
-        serving(papers, device, limits=limits) as (server, port),
-        connect(stage, papers, port, version) as client,
-    ):
-        for _ in range(2):
-            stage.pass_time(30)
-            assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-        client.send(b"")
-        assert server.statistics.closed_slow == 0
-
-
-@pytest.mark.parametrize("half", ["frame", "record", "header"])
-def test_what_has_begun_must_end_in_time(
-    stage: Stage, papers: Papers, device: Device, half: str
-) -> None:
-    limits = Limits(frame_timeout=30)
-    with (
-        serving(papers, device, limits=limits) as (server, port),
-        connect(stage, papers, port) as client,
-    ):
-        assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-        if half == "frame":
-            client.send(ONE[:9])
-        else:
-            client.socket.sendall(client.encrypt(ONE)[: 3 if half == "header" else 20])
-        begun = stage.now
-        assert client.read() == b""  # with a goodbye
-        assert 30 <= stage.now - begun <= 31.01
-        assert server.statistics.closed_slow == 1
-
-
-@pytest.mark.parametrize("most", [512, 1024])
-def test_a_client_may_ask_for_short_records(papers: Papers, most: int) -> None:
-    """R-57, R-58; Python has no API to ask for them, so openssl asks."""
-    with our_tls_server(papers, Device(Mapping(10, 10, 1000, 1000))) as wire:
-        files = papers.files(certificates.client())
-        command = (
-            *("openssl", "s_client", "-connect", f"127.0.0.1:{wire.port}", "-CAfile", papers.ca),
-            *("-cert", files.cert, "-key", files.key, "-quiet", "-maxfraglen", str(most)),
-            "-tls1_2",
-        )
-        with subprocess.Popen(
-            [*map(str, command)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-        ) as process:
-            assert process.stdin is not None
-            assert process.stdout is not None
-            process.stdin.write(b"".join(adu(READ_MOST, number) for number in range(20)))
-            process.stdin.flush()
-            received = process.stdout.read(20 * len(MOST_ANSWER))
-            process.kill()
-        expected = b"".join(struct.pack(">H", number) + MOST_ANSWER[2:] for number in range(20))
-        assert received == expected
-        sizes = [size for kind, size in records(wire.sent_by("server")) if kind == 23]
-    assert len(sizes) >= 20 * len(MOST_ANSWER) // most
-    # 8 bytes of nonce and 16 of tag.
-    assert max(sizes) <= most + 24
-
-
-def records(stream: bytes) -> Iterator[tuple[int, int]]:
-    """Types and lengths."""
-    while len(stream) >= 5:
-        kind, _, size = struct.unpack_from(">BHH", stream)
-        yield kind, size
-        stream = stream[5 + size :]
-
-
-# --- the end ------------------------------------------------------------------------------------
-
-
-@VERSION
-def test_the_server_says_goodbye_when_it_ends(
-    stage: Stage, papers: Papers, device: Device, version: ssl.TLSVersion
-) -> None:
-    with serving(papers, device) as (_, port):
-        client = connect(stage, papers, port, version)
-        assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-    with client:
-        assert client.read() == b""
-
-
-def test_the_server_says_goodbye_to_whom_it_closes_for_others(
-    stage: Stage, papers: Papers, device: Device
-) -> None:
-    with (
-        serving(papers, device, limits=Limits(max_connections=1)) as (server, port),
-        connect(stage, papers, port) as first,
-    ):
-        assert first.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-        with connect(stage, papers, port) as second:
-            assert first.read() == b""
-            assert second.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-        assert server.statistics.closed_for_others == 1
-
-
-def test_the_server_says_goodbye_to_the_idle(stage: Stage, papers: Papers, device: Device) -> None:
-    limits = Limits(idle_timeout=300)
-    with (
-        serving(papers, device, limits=limits) as (server, port),
-        connect(stage, papers, port) as client,
-    ):
-        begun = stage.now
-        assert client.read() == b""
-        assert stage.now - begun == pytest.approx(300, abs=1.01)
-        assert server.statistics.closed_idle == 1

@@ -4,15 +4,22 @@ A server on a stage, and the requests that tests of its limits send there.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Any
+from functools import cache
+from pathlib import Path
+from typing import Any, Self
 
 from libmodbus_py import Device, Fault, Mapping, Server, framing
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server.limits import Limits
 from tests.simulation.stage import Stage, Talker
+from tests.support import certificates
 from tests.support.attacks import READ_MOST, READ_ONE, adu
+from tests.support.certificates import Papers
+from tests.support.tls import VERSIONS, TlsClient, context
 
 __all__ = [
     "ANSWER_MOST",
@@ -22,8 +29,10 @@ __all__ = [
     "NEVER",
     "ONE_ANSWER",
     "OTHER",
+    "OVER_TCP",
     "READ_MOST",
     "READ_ONE",
+    "SealedTalker",
     "Served",
     "adu",
     "ask",
@@ -39,6 +48,9 @@ MOST_ANSWER = len(adu(ANSWER_MOST))
 KINDS = ["plain", "hooked", "faulty"]
 """Most of the server's ways to answer: in C by the chunk, through hooks, with faults."""
 
+OVER_TCP = [*KINDS, "tls"]
+"""The kinds of servers with connections: the same, and one behind TLS."""
+
 NEVER = Fault("no_answer", function=100)
 """Happens to nobody here, but makes every answer go the way of faults."""
 
@@ -47,6 +59,53 @@ OTHER = "10.255.0.2"
 
 # What a request and its answer take on the network in memory, at most.
 ROUND_TRIP = 0.001
+
+
+@cache
+def _directory() -> tempfile.TemporaryDirectory[str]:
+    """Return a directory that exists until the process ends."""
+    return tempfile.TemporaryDirectory(prefix="served")
+
+
+@cache
+def _papers() -> Papers:
+    return Papers(Path(_directory().name))
+
+
+class SealedTalker:
+    """
+    A client over TLS, with the face of a `Talker`; a server that closes must say goodbye.
+
+    TLS 1.2, where nothing comes between the handshake and the first answer.
+    """
+
+    def __init__(self, stage: Stage, port: int, source: str | None) -> None:
+        told = context(_papers(), certificates.client(), VERSIONS["1.2"])
+        self._client = TlsClient(port, told, source=source or "", stage=stage)
+        self._talker: Talker = self._client.socket
+        self._client.handshake()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what does not look at bytes: `close`, `reset`, `shutdown`, `has_input`, `end`."""
+        return getattr(self._talker, name)
+
+    def sendall(self, data: bytes) -> None:
+        """Send a record of each 16 KiB."""
+        self._client.send(*(data[at : at + 16_384] for at in range(0, len(data), 16_384)))
+
+    def receive(self, size: int) -> bytes:
+        """Return so many bytes; fewer if the server said goodbye before."""
+        return self._client.receive(size)
+
+    def is_closed(self) -> bool:
+        """Wait for the goodbye; return False if bytes come in place of it."""
+        return self._client.read(1) == b""
 
 
 class Served:
@@ -63,8 +122,16 @@ class Served:
         self.url = url
         self._stage = stage
 
-    def connect(self, source: str | None = None) -> Talker:
+    def connect(self, source: str | None = None) -> Any:
+        """Return a `Talker`, or a `SealedTalker`."""
+        endpoint = parse(self.url)
+        if endpoint.scheme == "tls":
+            return SealedTalker(self._stage, endpoint.port, source)
         return self._stage.talk(self.url, source)
+
+    def refuses(self, source: str | None = None) -> bool:
+        """Return True if a new connection is closed before it says anything."""
+        return self._stage.talk(self.url, source).is_closed()
 
     def counts(self, **expected: int) -> bool:
         """Assert what it has counted of that, when all that was sent has arrived."""
@@ -82,12 +149,16 @@ def served(
     mapping = Mapping(holding_registers=125)
     device = Device(mapping, before_read=(lambda access: None) if kind == "hooked" else None)
     faults = {None: [NEVER]} if kind == "faulty" else None
-    server = Server({17: device}, faults, Limits(**limits))
-    with server.background(f"{scheme}://10.0.0.1:0") as running:
+    url = f"{scheme}://10.0.0.1:0"
+    security = None
+    if kind == "tls":
+        url, security = "tls://127.0.0.1:0", _papers().server()
+    server = Server({17: device}, faults, Limits(**limits), security=security)
+    with server.background(url) as running:
         yield Served(stage, server, running.urls[0])
 
 
-def ask(client: Talker, transaction: int = 1) -> None:
+def ask(client: Talker | SealedTalker, transaction: int = 1) -> None:
     """Send a request, and take its answer."""
     client.sendall(adu(READ_ONE, transaction))
     assert client.receive(ONE_ANSWER) == adu(ANSWER_ONE, transaction)

@@ -16,10 +16,11 @@ from libmodbus_py import Device, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.certificates import Identity
 from tests.simulation.stage import Stage, Talker
+from tests.support import certificates
 from tests.support.attacks import PATIENCE, connect
 from tests.support.certificates import Files, Papers
 
-__all__ = ["VERSIONS", "TlsClient", "context", "serving", "wait_until"]
+__all__ = ["VERSIONS", "TlsClient", "connected", "context", "serving", "talking", "wait_until"]
 
 VERSIONS = {"1.2": ssl.TLSVersion.TLSv1_2, "1.3": ssl.TLSVersion.TLSv1_3}
 
@@ -164,6 +165,30 @@ class TlsClient:
     def _flush(self) -> None:
         if data := self._outgoing.read():
             self.socket.sendall(data)
+
+
+def connected(
+    stage: Stage, papers: Papers, port: int, version: ssl.TLSVersion | None = None
+) -> TlsClient:
+    """Return a client on the stage that the server trusts, after the handshake."""
+    told = context(papers, certificates.client(), version)
+    return TlsClient(port, told, stage=stage).handshake()
+
+
+@contextlib.contextmanager
+def talking(
+    stage: Stage,
+    papers: Papers,
+    device: Device,
+    version: ssl.TLSVersion | None = None,
+    **options: Any,
+) -> Iterator[tuple[Server, TlsClient]]:
+    """Serve on the stage; give the server and a client, after the handshake."""
+    with (
+        serving(papers, device, **options) as (server, port),
+        connected(stage, papers, port, version) as client,
+    ):
+        yield server, client
 
 
 def wait_until(is_so: Callable[[], bool]) -> bool:

@@ -1,0 +1,324 @@
+"""
+Requests over TLS: records cut them anywhere, and whom the server closes gets a goodbye.
+
+R-nn are the requirements of MB-TCP-Security-v36. The limits of clients over TLS stand in the tests
+of these limits.
+"""
+
+from __future__ import annotations
+
+import itertools
+import ssl
+import struct
+import subprocess
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Device, Fault, Limits, Mapping
+from tests.simulation.stage import Stage
+from tests.support import certificates
+from tests.support.attacks import ANSWER_ONE, READ_MOST, READ_ONE, adu
+from tests.support.certificates import Papers
+from tests.support.interop import our_tls_server
+from tests.support.served import NEVER
+from tests.support.tls import VERSIONS, TlsClient, connected, context, serving, talking
+
+ONE = adu(READ_ONE)
+ONE_ANSWER = adu(ANSWER_ONE)
+MOST_ANSWER = adu(bytes([3, 250]) + bytes(250))
+
+VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
+
+# The server's ways to answer: in C by the chunk, through hooks, with faults.
+KINDS: dict[str, tuple[Callable[[], Device], dict[str, Any]]] = {
+    "plain": (lambda: Device(Mapping(10, 10, 1000, 1000)), {}),
+    "hooked": (lambda: Device(Mapping(10, 10, 1000, 1000), before_read=lambda access: None), {}),
+    "faulty": (lambda: Device(Mapping(10, 10, 1000, 1000)), {"faults": {None: [NEVER]}}),
+}
+KIND = pytest.mark.parametrize("kind", KINDS)
+
+
+@pytest.fixture
+def device() -> Device:
+    return Device(Mapping(10, 10, 1000, 1000))
+
+
+def requests(count: int) -> bytes:
+    return b"".join(adu(READ_ONE, number) for number in range(count))
+
+
+def answers(count: int) -> bytes:
+    return b"".join(adu(ANSWER_ONE, number) for number in range(count))
+
+
+@VERSION
+@KIND
+@pytest.mark.parametrize(
+    "cut",
+    ["a record", "a byte in a record", "a record in bytes", "two records", "one and a half"],
+)
+def test_records_may_cut_requests_anywhere(
+    stage: Stage, papers: Papers, kind: str, cut: str, version: ssl.TLSVersion
+) -> None:
+    make_device, options = KINDS[kind]
+    sent = requests(50)
+    with talking(stage, papers, make_device(), version, **options) as (server, client):
+        if cut == "a record":
+            client.send(sent)
+        elif cut == "a byte in a record":
+            client.send(*(bytes([byte]) for byte in sent))
+        elif cut == "a record in bytes":
+            for byte in client.encrypt(sent):
+                client.socket.send(bytes([byte]))
+        else:
+            end = 7 if cut == "two records" else 18
+            client.send(sent[:end])
+            stage.pass_time(1)
+            client.send(sent[end:])
+        assert client.receive(len(answers(50))) == answers(50)
+        assert server.statistics.requests == 50
+
+
+@KIND
+@pytest.mark.parametrize("rate", [None, 1000])
+@pytest.mark.parametrize("cuts", [[12], [12, 24], [12, 30], [12, 36, 40]], ids=repr)
+def test_records_read_together_are_carried_out_in_order(
+    stage: Stage, papers: Papers, kind: str, cuts: list[int], rate: int | None
+) -> None:
+    """The first holds one request and nothing else; what follows does not overtake it."""
+    pdus = ("06 0000 0005", "03 0000 0001", "06 0000 0006", "03 0000 0001")
+    answers = ("06 0000 0005", "03 02 0005", "06 0000 0006", "03 02 0006")
+    requests, expected = (
+        b"".join(adu(bytes.fromhex(pdu), number) for number, pdu in enumerate(each))
+        for each in (pdus, answers)
+    )
+    edges = [0, *cuts, len(requests)]
+    pieces = [requests[start:end] for start, end in itertools.pairwise(edges)]
+    make_device, options = KINDS[kind]
+    limits = Limits(requests_per_second=rate)
+    with talking(stage, papers, make_device(), **options, limits=limits) as (server, client):
+        client.send(*pieces)
+        assert client.receive(len(expected)) == expected
+        assert server.statistics.requests == 4
+
+
+def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, papers: Papers) -> None:
+    """Others have their turns between: what one record carries is up to 1365 requests."""
+    turns: list[str] = []
+    device = Device(
+        Mapping(10, 10, 1000, 1000), before_read=lambda access: turns.append(access.peer)
+    )
+    count = 16_384 // 12
+    with (
+        serving(papers, device) as (_, port),
+        connected(stage, papers, port) as greedy,
+        connected(stage, papers, port) as modest,
+    ):
+        *begin, end = (greedy.encrypt(requests(count)) for _ in range(1))
+        assert not begin
+        greedy.socket.sendall(end[:-1])
+        stage.pass_time(1)  # all but the last byte is with the server
+        modest.send(ONE)
+        greedy.socket.sendall(end[-1:])
+        modest.send(ONE)
+        assert modest.receive(2 * len(ONE_ANSWER)) == 2 * ONE_ANSWER
+        assert greedy.receive(len(answers(count))) == answers(count)
+    modest_name = min(set(turns), key=turns.count)
+    runs = "".join("m" if name == modest_name else "g" for name in turns).split("m")
+    assert turns.count(modest_name) == 2
+    assert len(runs[-1]) > count // 2, [len(run) for run in runs]  # it did not have to wait for all
+
+
+@VERSION
+def test_requests_in_the_last_flight_of_the_handshake_are_answered(
+    stage: Stage, papers: Papers, device: Device, version: ssl.TLSVersion
+) -> None:
+    told = context(papers, certificates.client(), version)
+    with (
+        serving(papers, device) as (_, port),
+        TlsClient(port, told, stage=stage) as client,
+    ):
+        client.socket.sendall(client.hello())
+        # The client's own end of the handshake, and 50 requests behind it, in one segment.
+        while True:
+            client._incoming.write(client.socket.recv(65536))
+            try:
+                client.tls.do_handshake()
+                break
+            except ssl.SSLWantReadError:
+                if version == VERSIONS["1.2"]:
+                    client._flush()
+        client.send(requests(50))
+        assert client.receive(len(answers(50))) == answers(50)
+
+
+@KIND
+@VERSION
+def test_who_says_goodbye_behind_a_request_gets_the_answer_and_a_goodbye(
+    stage: Stage, papers: Papers, kind: str, version: ssl.TLSVersion
+) -> None:
+    make_device, options = KINDS[kind]
+    with serving(papers, make_device(), **options) as (server, port):
+        with connected(stage, papers, port, version) as other:
+            for count in (1, 2, 1365):
+                with connected(stage, papers, port, version) as client:
+                    sent = client.encrypt(requests(count))
+                    # In one segment, if it is short: both are received in one turn.
+                    client.socket.sendall(sent + client.goodbye())
+                    other.send(ONE)
+                    received = raw_records(client)
+                    assert len(received) > len(answers(count))
+                    assert other.receive(len(ONE_ANSWER)) == ONE_ANSWER
+        assert stage.until(lambda: server.statistics.connections == 0)
+        assert server.statistics.requests == 1 + 2 + 1365 + 3
+        assert server.statistics.closed_out_of_step == 0
+
+
+def raw_records(client: TlsClient) -> bytes:
+    """Return what the server sends until it closes; ssl reads nothing after its own goodbye."""
+    data = b""
+    while piece := client.socket.recv(65536):
+        data += piece
+    return data
+
+
+def test_what_comes_behind_a_goodbye_is_not_looked_at(
+    stage: Stage, papers: Papers, device: Device
+) -> None:
+    with talking(stage, papers, device) as (server, client):
+        late = client.encrypt(ONE)
+        client.socket.sendall(client.goodbye() + late * 3)
+        raw_records(client)
+        assert server.statistics.requests == 0
+
+
+def test_answers_that_are_kept_back_come_in_order(
+    stage: Stage, papers: Papers, device: Device
+) -> None:
+    late = {None: [Fault("delay", seconds=200, every=3)]}
+    with talking(stage, papers, device, faults=late) as (_, client):
+        client.send(requests(4), *(adu(READ_ONE, number) for number in range(4, 8)))
+        assert client.receive(len(answers(8))) == answers(8)
+
+
+@KIND
+def test_who_does_not_read_is_not_read_and_gets_all_when_he_does(
+    stage: Stage, papers: Papers, kind: str
+) -> None:
+    """A record has 350 kB of answers; two are more than the network in memory carries."""
+    make_device, options = KINDS[kind]
+    count, limits = 1365, Limits(max_unsent=10_000)
+    block = b"".join(adu(READ_MOST, number) for number in range(count))
+    with talking(stage, papers, make_device(), **options, limits=limits) as (server, client):
+        for _ in range(2):
+            client.send(block)
+        assert stage.until(lambda: server.statistics.paused > 0)
+        before = server.statistics.requests
+        stage.pass_time(600)
+        assert server.statistics.requests == before < 2 * count
+        for number in itertools.chain(range(count), range(count)):
+            answer = client.receive(len(MOST_ANSWER))
+            assert answer == struct.pack(">H", number) + MOST_ANSWER[2:]
+
+
+@KIND
+def test_requests_per_second_hold_within_a_record(stage: Stage, papers: Papers, kind: str) -> None:
+    make_device, options = KINDS[kind]
+    limits = Limits(requests_per_second=200)
+    with talking(stage, papers, make_device(), limits=limits, **options) as (server, client):
+        begin = stage.now
+        client.send(requests(800))
+        assert client.receive(len(answers(800))) == answers(800)
+        # 200 at once, the rest at 200 a second; the last slice is not waited for.
+        assert 2.0 < stage.now - begin <= 3.01
+        assert server.statistics.throttled > 1
+
+
+@pytest.mark.parametrize("most", [512, 1024])
+def test_a_client_may_ask_for_short_records(papers: Papers, most: int) -> None:
+    """R-57, R-58; Python has no API to ask for them, so openssl asks."""
+    with our_tls_server(papers, Device(Mapping(10, 10, 1000, 1000))) as wire:
+        files = papers.files(certificates.client())
+        command = (
+            *("openssl", "s_client", "-connect", f"127.0.0.1:{wire.port}", "-CAfile", papers.ca),
+            *("-cert", files.cert, "-key", files.key, "-quiet", "-maxfraglen", str(most)),
+            "-tls1_2",
+        )
+        with subprocess.Popen(
+            [*map(str, command)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        ) as process:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            process.stdin.write(b"".join(adu(READ_MOST, number) for number in range(20)))
+            process.stdin.flush()
+            received = process.stdout.read(20 * len(MOST_ANSWER))
+            process.kill()
+        expected = b"".join(struct.pack(">H", number) + MOST_ANSWER[2:] for number in range(20))
+        assert received == expected
+        sizes = [size for kind, size in records(wire.sent_by("server")) if kind == 23]
+    assert len(sizes) >= 20 * len(MOST_ANSWER) // most
+    # 8 bytes of nonce and 16 of tag.
+    assert max(sizes) <= most + 24
+
+
+def records(stream: bytes) -> Iterator[tuple[int, int]]:
+    """Types and lengths."""
+    while len(stream) >= 5:
+        kind, _, size = struct.unpack_from(">BHH", stream)
+        yield kind, size
+        stream = stream[5 + size :]
+
+
+# --- the end ------------------------------------------------------------------------------------
+
+
+def record_of(size: int) -> Callable[[TlsClient], object]:
+    """Return what sends so many bytes of a record."""
+    return lambda client: client.socket.send(client.encrypt(ONE)[:size])
+
+
+# What a client does -> the seconds until the server closes, and what it counts then.
+ENDS: dict[str, tuple[Callable[[TlsClient], object], float, str]] = {
+    "half a frame": (lambda client: client.send(ONE[:9]), 30, "closed_slow"),
+    "half a record": (record_of(20), 30, "closed_slow"),
+    "half a header": (record_of(3), 30, "closed_slow"),
+    "no header": (lambda client: client.send(b"\0\1\0\0\xff\xff\1\3"), 0, "closed_out_of_step"),
+    "nothing": (lambda client: None, 300, "closed_idle"),
+    "a fault": (lambda client: client.send(adu(b"\x07")), 0, ""),
+}
+
+
+@VERSION
+@pytest.mark.parametrize("what", ENDS)
+def test_whom_the_server_closes_gets_a_goodbye(
+    stage: Stage, papers: Papers, device: Device, what: str, version: ssl.TLSVersion
+) -> None:
+    act, seconds, counter = ENDS[what]
+    limits = Limits(frame_timeout=30, idle_timeout=300)
+    faults = {None: [Fault("disconnect", function=7)]} if what == "a fault" else None
+    with talking(stage, papers, device, version, limits=limits, faults=faults) as (server, client):
+        assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+        begun = stage.now
+        act(client)
+        assert client.read() == b""
+        assert seconds <= stage.now - begun <= seconds + 1.01
+        statistics = asdict(server.statistics)
+        closed = {name: count for name, count in statistics.items() if name.startswith("closed")}
+        assert closed == {name: int(name == counter) for name in closed}
+
+
+@VERSION
+def test_the_server_says_goodbye_when_it_ends(
+    stage: Stage, papers: Papers, device: Device, version: ssl.TLSVersion
+) -> None:
+    with serving(papers, device) as (_, port):
+        client = connected(stage, papers, port, version)
+        assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+    with client:
+        assert client.read() == b""
