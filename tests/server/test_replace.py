@@ -29,6 +29,7 @@ from libmodbus_py import (
     ServerDeviceBusy,
     pdu,
 )
+from libmodbus_py.server import udp
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import Stage
 from tests.support.certificates import Papers, secured
@@ -84,6 +85,24 @@ def refuses(client: Context) -> bool:
     except ServerDeviceBusy:
         return True
     return False
+
+
+def test_an_endpoint_that_is_still_looked_up_opens_with_the_new_devices(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    server = Server(holding(1))
+    bound = udp.bound
+
+    async def slowly(*args: Any) -> Any:
+        server.replace(holding(2))
+        return await bound(*args)
+
+    monkeypatch.setattr(udp, "bound", slowly)
+    with (
+        server.background("udp://127.0.0.1:0") as running,
+        Context.from_url(running.urls[0], unit=1, timeout=20) as client,
+    ):
+        assert client.read_holding_registers(0, 1) == [2]
 
 
 def test_what_a_server_has_is_told() -> None:
