@@ -7,7 +7,6 @@ from __future__ import annotations
 import array
 import contextlib
 import fcntl
-import logging
 import os
 import random
 import socket
@@ -17,19 +16,30 @@ import subprocess
 import termios
 import time
 import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 
 import pytest
 
-from libmodbus_py import Device, Limits, Mapping, Server
-from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.server import tls as server_tls
-from tests.simulation.stage import Stage, Talker
+from libmodbus_py import Device, Limits, Mapping
+from tests.simulation.stage import Stage
 from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, READ_ONE, ServerProcess, adu, connect
 from tests.support.certificates import Papers
-from tests.support.tls import VERSIONS, TlsClient, closed, context, serving, wait_until
+from tests.support.tls import (
+    VERSIONS,
+    TlsClient,
+    closed,
+    connected,
+    context,
+    hello,
+    is_served,
+    nothing_loud,
+    reset,
+    serving,
+    talking,
+    wait_until,
+)
 
 ONE = adu(READ_ONE)
 ONE_ANSWER = adu(ANSWER_ONE)
@@ -48,110 +58,6 @@ def device() -> Device:
 @pytest.fixture
 def quick() -> Limits:
     return Limits(handshake_timeout=HANDSHAKE_TIMEOUT)
-
-
-def hello(papers: Papers) -> bytes:
-    """A ClientHello of Python's."""
-    outgoing = ssl.MemoryBIO()
-    tls = context(papers).wrap_bio(ssl.MemoryBIO(), outgoing, server_hostname="localhost")
-    with contextlib.suppress(ssl.SSLWantReadError):
-        tls.do_handshake()
-    return outgoing.read()
-
-
-def is_served(papers: Papers, port: int, stage: Stage | None = None) -> bool:
-    told = context(papers, certificates.client())
-    with TlsClient(port, told, stage=stage).handshake() as client:
-        return client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-
-
-@contextlib.contextmanager
-def nothing_loud(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """Whatever a peer sends is not a warning, and asyncio has none either."""
-    with caplog.at_level(logging.INFO):
-        yield
-    assert [record for record in caplog.records if record.levelno > logging.INFO] == []
-
-
-# --- slow ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("how", ["connects only", "greets only", "trickles"])
-def test_a_handshake_must_end_in_time(
-    stage: Stage, papers: Papers, device: Device, how: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    first, limits = hello(papers), Limits(handshake_timeout=100)
-    with nothing_loud(caplog), serving(papers, device, limits=limits) as (server, port):
-        begun = stage.now
-        slow = stage.talk(port)
-        if how == "greets only":
-            slow.sendall(first)
-        elif how == "trickles":
-            for byte in first * 10:
-                slow.send(bytes([byte]))
-                stage.pass_time(0.5)
-                if slow.has_input():
-                    break
-        closed(slow)
-        assert stage.now - begun == pytest.approx(100, abs=0.6)
-        assert stage.until(lambda: server.statistics.connections == 0)
-        assert server.statistics.closed_slow == 1
-        assert server.statistics.handshakes_refused == 0
-        assert is_served(papers, port, stage)
-
-
-@VERSION
-def test_a_slow_handshake_is_not_hurried(
-    stage: Stage, papers: Papers, device: Device, version: ssl.TLSVersion
-) -> None:
-    """The time of a frame begins when the handshake is over."""
-    limits = Limits(handshake_timeout=1000, frame_timeout=0.2)
-    told = context(papers, certificates.client(), version)
-    with (
-        serving(papers, device, limits=limits) as (server, port),
-        TlsClient(port, told, stage=stage) as client,
-    ):
-        first = client.hello()
-        for start in range(0, len(first), 40):
-            client.socket.sendall(first[start : start + 40])
-            stage.pass_time(10)
-        client.handshake()
-        assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-        assert server.statistics.closed_slow == 0
-
-
-def test_the_oldest_half_open_one_makes_room(
-    stage: Stage, papers: Papers, device: Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(server_tls, "HALF_OPEN", 5)
-    first = hello(papers)
-    with serving(papers, device) as (server, port), contextlib.ExitStack() as stack:
-        waiting = []
-        for _ in range(8):
-            waiting.append(stack.enter_context(stage.talk(port)))
-            waiting[-1].sendall(first)
-            assert waiting[-1].recv(100)  # in their order
-        assert [bool(still_open(each)) for each in waiting] == [False] * 3 + [True] * 5
-        assert server.statistics.closed_for_others == 3
-        # Connected is not half open: it has no state of TLS.
-        silent = [stack.enter_context(stage.talk(port)) for _ in range(8)]
-        assert all(map(still_open, silent + waiting[3:]))
-        # And those that are through do not count.
-        assert is_served(papers, port, stage)
-        assert not still_open(waiting[3])
-        assert still_open(waiting[4])
-
-
-def still_open(connection: Talker) -> bool:
-    connection.settimeout(0.1)
-    try:
-        while connection.recv(65536):
-            pass
-    except TimeoutError:
-        return True
-    except ConnectionError:
-        return False
-    return False
 
 
 # --- hostile: before the handshake ---------------------------------------------------------------
@@ -259,11 +165,6 @@ def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
 
 
-def reset(connection: socket.socket | Talker) -> None:
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    connection.close()
-
-
 # --- hostile: behind it -------------------------------------------------------------------------
 
 
@@ -295,12 +196,11 @@ def test_what_is_no_record_ends_the_connection_but_no_other(
     version: ssl.TLSVersion,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    told = context(papers, certificates.client(), version)
     with (
         nothing_loud(caplog),
         serving(papers, device) as (server, port),
-        TlsClient(port, told, stage=stage).handshake() as innocent,
-        TlsClient(port, told, stage=stage).handshake() as hostile,
+        connected(stage, papers, port, version) as innocent,
+        connected(stage, papers, port, version) as hostile,
     ):
         assert hostile.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         # Behind a request, in one segment: what fails must not cost others their answers.
@@ -319,10 +219,7 @@ def test_what_is_no_record_ends_the_connection_but_no_other(
 def test_who_is_cut_off_for_a_bad_record_gets_an_alert(
     stage: Stage, papers: Papers, device: Device
 ) -> None:
-    with (
-        serving(papers, device) as (server, port),
-        TlsClient(port, context(papers, certificates.client()), stage=stage).handshake() as client,
-    ):
+    with talking(stage, papers, device) as (server, client):
         client.socket.sendall(flipped(client.encrypt(ONE)))
         with pytest.raises(ssl.SSLError, match="BAD_RECORD_MAC"):
             client.read()
@@ -388,10 +285,7 @@ def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(
     stage: Stage, papers: Papers, device: Device
 ) -> None:
     """Python's ssl sends one when what it gets is not a record."""
-    with (
-        serving(papers, device) as (server, port),
-        TlsClient(port, context(papers, certificates.client()), stage=stage).handshake() as client,
-    ):
+    with talking(stage, papers, device) as (server, client):
         assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
         client._incoming.write(record(23, bytes(40)))
         with pytest.raises(ssl.SSLError):
@@ -453,45 +347,6 @@ def test_what_comes_and_goes_leaves_no_memory(papers: Papers, device: Device) ->
             tracemalloc.stop()
 
 
-# --- what an address may ask --------------------------------------------------------------------
-
-
-def test_requests_count_though_what_follows_ends_the_connection(
-    stage: Stage, papers: Papers, device: Device
-) -> None:
-    told = context(papers, certificates.client())
-    limits = Limits(requests_per_second=2)
-    with serving(papers, device, limits=limits) as (server, port):
-        begun = stage.now
-        for _ in range(30):
-            with TlsClient(port, told, stage=stage).handshake() as client:
-                client.send(*[ONE] * 5, bytes.fromhex("0001 0000 ffff 11 03"))
-                stage.pass_time(0.02)
-        # Two are free, and a read may overdraw.
-        assert server.statistics.requests <= 2 + 5 + 2 * (stage.now - begun)
-        assert stage.until(lambda: server.statistics.connections == 0)
-
-
-def test_who_has_asked_too_much_does_not_stop_the_line(stage: Stage, papers: Papers) -> None:
-    """Others wait for its handshake."""
-    device = Device(Mapping(coils=1, holding_registers=1))
-    limits = Limits(requests_per_second=0.001, handshake_timeout=1000)
-    server = Server(device, limits=limits, security=papers.server())
-    first = hello(papers)
-    with server.background("tls://127.0.0.1:0", "tcp://127.0.0.1:0") as running:
-        tls, tcp = (parse(url).port for url in running.urls)
-        eager = stage.talk(tcp, "127.0.0.2")
-        line = [stage.talk(tls, "127.0.0.2") for _ in range(30)]
-        # All of this is read in one turn.
-        for each in line:
-            each.sendall(first)
-        eager.sendall(5 * ONE)
-        begun = stage.now
-        assert is_served(papers, tls, stage)
-        assert stage.now - begun < 0.1
-        assert server.statistics.throttled == 0
-
-
 # --- the end, at any time -----------------------------------------------------------------------
 
 
@@ -522,53 +377,6 @@ def test_a_server_that_ends_leaves_no_handshake(
                     while client.read():
                         pass
     assert wait_until(lambda: descriptors() <= before)
-
-
-def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(
-    stage: Stage, papers: Papers, device: Device
-) -> None:
-    """By their client, by the sweep, and to make room."""
-    first = hello(papers)
-    limits = Limits(handshake_timeout=0.2, max_connections=40)
-    with serving(papers, device, limits=limits) as (server, port):
-        with TlsClient(
-            port, context(papers, certificates.client()), stage=stage
-        ).handshake() as innocent:
-            assert innocent.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-            for _ in range(5):
-                with contextlib.ExitStack() as stack:
-                    for number in range(60):
-                        each = stack.enter_context(stage.talk(port))
-                        with contextlib.suppress(ConnectionError):
-                            each.sendall(first[: 100 if number % 3 else None])
-                            if number % 7 == 0:
-                                reset(each)
-                    stage.pass_time(0.4)
-                assert innocent.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
-            assert stage.until(lambda: server.statistics.connections == 1)
-        assert is_served(papers, port, stage)
-        assert server.statistics.closed_for_others > 0
-
-
-def test_an_address_that_has_asked_too_much_does_not_hold_up_the_handshakes_of_others(
-    stage: Stage, papers: Papers, device: Device
-) -> None:
-    limits, first = Limits(requests_per_second=1), hello(papers)
-    told = context(papers, certificates.client())
-    with (
-        serving(papers, device, limits=limits) as (server, port),
-        TlsClient(port, told, source="127.0.0.2", stage=stage).handshake() as greedy,
-        contextlib.ExitStack() as stack,
-    ):
-        others = [stack.enter_context(stage.talk(port, source="127.0.0.2")) for _ in range(60)]
-        for other in others:
-            other.sendall(first)
-        # While they wait for their turns, it gets to owe some seconds.
-        greedy.send(ONE * 200)
-        assert stage.until(lambda: server.statistics.requests > 15, 3)
-        begun = stage.now
-        assert is_served(papers, port, stage)
-        assert stage.now - begun < 0.1
 
 
 # --- memory -------------------------------------------------------------------------------------

@@ -5,22 +5,39 @@ A TLS client that is none of ours: Python's ssl, with a hand on each record.
 from __future__ import annotations
 
 import contextlib
+import logging
 import socket
 import ssl
+import struct
 import time
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any, Self
+
+import pytest
 
 from libmodbus_py import Device, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.certificates import Identity
 from tests.simulation.stage import Stage, Talker
 from tests.support import certificates
-from tests.support.attacks import PATIENCE, connect
+from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, adu, connect
 from tests.support.certificates import Files, Papers
 
-__all__ = ["VERSIONS", "TlsClient", "connected", "context", "serving", "talking", "wait_until"]
+__all__ = [
+    "VERSIONS",
+    "TlsClient",
+    "closed",
+    "connected",
+    "context",
+    "hello",
+    "is_served",
+    "nothing_loud",
+    "reset",
+    "serving",
+    "talking",
+    "wait_until",
+]
 
 VERSIONS = {"1.2": ssl.TLSVersion.TLSv1_2, "1.3": ssl.TLSVersion.TLSv1_3}
 
@@ -189,6 +206,34 @@ def talking(
         connected(stage, papers, port, version) as client,
     ):
         yield server, client
+
+
+def hello(papers: Papers) -> bytes:
+    """A ClientHello of Python's."""
+    outgoing = ssl.MemoryBIO()
+    tls = context(papers).wrap_bio(ssl.MemoryBIO(), outgoing, server_hostname="localhost")
+    with contextlib.suppress(ssl.SSLWantReadError):
+        tls.do_handshake()
+    return outgoing.read()
+
+
+def is_served(papers: Papers, port: int, stage: Stage | None = None) -> bool:
+    told, answer = context(papers, certificates.client()), adu(ANSWER_ONE)
+    with TlsClient(port, told, stage=stage).handshake() as client:
+        return client.ask(adu(READ_ONE), len(answer)) == answer
+
+
+@contextlib.contextmanager
+def nothing_loud(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
+    """Whatever a peer sends is not a warning, and asyncio has none either."""
+    with caplog.at_level(logging.INFO):
+        yield
+    assert [record for record in caplog.records if record.levelno > logging.INFO] == []
+
+
+def reset(connection: socket.socket | Talker) -> None:
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connection.close()
 
 
 def wait_until(is_so: Callable[[], bool]) -> bool:
