@@ -6,16 +6,15 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Gateway, Mapping, Route, Server
+from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.serve import Fault
 from tests.simulation.lines import SerialLine
 from tests.simulation.stage import LineEnd, Stage
+from tests.support.served import unit_one
 from tests.support.talk import ascii_frame, rtu
 
 FRAMES = {"rtu": rtu, "ascii": ascii_frame}
@@ -74,22 +73,6 @@ class Converter:
             self._stage.events.after(self._way, self._end.send, data)
 
 
-@contextmanager
-def served(
-    url: str, *, is_gateway: bool = False, **settings: Any
-) -> Iterator[tuple[Any, list[Any]]]:
-    writes: list[Any] = []
-    device = Device(Mapping(holding_registers=4, coils=4), before_write=writes.append)
-    server = Server({1: device}, **settings)
-    if not is_gateway:
-        with server.background(url):
-            yield server, writes
-        return
-    gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
-    with server.background("tcp://10.0.0.2:502"), gateway.background(url):
-        yield gateway, writes
-
-
 def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [each.getMessage() for each in caplog.records if each.levelno == logging.WARNING]
 
@@ -111,7 +94,7 @@ def test_writes_are_carried_out_once(
     """From the first on if the echo is set; else from the first read on, which shows it."""
     frame = FRAMES[scheme]
     url = f"{scheme}://{LINE}{'&echo=1' if is_set else ''}"
-    with served(url, is_gateway=is_gateway) as (server, writes):
+    with unit_one(url, is_gateway=is_gateway) as (server, writes):
         Echoing(stage, stage.line("/dev/line"), stray)
         master = LineEnd(stage.line("/dev/line"))
         if not is_set:
@@ -146,7 +129,7 @@ def test_an_echo_over_tcp_is_found_beside_writes_that_go_round(
     stage: Stage, scheme: str, telling: str, way: float, count: int
 ) -> None:
     frame = FRAMES[scheme]
-    with served(f"{scheme}+tcp://{TCP}") as (server, writes):
+    with unit_one(f"{scheme}+tcp://{TCP}") as (server, writes):
         end = Converter(stage, way)
         for _ in range(count):
             end.write(frame(WRITES[1]))
@@ -169,7 +152,7 @@ def test_an_echo_on_a_line_is_found_beside_a_write_that_goes_round(
     stage: Stage, scheme: str
 ) -> None:
     frame = FRAMES[scheme]
-    with served(f"{scheme}://{LINE}") as (server, writes):
+    with unit_one(f"{scheme}://{LINE}") as (server, writes):
         Echoing(stage, stage.line("/dev/line"))
         master = LineEnd(stage.line("/dev/line"))
         master.write(frame(WRITES[1]))
@@ -190,7 +173,7 @@ def test_an_echo_over_tcp_that_is_set(
     stage: Stage, scheme: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     frame = FRAMES[scheme]
-    with served(f"{scheme}+tcp://{TCP}?echo=1") as (server, writes):
+    with unit_one(f"{scheme}+tcp://{TCP}?echo=1") as (server, writes):
         end = Converter(stage, 0.02)
         for _ in range(3):
             end.write(frame(WRITES[1]))
@@ -202,7 +185,7 @@ def test_an_echo_over_tcp_that_is_set(
 
 def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(stage: Stage) -> None:
     for url in (f"rtu://{LINE}&echo=0", f"rtu+tcp://{TCP}?echo=0"):
-        with served(url) as (server, _):
+        with unit_one(url) as (server, _):
             Echoing(stage, stage.line("/dev/line"))
             end = LineEnd(stage.line("/dev/line")) if "line" in url else Converter(stage, 0.01)
             for _ in range(3):
@@ -215,7 +198,7 @@ def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(stage: Stag
 def test_connections_with_an_echo_are_counted_each_and_told_once(
     stage: Stage, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with served(f"rtu+tcp://{TCP}") as (server, _):
+    with unit_one(f"rtu+tcp://{TCP}") as (server, _):
         for count in (1, 2, 3):
             end = Converter(stage, 0.01)
             end.write(rtu(READ))
@@ -227,7 +210,7 @@ def test_connections_with_an_echo_are_counted_each_and_told_once(
 
 
 def test_a_port_that_was_unplugged_is_looked_at_again(stage: Stage) -> None:
-    with served(f"rtu://{LINE}") as (server, writes):
+    with unit_one(f"rtu://{LINE}") as (server, writes):
         line = stage.line("/dev/line")
         master = LineEnd(line)
         master.write(rtu(READ))
@@ -249,7 +232,7 @@ def test_a_port_that_was_unplugged_is_looked_at_again(stage: Stage) -> None:
 @pytest.mark.parametrize("scheme", FRAMES)
 def test_an_answer_that_trickles_comes_back_as_it_leaves(stage: Stage, scheme: str) -> None:
     faults = {1: [Fault("trickle", seconds=0.005)]}
-    with served(f"{scheme}://{LINE}&echo=1", faults=faults) as (_, writes):
+    with unit_one(f"{scheme}://{LINE}&echo=1", faults=faults) as (_, writes):
         Echoing(stage, stage.line("/dev/line"))
         master = LineEnd(stage.line("/dev/line"))
         for count in (1, 2, 3):
@@ -298,7 +281,7 @@ def test_a_terminal_that_echoes() -> None:
         return len(heard) >= len(answer)
 
     try:
-        with served(f"rtu://{path}?baudrate=9600") as (server, writes):
+        with unit_one(f"rtu://{path}?baudrate=9600") as (server, writes):
             write_all(far, rtu(READ))
             until(echo)
             until(lambda: server.statistics.echoes == 1)

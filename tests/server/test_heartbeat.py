@@ -4,18 +4,17 @@ Masters that write the same again and again, as a heartbeat: no echo, each is ca
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, Gateway, Mapping, Route, Server
+from libmodbus_py import Context
 from libmodbus_py.low_level import ffi, lib
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import LineEnd, Stage, Talker
 from tests.support.cases import each
+from tests.support.served import unit_one
 from tests.support.talk import ascii_frame, rtu
 
 FRAMES = {"rtu": rtu, "ascii": ascii_frame}
@@ -41,24 +40,6 @@ HEARTBEATS = {
 # Seconds between an answer and the next request: none, the silence of the specification above
 # 19200 bit/s, what a USB adapter keeps, and a usual heartbeat.
 PAUSES = [0.0, 0.00175, 0.02, 1.0]
-
-
-def device_of(written: list[Any]) -> Device:
-    return Device(Mapping(holding_registers=4, coils=4), before_write=written.append)
-
-
-@contextmanager
-def served(
-    stage: Stage, url: str, written: list[Any], *, is_gateway: bool = False
-) -> Iterator[Any]:
-    server = Server({1: device_of(written)})
-    if not is_gateway:
-        with server.background(url):
-            yield server
-        return
-    gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
-    with server.background("tcp://10.0.0.2:502"), gateway.background(url):
-        yield gateway
 
 
 class Master:
@@ -96,11 +77,9 @@ def beat(master: Master, frame: Any, request: str) -> None:
 def test_each_of_many_equal_writes_is_carried_out(
     stage: Stage, scheme: str, is_gateway: bool, pause: float
 ) -> None:
-    written: list[Any] = []
     url, frame = URLS[scheme], FRAMES[scheme.partition("+")[0]]
     for check, request in each(HEARTBEATS):
-        written.clear()
-        with check, served(stage, url, written, is_gateway=is_gateway) as server:
+        with check, unit_one(url, is_gateway=is_gateway) as (server, written):
             master = Master(stage, url)
             for _ in range(COUNT):
                 beat(master, frame, request)
@@ -114,9 +93,8 @@ def test_each_of_many_equal_writes_is_carried_out(
 @pytest.mark.parametrize("scheme", URLS)
 def test_a_heartbeat_between_reads(stage: Stage, scheme: str) -> None:
     """The answer of the first read shows that there is no echo."""
-    written: list[Any] = []
     url, frame = URLS[scheme], FRAMES[scheme.partition("+")[0]]
-    with served(stage, url, written) as server:
+    with unit_one(url) as (server, written):
         master = Master(stage, url)
         for _ in range(COUNT):
             assert master.ask(frame("01 03 0000 0001"), len(frame("01 03 02 0000")))
@@ -130,11 +108,9 @@ def test_a_heartbeat_between_reads(stage: Stage, scheme: str) -> None:
 @pytest.mark.parametrize("query", ["silence=0", "silence=0&echo=0", "baudrate=115200"])
 def test_a_heartbeat_on_a_real_port(scheme: str, query: str) -> None:
     """Without a pause, by a client of this package; bytes take no time there."""
-    written: list[Any] = []
-    server = Server({1: device_of(written)})
     with (
         SerialWire() as wire,
-        server.background(f"{scheme}://{wire.server}?{query}"),
+        unit_one(f"{scheme}://{wire.server}?{query}") as (server, written),
         Context.from_url(f"{scheme}://{wire.client}?{query}&unit=1&timeout=3&retries=0") as plc,
     ):
         for _ in range(COUNT):
@@ -146,8 +122,6 @@ def test_a_heartbeat_on_a_real_port(scheme: str, query: str) -> None:
 @pytest.mark.parametrize("query", ["silence=0", "baudrate=115200"])
 def test_libmodbus_is_the_master(query: str) -> None:
     """Which leaves no pause between an answer and its next request."""
-    written: list[Any] = []
-    server = Server({1: device_of(written)})
     beats = {
         "write_bit": lambda line: lib.modbus_write_bit(line, 1, 1) == 1,
         "write_register": lambda line: lib.modbus_write_register(line, 1, 3) == 1,
@@ -157,7 +131,7 @@ def test_libmodbus_is_the_master(query: str) -> None:
         ),
         "mask_write": lambda line: lib.modbus_mask_write_register(line, 1, 0xFF, 0) != -1,
     }
-    with SerialWire() as wire, server.background(f"rtu://{wire.server}?{query}"):
+    with SerialWire() as wire, unit_one(f"rtu://{wire.server}?{query}") as (server, written):
         line = lib.modbus_new_rtu(wire.client.encode(), 115200, b"N", 8, 1)
         try:
             lib.modbus_set_slave(line, 1)

@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, Device, Gateway, Mapping, Route, Server, listen
+from libmodbus_py import AsyncClient, Context, listen
 from libmodbus_py.pdu import Diagnostics
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.framing import make_framer
 from libmodbus_py.protocol.scan import pause_between_frames
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.cases import each_case
+from tests.support.served import unit_one
 from tests.support.talk import rtu
 
 WRITE = rtu("01 06 0001 0003")
@@ -61,17 +62,8 @@ def spell(stage: Stage, end: LineEnd, data: bytes, baudrate: int, bits: int = 11
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("baudrate", [300, 600, 1200, 9600])
 def test_no_part_of_a_frame_is_carried_out(stage: Stage, baudrate: int, is_gateway: bool) -> None:
-    writes: list[object] = []
-    device = Device(Mapping(holding_registers=4), before_write=writes.append)
-    line = f"rtu:///dev/line?baudrate={baudrate}"
-    behind = "tcp://10.0.0.2:502" if is_gateway else line
-    with Server({1: device}).background(behind):
-        gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
-        if is_gateway:
-            with gateway.background(line):
-                check(stage, baudrate)
-        else:
-            check(stage, baudrate)
+    with unit_one(f"rtu:///dev/line?baudrate={baudrate}", is_gateway=is_gateway) as (_, writes):
+        check(stage, baudrate)
     assert writes == []
 
 

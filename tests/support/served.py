@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
-from libmodbus_py import Device, Fault, Mapping, Server, framing
+from libmodbus_py import Access, Device, Fault, Gateway, Mapping, Route, Server, framing
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server.limits import Limits
 from tests.simulation.stage import Stage, Talker
@@ -38,6 +38,7 @@ __all__ = [
     "ask",
     "rtu",
     "served",
+    "unit_one",
 ]
 
 ANSWER_ONE = bytes.fromhex("03 02 0000")
@@ -156,6 +157,30 @@ def served(
     server = Server({17: device}, faults, Limits(**limits), security=security)
     with server.background(url) as running:
         yield Served(stage, server, running.urls[0])
+
+
+@contextmanager
+def unit_one(
+    url: str, *, is_gateway: bool = False, **settings: Any
+) -> Iterator[tuple[Any, list[Access]]]:
+    """
+    Serve unit 1 from a device, or through a gateway on the stage.
+
+    Args:
+        settings: of the server.
+
+    Yields what serves there, and all that is written, oldest first.
+    """
+    writes: list[Access] = []
+    device = Device(Mapping(holding_registers=4, coils=4), before_write=writes.append)
+    server = Server({1: device}, **settings)
+    if not is_gateway:
+        with server.background(url):
+            yield server, writes
+        return
+    gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
+    with server.background("tcp://10.0.0.2:502"), gateway.background(url):
+        yield gateway, writes
 
 
 def ask(client: Talker | SealedTalker, transaction: int = 1) -> None:
