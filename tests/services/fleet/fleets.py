@@ -88,6 +88,16 @@ def in_simulated_time(test: Callable[..., Coroutine[Any, Any, None]]) -> Callabl
     return run
 
 
+def in_real_time(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+    """Decorate a test whose sockets, files and programs are real."""
+
+    @wraps(test)
+    def run(*arguments: Any, **fixtures: Any) -> None:
+        asyncio.run(asyncio.wait_for(test(*arguments, **fixtures), 2 * LONGEST))
+
+    return run
+
+
 def stand_still(seconds: float) -> None:
     """Let simulated time pass while nobody in the event loop does anything."""
     events = NETWORK.get().events

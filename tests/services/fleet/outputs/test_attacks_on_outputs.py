@@ -21,7 +21,16 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput, LineFile
 from libmodbus_py.services.fleet.outputs.output import OutputError
-from tests.services.fleet.fleets import Peer, good, meter, polling, simulated, simulated_run, until
+from tests.services.fleet.fleets import (
+    Peer,
+    good,
+    in_real_time,
+    in_simulated_time,
+    meter,
+    polling,
+    simulated,
+    until,
+)
 from tests.support.commands import Started
 from tests.support.outputs import pumping
 
@@ -54,26 +63,23 @@ class SmallDisk:
 
 @pytest.mark.parametrize("make", [JsonOutput, CsvOutput])
 @pytest.mark.parametrize("room", [0, 10, 60, 200])
-def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
+@in_real_time
+async def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[str], LineFile], room: int
 ) -> None:
     monkeypatch.setattr(tasks, "FIRST_PAUSE_S", 0.001)
     monkeypatch.setattr(tasks, "LONGEST_PAUSE_S", 0.01)
     disk = SmallDisk(monkeypatch, room)
     path = tmp_path / "readings"
-
-    async def go() -> None:
-        async with pumping(make(str(path))) as pump:
-            for at in range(5):
-                pump.buffer.put(poll(at))
-            await until(lambda: pump.statistics.failures > 3)
-            assert "No space left" in pump.statistics.trouble
-            assert path.read_bytes()[-1:] in (b"", b"\n")
-            disk.room = 1 << 20
-            await until(lambda: pump.statistics.written == 10)
-            assert pump.statistics.dropped == 0
-
-    asyncio.run(go())
+    async with pumping(make(str(path))) as pump:
+        for at in range(5):
+            pump.buffer.put(poll(at))
+        await until(lambda: pump.statistics.failures > 3)
+        assert "No space left" in pump.statistics.trouble
+        assert path.read_bytes()[-1:] in (b"", b"\n")
+        disk.room = 1 << 20
+        await until(lambda: pump.statistics.written == 10)
+        assert pump.statistics.dropped == 0
     lines = path.read_text().splitlines()
     rows = lines if make is JsonOutput else lines[1:]
     assert len(rows) == len({*rows}) == 10
@@ -112,7 +118,8 @@ def wait_until(is_so: Callable[[], object]) -> None:
         time.sleep(0.01)
 
 
-def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_reads(
+@in_simulated_time
+async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_reads(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """`run` raises its error; in an `async with` nobody else would hear of it."""
@@ -127,103 +134,93 @@ def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_reads(
 
         async def close(self) -> None: ...
 
-    async def go() -> None:
-        async with Peer() as peer:
-            async with polling(meter("a", peer.url), outputs=[Broken()]) as (fleet, readings):
-                await until(lambda: len(readings) > 3)
-                assert fleet.statistics.outputs["broken"].trouble == "MQTT needs aiomqtt"
-            assert caplog.text.count("broken gets no more readings: MQTT needs aiomqtt") == 1
-            caplog.clear()
-            with pytest.raises(OutputError, match="MQTT needs aiomqtt"):
-                await Fleet([meter("a", peer.url)], outputs=[Broken()]).run()
-            assert caplog.text == ""
-
-    simulated_run(go())
+    async with Peer() as peer:
+        async with polling(meter("a", peer.url), outputs=[Broken()]) as (fleet, readings):
+            await until(lambda: len(readings) > 3)
+            assert fleet.statistics.outputs["broken"].trouble == "MQTT needs aiomqtt"
+        assert caplog.text.count("broken gets no more readings: MQTT needs aiomqtt") == 1
+        caplog.clear()
+        with pytest.raises(OutputError, match="MQTT needs aiomqtt"):
+            await Fleet([meter("a", peer.url)], outputs=[Broken()]).run()
+        assert caplog.text == ""
 
 
 # --- labels, reloads ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("after", [[], ["b"], ["a"]], ids=["none", "another", "itself"])
-def test_an_answer_after_a_reload_is_of_nobody(after: list[str]) -> None:
+@in_simulated_time
+async def test_an_answer_after_a_reload_is_of_nobody(after: list[str]) -> None:
     """A device is removed, replaced, or changed while it is asked: no reading of the former."""
+    answers = asyncio.Event()
 
-    async def go() -> None:
-        answers = asyncio.Event()
+    async def slow(request: bytes) -> bytes | None:
+        await answers.wait()
+        return await good(request)
 
-        async def slow(request: bytes) -> bytes | None:
-            await answers.wait()
-            return await good(request)
-
-        async with Peer(slow) as peer:
-            url = f"{peer.url}?timeout=30"
-            async with polling(meter("a", url)) as (fleet, readings):
-                await until(lambda: peer.requests)
-                fleet.replace([meter(name, url, labels={"run": "2"}) for name in after])
-                answers.set()
-                await asyncio.sleep(1)
-                assert {each.device for each in readings if each.quality == "good"} == {*after}
-                assert all(each.labels == {"run": "2"} for each in readings)
-                statistics = fleet.statistics
-                assert (statistics.devices, statistics.up) == (len(after), len(after))
-                assert statistics.down == 0
-
-    simulated_run(go())
+    async with Peer(slow) as peer:
+        url = f"{peer.url}?timeout=30"
+        async with polling(meter("a", url)) as (fleet, readings):
+            await until(lambda: peer.requests)
+            fleet.replace([meter(name, url, labels={"run": "2"}) for name in after])
+            answers.set()
+            await asyncio.sleep(1)
+            assert {each.device for each in readings if each.quality == "good"} == {*after}
+            assert all(each.labels == {"run": "2"} for each in readings)
+            statistics = fleet.statistics
+            assert (statistics.devices, statistics.up) == (len(after), len(after))
+            assert statistics.down == 0
 
 
-def test_a_device_that_is_named_twice_changes_nothing() -> None:
-    async def go() -> None:
-        async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, readings):
-            await until(lambda: readings)
-            before = fleet.devices["a"]
-            twice: list[Any] = [meter("a", peer.url), meter("a", peer.url, unit=2)]
-            with pytest.raises(ValueError, match="'a' is also the name of"):
-                fleet.replace(twice)
-            with pytest.raises(ValueError, match="'a' is also the name of"):
-                fleet.add([meter("a", peer.url, unit=2)])
-            assert fleet.devices["a"] is before
-            count = len(readings)
-            await until(lambda: len(readings) > count + 3)
-            assert {*peer.units} == {1}
-
-    simulated_run(go())
+@in_simulated_time
+async def test_a_device_that_is_named_twice_changes_nothing() -> None:
+    async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, readings):
+        await until(lambda: readings)
+        before = fleet.devices["a"]
+        twice: list[Any] = [meter("a", peer.url), meter("a", peer.url, unit=2)]
+        with pytest.raises(ValueError, match="'a' is also the name of"):
+            fleet.replace(twice)
+        with pytest.raises(ValueError, match="'a' is also the name of"):
+            fleet.add([meter("a", peer.url, unit=2)])
+        assert fleet.devices["a"] is before
+        count = len(readings)
+        await until(lambda: len(readings) > count + 3)
+        assert {*peer.units} == {1}
 
 
-def test_metrics_can_be_scraped_while_a_fleet_is_read_again() -> None:
+@in_real_time
+async def test_metrics_can_be_scraped_while_a_fleet_is_read_again() -> None:
     """From another thread, as a server of metrics does."""
     prometheus = pytest.importorskip("prometheus_client")
     from libmodbus_py.services.fleet.statistics import LastValues
     from libmodbus_py.services.integrations.prometheus import collect
 
-    async def go() -> None:
-        registry, values = prometheus.CollectorRegistry(), LastValues()
-        with Server({unit: simulated() for unit in range(1, 40)}).background(
-            "tcp://127.0.0.1:0"
-        ) as running:
-            sets = [
-                [
-                    meter(f"{kind}{unit}", running.urls[0], unit=unit, labels={"kind": kind})
-                    for unit in range(1, 40)
-                ]
-                for kind in ("x", "y")
+    registry, values = prometheus.CollectorRegistry(), LastValues()
+    with Server({unit: simulated() for unit in range(1, 40)}).background(
+        "tcp://127.0.0.1:0"
+    ) as running:
+        sets = [
+            [
+                meter(f"{kind}{unit}", running.urls[0], unit=unit, labels={"kind": kind})
+                for unit in range(1, 40)
             ]
-            async with polling(*sets[0], outputs=[values]) as (fleet, readings):
-                collect(fleet, values, registry=registry)
-                is_over = False
+            for kind in ("x", "y")
+        ]
+        async with polling(*sets[0], outputs=[values]) as (fleet, readings):
+            collect(fleet, values, registry=registry)
+            is_over = False
 
-                def scrape() -> int:
-                    count = 0
-                    while not is_over:
-                        assert b"modbus_fleet_devices" in prometheus.generate_latest(registry)
-                        count += 1
-                    return count
+            def scrape() -> int:
+                count = 0
+                while not is_over:
+                    assert b"modbus_fleet_devices" in prometheus.generate_latest(registry)
+                    count += 1
+                return count
 
-                scraping = asyncio.create_task(asyncio.to_thread(scrape))
-                for at in range(60):
-                    fleet.replace(sets[at % 2])
-                    await asyncio.sleep(0.01)
-                await until(lambda: len(readings) > 100)
-                is_over = True
-                assert await scraping > 5
-
-    asyncio.run(go())
+            scraping = asyncio.create_task(asyncio.to_thread(scrape))
+            for at in range(60):
+                fleet.replace(sets[at % 2])
+                await asyncio.sleep(0.01)
+            await until(lambda: len(readings) > 100)
+            is_over = True
+            assert await scraping > 5

@@ -21,7 +21,7 @@ from libmodbus_py.services.fleet.outputs import mqtt_connection
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.tools.certificates import Identity
-from tests.services.fleet.fleets import RealPeer, meter, until
+from tests.services.fleet.fleets import RealPeer, in_real_time, meter, until
 from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish, run
 from tests.support import certificates
 from tests.support.cases import each_case
@@ -29,21 +29,19 @@ from tests.support.certificates import Papers
 
 
 @pytest.mark.parametrize("qos", [0, 1])
-def test_last_values_are_kept_for_who_comes_later(broker: Broker, qos: int) -> None:
-    async def go() -> None:
-        async with RealPeer() as peer:
-            device = meter("plant/1 +", peer.url, interval=60)
-            await Fleet([device], outputs=[Mqtt(broker.url, qos=qos)]).run(once=True)
-        async with hearing(broker, "#") as heard:
-            await until(lambda: len(heard) >= 4)
-        assert all(retained for _, _, retained in heard)
-        values = {topic: found for topic, found, _ in heard if topic != "modbus/status"}
-        assert set(values) == {f"modbus/plant%2F1 %2B/{name}" for name in device.names}
-        told = values["modbus/plant%2F1 %2B/voltage"]
-        assert {**told, "time": ""} == {"time": "", "value": 0.7, "unit": "V", "quality": "good"}
-        assert heard_of(heard, "modbus/status") == ["offline"]
-
-    run(go())
+@in_real_time
+async def test_last_values_are_kept_for_who_comes_later(broker: Broker, qos: int) -> None:
+    async with RealPeer() as peer:
+        device = meter("plant/1 +", peer.url, interval=60)
+        await Fleet([device], outputs=[Mqtt(broker.url, qos=qos)]).run(once=True)
+    async with hearing(broker, "#") as heard:
+        await until(lambda: len(heard) >= 4)
+    assert all(retained for _, _, retained in heard)
+    values = {topic: found for topic, found, _ in heard if topic != "modbus/status"}
+    assert set(values) == {f"modbus/plant%2F1 %2B/{name}" for name in device.names}
+    told = values["modbus/plant%2F1 %2B/voltage"]
+    assert {**told, "time": ""} == {"time": "", "value": 0.7, "unit": "V", "quality": "good"}
+    assert heard_of(heard, "modbus/status") == ["offline"]
 
 
 def secure(broker: Broker, papers: Papers, identity: Identity) -> str:
@@ -57,23 +55,21 @@ def secure(broker: Broker, papers: Papers, identity: Identity) -> str:
     return f"mqtts://127.0.0.1:{port}"
 
 
-def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
+@in_real_time
+async def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
     papers = Papers(tmp_path)
     url = secure(broker, papers, certificates.server())
-
-    async def go() -> None:
-        async with RealPeer() as peer:
-            device = meter("a", peer.url, interval=60)
-            output = Mqtt(url, ca=str(papers.ca))
-            await Fleet([device], outputs=[output]).run(once=True)
-        async with hearing(broker, "#") as heard:
-            await until(lambda: len(heard) >= 4)
-
-    run(go())
+    async with RealPeer() as peer:
+        device = meter("a", peer.url, interval=60)
+        output = Mqtt(url, ca=str(papers.ca))
+        await Fleet([device], outputs=[output]).run(once=True)
+    async with hearing(broker, "#") as heard:
+        await until(lambda: len(heard) >= 4)
 
 
 @pytest.mark.parametrize("wrong", ["another authority", "another host"])
-def test_a_broker_that_is_not_trusted_gets_nothing(
+@in_real_time
+async def test_a_broker_that_is_not_trusted_gets_nothing(
     broker: Broker, tmp_path: Path, wrong: str
 ) -> None:
     papers = Papers(tmp_path)
@@ -81,17 +77,13 @@ def test_a_broker_that_is_not_trusted_gets_nothing(
     identity = certificates.server(**({} if is_foreign else {"hosts": ("other.example",)}))
     trusted = papers.authority(certificates.foreign_authority()) if is_foreign else papers.ca
     url = secure(broker, papers, identity)
-
-    async def go() -> None:
-        async with RealPeer() as peer, hearing(broker, "#") as heard:
-            output = Mqtt(url, ca=str(trusted), password="secret", user="user")
-            async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:
-                statistics = fleet.statistics.outputs[output.name]
-                await until(lambda: statistics.trouble)
-                assert "certificate" in statistics.trouble.lower()
-            assert heard == []
-
-    run(go())
+    async with RealPeer() as peer, hearing(broker, "#") as heard:
+        output = Mqtt(url, ca=str(trusted), password="secret", user="user")
+        async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:
+            statistics = fleet.statistics.outputs[output.name]
+            await until(lambda: statistics.trouble)
+            assert "certificate" in statistics.trouble.lower()
+        assert heard == []
 
 
 def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> None:
@@ -101,50 +93,45 @@ def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> None:
         run(output.open())
 
 
-def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) -> None:
+@in_real_time
+async def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) -> None:
     """A poller is killed: the broker says so, not the poller."""
     (tmp_path / "meter.csv").write_text("name,table,address\nx,holding_registers,0\n")
     (tmp_path / "fleet.toml").write_text(
         f'[output.mqtt]\nurl = "{broker.url}"\nstatus = "poller"\n'
         '[[device]]\nname = "a"\nurl = "tcp://127.0.0.1:1"\nmap = "meter.csv"\n'
     )
-
-    async def go() -> None:
-        async with hearing(broker, "poller") as heard:
-            program = [sys.executable, "-m", "libmodbus_py", "poll", str(tmp_path / "fleet.toml")]
-            with subprocess.Popen(program) as poller:
-                await until(lambda: heard_of(heard, "poller") == ["online"])
-                poller.kill()
-            await until(lambda: heard_of(heard, "poller")[1:] == ["offline"])
-
-    run(go())
+    async with hearing(broker, "poller") as heard:
+        program = [sys.executable, "-m", "libmodbus_py", "poll", str(tmp_path / "fleet.toml")]
+        with subprocess.Popen(program) as poller:
+            await until(lambda: heard_of(heard, "poller") == ["online"])
+            poller.kill()
+        await until(lambda: heard_of(heard, "poller")[1:] == ["offline"])
 
 
-def test_a_broker_that_dies_and_returns_loses_little_and_stops_nobody(
+@in_real_time
+async def test_a_broker_that_dies_and_returns_loses_little_and_stops_nobody(
     broker: Broker, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def go() -> None:
-        async with RealPeer() as peer:
-            output = Mqtt(broker.url)
-            fleet = Fleet([meter("a", peer.url, interval=0.05)], outputs=[output])
-            async with fleet:
-                statistics = fleet.statistics.outputs[output.name]
-                await until(lambda: statistics.written > 10)
-                broker.kill()
-                await until(lambda: statistics.trouble)
-                before = fleet.statistics.polls
-                await until(lambda: fleet.statistics.polls > before + 10)
-                assert statistics.waiting > 0
-                await asyncio.to_thread(broker.start)
-                written = statistics.written
-                await until(lambda: statistics.written > written + 30 and not statistics.trouble)
-                async with hearing(broker, "modbus/#") as heard:
-                    await until(lambda: heard_of(heard, "modbus/status") == ["online"])
-            assert fleet.statistics.failures == 0
-            # Those in the connection when it was lost are lost with it (QoS 0), no others.
-            assert statistics.dropped == 0
-
-    run(go())
+    async with RealPeer() as peer:
+        output = Mqtt(broker.url)
+        fleet = Fleet([meter("a", peer.url, interval=0.05)], outputs=[output])
+        async with fleet:
+            statistics = fleet.statistics.outputs[output.name]
+            await until(lambda: statistics.written > 10)
+            broker.kill()
+            await until(lambda: statistics.trouble)
+            before = fleet.statistics.polls
+            await until(lambda: fleet.statistics.polls > before + 10)
+            assert statistics.waiting > 0
+            await asyncio.to_thread(broker.start)
+            written = statistics.written
+            await until(lambda: statistics.written > written + 30 and not statistics.trouble)
+            async with hearing(broker, "modbus/#") as heard:
+                await until(lambda: heard_of(heard, "modbus/status") == ["online"])
+        assert fleet.statistics.failures == 0
+        # Those in the connection when it was lost are lost with it (QoS 0), no others.
+        assert statistics.dropped == 0
     assert "accepts readings again" in caplog.text
     assert "Traceback" not in caplog.text
 
@@ -156,53 +143,49 @@ def test_a_broker_that_dies_and_returns_loses_little_and_stops_nobody(
         ({}, "Not authorized"),
     ],
 )
-def test_wrong_credentials_are_one_line(
+@in_real_time
+async def test_wrong_credentials_are_one_line(
     broker: Broker, options: Any, said: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def go() -> None:
-        broker.kill()
-        broker.settings[1] = f"password_file {broker._folder / 'passwords'}"
-        await asyncio.to_thread(broker.start)
-        async with RealPeer() as peer:
-            output = Mqtt(broker.url, **options)
-            async with Fleet([meter("a", peer.url)], outputs=[output]) as fleet:
-                statistics = fleet.statistics.outputs[output.name]
-                await until(lambda: statistics.failures > 1)
-                assert said in statistics.trouble
-                assert fleet.statistics.failures == 0
-            right = Mqtt(broker.url, user="user", password="secret")
-            fleet = Fleet([meter("a", peer.url, interval=60)], outputs=[right])
-            await fleet.run(once=True)
-            assert fleet.statistics.outputs[right.name].written == 3
-
-    run(go())
+    broker.kill()
+    broker.settings[1] = f"password_file {broker._folder / 'passwords'}"
+    await asyncio.to_thread(broker.start)
+    async with RealPeer() as peer:
+        output = Mqtt(broker.url, **options)
+        async with Fleet([meter("a", peer.url)], outputs=[output]) as fleet:
+            statistics = fleet.statistics.outputs[output.name]
+            await until(lambda: statistics.failures > 1)
+            assert said in statistics.trouble
+            assert fleet.statistics.failures == 0
+        right = Mqtt(broker.url, user="user", password="secret")
+        fleet = Fleet([meter("a", peer.url, interval=60)], outputs=[right])
+        await fleet.run(once=True)
+        assert fleet.statistics.outputs[right.name].written == 3
     warned = [each for each in caplog.records if each.levelno >= logging.WARNING]
     assert len([each for each in warned if said in each.getMessage()]) == 1
     assert "wrong" not in caplog.text
     assert "secret" not in caplog.text
 
 
-def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+@in_real_time
+async def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mqtt_connection, "TIMEOUT_S", 0.2)
-
-    async def go() -> None:
-        silent = socket.create_server(("127.0.0.1", 0))
-        port = silent.getsockname()[1]
-        async with RealPeer() as peer:
-            output = Mqtt(f"mqtt://127.0.0.1:{port}")
-            async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:
-                await until(lambda: fleet.statistics.outputs[output.name].trouble)
-                assert "timed out" in fleet.statistics.outputs[output.name].trouble
-                await until(lambda: fleet.statistics.polls > 5)
-        silent.close()
-
-    run(go())
+    silent = socket.create_server(("127.0.0.1", 0))
+    port = silent.getsockname()[1]
+    async with RealPeer() as peer:
+        output = Mqtt(f"mqtt://127.0.0.1:{port}")
+        async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:
+            await until(lambda: fleet.statistics.outputs[output.name].trouble)
+            assert "timed out" in fleet.statistics.outputs[output.name].trouble
+            await until(lambda: fleet.statistics.polls > 5)
+    silent.close()
 
 
 # --- commands ---------------------------------------------------------------------------------
 
 
-def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
+@in_real_time
+async def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
     cases: list[tuple[str, bytes, str]] = [
         ("a/setpoint", b"21", ""),
         ("a/setpoint", b'{"value": 22, "id": "x7"}', ""),
@@ -219,57 +202,49 @@ def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
         ("a/setpoint", b"[" * 4000, "it must be a value in JSON"),
         ("a/setpoint", b"1" * 5000, "at most 4096 bytes"),
     ]
-
-    async def go() -> None:
-        async with commanded(broker, commands=True) as (fleet, heard, device):
-            for at, (topic, data, error) in enumerate(cases):
-                await publish(broker, f"modbus/{topic}/set", data)
-                await until(lambda at=at: len(heard) > at)
-                result_topic, outcome, _ = heard[at]
-                assert result_topic == f"modbus/{topic}/set/result"
-                assert outcome["ok"] is not bool(error)
-                assert error in outcome.get("error", "")
-                assert outcome.get("id") == ("x7" if b"x7" in data else None)
-            assert device.mapping.holding_registers[2] == 22
-            assert fleet.statistics.commands == 2
-            assert fleet.statistics.refused_commands == len(cases) - 2
-            # One that the broker kept was meant for yesterday.
-            await publish(broker, "modbus/a/setpoint/set", b"15", retain=True)
-            await until(lambda: device.mapping.holding_registers[2] == 15)
-        async with commanded(broker, commands=True) as (fleet, heard, device):
-            await publish(broker, "modbus/a/setpoint/set", b"16")
-            await until(lambda: device.mapping.holding_registers[2] == 16 and heard)
-            assert fleet.statistics.commands == 1
-
-    run(go())
+    async with commanded(broker, commands=True) as (fleet, heard, device):
+        for at, (topic, data, error) in enumerate(cases):
+            await publish(broker, f"modbus/{topic}/set", data)
+            await until(lambda at=at: len(heard) > at)
+            result_topic, outcome, _ = heard[at]
+            assert result_topic == f"modbus/{topic}/set/result"
+            assert outcome["ok"] is not bool(error)
+            assert error in outcome.get("error", "")
+            assert outcome.get("id") == ("x7" if b"x7" in data else None)
+        assert device.mapping.holding_registers[2] == 22
+        assert fleet.statistics.commands == 2
+        assert fleet.statistics.refused_commands == len(cases) - 2
+        # One that the broker kept was meant for yesterday.
+        await publish(broker, "modbus/a/setpoint/set", b"15", retain=True)
+        await until(lambda: device.mapping.holding_registers[2] == 15)
+    async with commanded(broker, commands=True) as (fleet, heard, device):
+        await publish(broker, "modbus/a/setpoint/set", b"16")
+        await until(lambda: device.mapping.holding_registers[2] == 16 and heard)
+        assert fleet.statistics.commands == 1
 
 
-def test_off_unless_enabled(broker: Broker) -> None:
-    async def go() -> None:
-        async with commanded(broker) as (fleet, heard, device):
-            await publish(broker, "modbus/a/setpoint/set", b"21")
-            before = fleet.statistics.polls
-            await until(lambda: fleet.statistics.polls > before + 5)
-            assert (heard, device.mapping.holding_registers[2]) == ([], 20)
-
-    run(go())
+@in_real_time
+async def test_off_unless_enabled(broker: Broker) -> None:
+    async with commanded(broker) as (fleet, heard, device):
+        await publish(broker, "modbus/a/setpoint/set", b"21")
+        before = fleet.statistics.polls
+        await until(lambda: fleet.statistics.polls > before + 5)
+        assert (heard, device.mapping.holding_registers[2]) == ([], 20)
 
 
-def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
-    async def go() -> None:
-        async with commanded(broker, commands=True) as (fleet, heard, _):
-            async with aiomqtt.Client("127.0.0.1", broker.port) as client:
-                for at in range(500):
-                    await client.publish("modbus/down/setpoint/set", b"21", 0)
-                    if at % 50 == 0:
-                        assert len(asyncio.all_tasks()) < 300
-            polls = fleet.statistics.polls
-            await until(lambda: fleet.statistics.polls > polls + 5)
-            await until(lambda: len(heard) > 20)
-            assert fleet.statistics.commands == 0
-            assert fleet.statistics.up == 1
-
-    run(go())
+@in_real_time
+async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
+    async with commanded(broker, commands=True) as (fleet, heard, _):
+        async with aiomqtt.Client("127.0.0.1", broker.port) as client:
+            for at in range(500):
+                await client.publish("modbus/down/setpoint/set", b"21", 0)
+                if at % 50 == 0:
+                    assert len(asyncio.all_tasks()) < 300
+        polls = fleet.statistics.polls
+        await until(lambda: fleet.statistics.polls > polls + 5)
+        await until(lambda: len(heard) > 20)
+        assert fleet.statistics.commands == 0
+        assert fleet.statistics.up == 1
 
 
 # --- what cannot be -----------------------------------------------------------------------------

@@ -22,7 +22,15 @@ from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.output import Output, OutputError
 from libmodbus_py.services.fleet.statistics import LastValues
-from tests.services.fleet.fleets import LONGEST, Peer, RealPeer, meter, simulated_run, until
+from tests.services.fleet.fleets import (
+    LONGEST,
+    Peer,
+    RealPeer,
+    in_simulated_time,
+    meter,
+    simulated_run,
+    until,
+)
 
 
 @pytest.fixture
@@ -107,38 +115,33 @@ def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> None:
 
 
 @pytest.mark.parametrize("error", [OutputError("gone"), SystemError("?"), GeneratorExit()])
-def test_what_ends_an_output(error: BaseException) -> None:
+@in_simulated_time
+async def test_what_ends_an_output(error: BaseException) -> None:
     """OutputError and what is not an Exception end `run`; the rest are tried again."""
-
-    async def go() -> None:
-        async with Peer() as peer:
-            fleet = Fleet([meter("a", peer.url)], outputs=[Odd(error)])
-            if isinstance(error, SystemError):
-                with pytest.raises(TimeoutError):
-                    await asyncio.wait_for(fleet.run(), 1)
-            else:
-                with pytest.raises(type(error)):
-                    await fleet.run()
-
-    simulated_run(go())
+    async with Peer() as peer:
+        fleet = Fleet([meter("a", peer.url)], outputs=[Odd(error)])
+        if isinstance(error, SystemError):
+            with pytest.raises(TimeoutError):
+                await asyncio.wait_for(fleet.run(), 1)
+        else:
+            with pytest.raises(type(error)):
+                await fleet.run()
 
 
-def test_who_iterates_no_more_loses_the_oldest() -> None:
-    async def go() -> None:
-        async with Peer() as peer:
-            fleet = Fleet([meter("a", peer.url, interval=0.02)])
-            kept = fleet.readings(buffer=10)
-            forgotten = fleet.readings()
-            del forgotten
-            async with fleet:
-                assert (await anext(kept)).device == "a"
-                await until(lambda: kept.dropped > 20)
-                first = await anext(kept)
-            rest = [first, *[each async for each in kept]]
-            assert len(rest) == 10
-            assert len(fleet._receivers._iterated) == 1
-
-    simulated_run(go())
+@in_simulated_time
+async def test_who_iterates_no_more_loses_the_oldest() -> None:
+    async with Peer() as peer:
+        fleet = Fleet([meter("a", peer.url, interval=0.02)])
+        kept = fleet.readings(buffer=10)
+        forgotten = fleet.readings()
+        del forgotten
+        async with fleet:
+            assert (await anext(kept)).device == "a"
+            await until(lambda: kept.dropped > 20)
+            first = await anext(kept)
+        rest = [first, *[each async for each in kept]]
+        assert len(rest) == 10
+        assert len(fleet._receivers._iterated) == 1
 
 
 # --- files ------------------------------------------------------------------------------------
@@ -191,19 +194,18 @@ class Described(Odd):
         self.labels = {name: each.labels for name, each in devices.items()}
 
 
-def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_apart() -> None:
+@in_simulated_time
+async def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_apart() -> (
+    None
+):
     outputs = [Described(), Odd(), Odd()]
-
-    async def scenario() -> None:
-        async with Peer() as peer:
-            devices = [meter("a", peer.url, labels={"site": "here"})]
-            async with Fleet(devices, outputs=outputs) as fleet:
-                assert outputs[0].labels == {"a": {"site": "here"}}
-                assert list(fleet.statistics.outputs) == ["odd", "odd (2)", "odd (3)"]
-                fleet.replace([meter("b", peer.url, labels={"site": "there"})])
-                assert outputs[0].labels == {"b": {"site": "there"}}
-
-    simulated_run(scenario())
+    async with Peer() as peer:
+        devices = [meter("a", peer.url, labels={"site": "here"})]
+        async with Fleet(devices, outputs=outputs) as fleet:
+            assert outputs[0].labels == {"a": {"site": "here"}}
+            assert list(fleet.statistics.outputs) == ["odd", "odd (2)", "odd (3)"]
+            fleet.replace([meter("b", peer.url, labels={"site": "there"})])
+            assert outputs[0].labels == {"b": {"site": "there"}}
 
 
 def value_of(device: str, name: str = "v", quality: str = "good", value: float = 1.0) -> Reading:

@@ -25,6 +25,7 @@ from libmodbus_py.services.fleet.outputs.influx import Influx, LineProtocol, _sh
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.readings import Quality
 from libmodbus_py.services.other_servers import SecretFile
+from tests.services.fleet.fleets import in_real_time
 from tests.support import outputs
 from tests.support.cases import each_case
 from tests.support.secret_files import write_secret
@@ -160,13 +161,11 @@ def test_no_credentials() -> None:
     assert "authorization" not in received.headers
 
 
-def test_an_empty_write_asks_nothing() -> None:
-    async def go() -> None:
-        async with serving() as server:
-            await outputs.write(Influx(url=server.url, database="plant"), [])
-            assert server.received == []
-
-    asyncio.run(go())
+@in_real_time
+async def test_an_empty_write_asks_nothing() -> None:
+    async with serving() as server:
+        await outputs.write(Influx(url=server.url, database="plant"), [])
+        assert server.received == []
 
 
 @each_case(

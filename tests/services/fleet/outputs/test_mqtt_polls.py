@@ -14,8 +14,8 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.forms import object_text, poll_messages
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
-from tests.services.fleet.fleets import meter, polling, simulated, until
-from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, run
+from tests.services.fleet.fleets import in_real_time, meter, polling, simulated, until
+from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish
 from tests.support.outputs import pumping
 
 TOPIC = "plant/{device}"
@@ -50,54 +50,47 @@ def test_the_text_of_a_reading_is_its_object(value: Any, number: int) -> None:
 
 
 @pytest.mark.parametrize("qos", [0, 1])
-def test_each_poll_is_one_message_with_values_quality_reason_and_ids(
+@in_real_time
+async def test_each_poll_is_one_message_with_values_quality_reason_and_ids(
     broker: Broker, qos: int
 ) -> None:
-    async def go() -> None:
-        async with pumping(Mqtt(broker.url, topic=TOPIC, qos=qos, retain=False)) as pump:
-            down = Reading(101.0, "a/b", "power", None, "W", "down", "ModbusTimeoutError", 9)
-            async with hearing(broker, "plant/+") as heard:
-                await written(
-                    pump, [*poll("a/b", 0, volts=230.5, amps=3), down, *poll("c", 1, x=1)]
-                )
-                await until(lambda: len(heard) == 3)
-            first, second = heard_of(heard, "plant/a%2Fb")
-            time = "1970-01-01T00:01:40.000Z"
-            good = {"time": time, "unit": "V", "quality": "good", "id": 1}
-            assert first == {
-                "device": "a/b",
-                "values": {"volts": {"value": 230.5, **good}, "amps": {"value": 3, **good}},
-            }
-            assert second["values"]["power"] == json.loads(object_text(down))
-
-    run(go())
+    async with pumping(Mqtt(broker.url, topic=TOPIC, qos=qos, retain=False)) as pump:
+        down = Reading(101.0, "a/b", "power", None, "W", "down", "ModbusTimeoutError", 9)
+        async with hearing(broker, "plant/+") as heard:
+            await written(pump, [*poll("a/b", 0, volts=230.5, amps=3), down, *poll("c", 1, x=1)])
+            await until(lambda: len(heard) == 3)
+        first, second = heard_of(heard, "plant/a%2Fb")
+        time = "1970-01-01T00:01:40.000Z"
+        good = {"time": time, "unit": "V", "quality": "good", "id": 1}
+        assert first == {
+            "device": "a/b",
+            "values": {"volts": {"value": 230.5, **good}, "amps": {"value": 3, **good}},
+        }
+        assert second["values"]["power"] == json.loads(object_text(down))
 
 
-def test_a_retained_message_has_the_last_values_of_all_points(broker: Broker) -> None:
+@in_real_time
+async def test_a_retained_message_has_the_last_values_of_all_points(broker: Broker) -> None:
     """The broker retains one message of a topic; with changes only, a poll has few values."""
-
-    async def go() -> None:
-        async with pumping(Mqtt(broker.url, topic=TOPIC)) as pump:
-            await written(pump, poll("a", 0, x=1, y=2))
-            await written(pump, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
-            gone = Reading(103.0, "a", "x", None, "V", "offline")
-            async with hearing(broker, "plant/+") as heard:
-                await until(lambda: heard)
-                assert last(heard, "plant/a") == {"x": 1, "y": 3, "z": 4}
-                await written(pump, [gone])
-                await until(lambda: len(heard) == 2)
-                assert last(heard, "plant/a") == {"x": None, "y": 3, "z": 4}
-                await written(pump, poll("a", 4, y=5))
-                await until(lambda: len(heard) == 3)
-                assert last(heard, "plant/a") == {"y": 5, "z": 4}
-            broker.kill()
-            await until(lambda: pump.statistics.trouble)
-            broker.start()
-            async with hearing(broker, "plant/+") as heard:
-                await until(lambda: heard)
-                assert last(heard, "plant/a") == {"y": 5, "z": 4}
-
-    run(go())
+    async with pumping(Mqtt(broker.url, topic=TOPIC)) as pump:
+        await written(pump, poll("a", 0, x=1, y=2))
+        await written(pump, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
+        gone = Reading(103.0, "a", "x", None, "V", "offline")
+        async with hearing(broker, "plant/+") as heard:
+            await until(lambda: heard)
+            assert last(heard, "plant/a") == {"x": 1, "y": 3, "z": 4}
+            await written(pump, [gone])
+            await until(lambda: len(heard) == 2)
+            assert last(heard, "plant/a") == {"x": None, "y": 3, "z": 4}
+            await written(pump, poll("a", 4, y=5))
+            await until(lambda: len(heard) == 3)
+            assert last(heard, "plant/a") == {"y": 5, "z": 4}
+        broker.kill()
+        await until(lambda: pump.statistics.trouble)
+        broker.start()
+        async with hearing(broker, "plant/+") as heard:
+            await until(lambda: heard)
+            assert last(heard, "plant/a") == {"y": 5, "z": 4}
 
 
 def test_no_message_is_larger_than_asked_for() -> None:
@@ -108,40 +101,35 @@ def test_no_message_is_larger_than_asked_for() -> None:
         assert sum(len(names) for names, _ in messages) == 100
 
 
-def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
+@in_real_time
+async def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
     broker.settings.append("message_size_limit 2000")
     broker.kill()
     broker.start()
-
-    async def go() -> None:
-        output = Mqtt(broker.url, topic=TOPIC, retain=False, max_message=2000)
-        async with pumping(output) as pump:
-            async with hearing(broker, "plant/+") as heard:
-                await written(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
-                await until(lambda: heard and len(heard) == heard[0][1]["parts"])
-            messages = heard_of(heard, "plant/a")
-            assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))
-            assert sum(len(each["values"]) for each in messages) == 100
-
-    run(go())
+    output = Mqtt(broker.url, topic=TOPIC, retain=False, max_message=2000)
+    async with pumping(output) as pump:
+        async with hearing(broker, "plant/+") as heard:
+            await written(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
+            await until(lambda: heard and len(heard) == heard[0][1]["parts"])
+        messages = heard_of(heard, "plant/a")
+        assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))
+        assert sum(len(each["values"]) for each in messages) == 100
 
 
-def test_commands_go_by_the_name_of_the_point(broker: Broker) -> None:
-    async def go() -> None:
-        device = simulated()
-        async with Server({1: device}).serving("tcp://127.0.0.1:0") as served:
-            output = Mqtt(broker.url, topic=TOPIC, commands=True)
-            north = meter("north", served.urls[0])
-            async with (
-                polling(north, outputs=[output]) as (fleet, _),
-                hearing(broker, "plant/north/+/set/result") as heard,
-            ):
-                await until(lambda: fleet.statistics.outputs[output.name].written)
-                await publish(broker, "plant/north/set", b"20")
-                await publish(broker, "plant/north/setpoint/set", b"21")
-                await until(lambda: heard)
-                [(topic, outcome, _)] = heard
-                assert (topic, outcome["ok"]) == ("plant/north/setpoint/set/result", True)
-                assert device.mapping.holding_registers[2] == 21
-
-    run(go())
+@in_real_time
+async def test_commands_go_by_the_name_of_the_point(broker: Broker) -> None:
+    device = simulated()
+    async with Server({1: device}).serving("tcp://127.0.0.1:0") as served:
+        output = Mqtt(broker.url, topic=TOPIC, commands=True)
+        north = meter("north", served.urls[0])
+        async with (
+            polling(north, outputs=[output]) as (fleet, _),
+            hearing(broker, "plant/north/+/set/result") as heard,
+        ):
+            await until(lambda: fleet.statistics.outputs[output.name].written)
+            await publish(broker, "plant/north/set", b"20")
+            await publish(broker, "plant/north/setpoint/set", b"21")
+            await until(lambda: heard)
+            [(topic, outcome, _)] = heard
+            assert (topic, outcome["ok"]) == ("plant/north/setpoint/set/result", True)
+            assert device.mapping.holding_registers[2] == 21

@@ -15,30 +15,26 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.mqtt_messages import DeviceStates
 from libmodbus_py.services.fleet.outputs.topics import Topic
-from tests.services.fleet.fleets import meter, polling, simulated, until
+from tests.services.fleet.fleets import in_real_time, meter, polling, simulated, until
 from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, run
 from tests.support.cases import each_case
 from tests.support.outputs import pumping
 
 
-def test_the_status_is_online_while_one_of_two_is_connected(broker: Broker) -> None:
-    async def go() -> None:
-        async with hearing(broker, "modbus/status") as heard:
-            first, second = Mqtt(broker.url), Mqtt(broker.url)
-            await first.open()
-            await second.open()
-            await until(lambda: len(heard) == 2)
-            # The will of a worker that was killed, and the last word of one that ended.
-            await publish(broker, "modbus/status", b"offline", retain=True)
-            await until(
-                lambda: heard_of(heard, "modbus/status")[2:] == ["offline"] + 2 * ["online"]
-            )
-            await first.close()
-            await until(lambda: heard_of(heard, "modbus/status")[5:] == ["offline", "online"])
-            await second.close()
-            await until(lambda: heard_of(heard, "modbus/status")[7:] == ["offline"])
-
-    run(go())
+@in_real_time
+async def test_the_status_is_online_while_one_of_two_is_connected(broker: Broker) -> None:
+    async with hearing(broker, "modbus/status") as heard:
+        first, second = Mqtt(broker.url), Mqtt(broker.url)
+        await first.open()
+        await second.open()
+        await until(lambda: len(heard) == 2)
+        # The will of a worker that was killed, and the last word of one that ended.
+        await publish(broker, "modbus/status", b"offline", retain=True)
+        await until(lambda: heard_of(heard, "modbus/status")[2:] == ["offline"] + 2 * ["online"])
+        await first.close()
+        await until(lambda: heard_of(heard, "modbus/status")[5:] == ["offline", "online"])
+        await second.close()
+        await until(lambda: heard_of(heard, "modbus/status")[7:] == ["offline"])
 
 
 def test_values_that_do_not_change_are_there_again_after_a_restart(broker: Broker) -> None:
@@ -68,39 +64,37 @@ def reading(device: str, value: object, at: float = 0) -> Reading:
 
 
 @pytest.mark.parametrize("qos", [0, 1])
-def test_last_values_at_which_the_broker_ends_connections_do_not_stop_others(
+@in_real_time
+async def test_last_values_at_which_the_broker_ends_connections_do_not_stop_others(
     broker: Broker, qos: int, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def go() -> None:
-        async with pumping(Mqtt(broker.url, qos=qos)) as pump:
-            pump.buffer.put([reading("a", "x" * 500), reading("b", 1)])
-            await until(lambda: pump.statistics.written == 2)
-            broker.kill()
-            await until(lambda: pump.statistics.trouble)
-            broker.settings.append("max_packet_size 400")
-            broker.start()
-            async with hearing(broker, "modbus/+/text") as heard:
-                pump.buffer.put([reading("c", 3, 1)])
-                await until(lambda: pump.statistics.written == 3)
-                await until(lambda: heard_of(heard, "modbus/c/text"))
-
-    run(go())
+    async with pumping(Mqtt(broker.url, qos=qos)) as pump:
+        pump.buffer.put([reading("a", "x" * 500), reading("b", 1)])
+        await until(lambda: pump.statistics.written == 2)
+        broker.kill()
+        await until(lambda: pump.statistics.trouble)
+        broker.settings.append("max_packet_size 400")
+        broker.start()
+        async with hearing(broker, "modbus/+/text") as heard:
+            pump.buffer.put([reading("c", 3, 1)])
+            await until(lambda: pump.statistics.written == 3)
+            await until(lambda: heard_of(heard, "modbus/c/text"))
     assert "ends connections at last values, which are left out" in caplog.text
 
 
-def test_a_broker_that_is_away_again_and_again_has_all_values_in_the_end(broker: Broker) -> None:
-    async def go() -> None:
-        async with pumping(Mqtt(broker.url)) as pump:
-            pump.buffer.put([reading(name, name) for name in "abcdef"])
-            await until(lambda: pump.statistics.written == 6)
-            for _ in range(6):
-                broker.kill()
-                await until(lambda: pump.statistics.trouble)
-                broker.start()
-            async with hearing(broker, "modbus/+/text") as heard:
-                await until(lambda: len({topic for topic, *_ in heard}) == 6)
-
-    run(go())
+@in_real_time
+async def test_a_broker_that_is_away_again_and_again_has_all_values_in_the_end(
+    broker: Broker,
+) -> None:
+    async with pumping(Mqtt(broker.url)) as pump:
+        pump.buffer.put([reading(name, name) for name in "abcdef"])
+        await until(lambda: pump.statistics.written == 6)
+        for _ in range(6):
+            broker.kill()
+            await until(lambda: pump.statistics.trouble)
+            broker.start()
+        async with hearing(broker, "modbus/+/text") as heard:
+            await until(lambda: len({topic for topic, *_ in heard}) == 6)
 
 
 TOPIC = "modbus-devices/{device}"
@@ -164,25 +158,23 @@ def test_removed_devices_take_no_room() -> None:
     assert (known.published, known._answered) == ({}, {})
 
 
-def test_each_device_has_its_topic_also_after_a_restart_of_the_broker(broker: Broker) -> None:
-    async def go() -> None:
-        async with pumping(Mqtt(broker.url, device_status=TOPIC)) as pump:
-            async with hearing(broker, "modbus-devices/+") as heard:
-                pump.buffer.put([*poll("north/1", "gg"), *poll("south", "gg")])
-                await until(lambda: len(heard) == 2)
-                pump.buffer.put([*poll("north/1", "gg", 1), *poll("south", "dd", 1)])
-                await until(lambda: len(heard) == 3)
-            assert heard_of(heard, "modbus-devices/north%2F1") == ["online"]
-            assert heard_of(heard, "modbus-devices/south") == ["online", "offline"]
-            broker.kill()
-            await until(lambda: pump.statistics.trouble)
-            broker.start()
-            async with hearing(broker, "modbus-devices/+") as heard:
-                await until(lambda: len(heard) == 2)
-            assert heard_of(heard, "modbus-devices/south") == ["offline"]
-            assert heard_of(heard, "modbus-devices/north%2F1") == ["online"]
-
-    run(go())
+@in_real_time
+async def test_each_device_has_its_topic_also_after_a_restart_of_the_broker(broker: Broker) -> None:
+    async with pumping(Mqtt(broker.url, device_status=TOPIC)) as pump:
+        async with hearing(broker, "modbus-devices/+") as heard:
+            pump.buffer.put([*poll("north/1", "gg"), *poll("south", "gg")])
+            await until(lambda: len(heard) == 2)
+            pump.buffer.put([*poll("north/1", "gg", 1), *poll("south", "dd", 1)])
+            await until(lambda: len(heard) == 3)
+        assert heard_of(heard, "modbus-devices/north%2F1") == ["online"]
+        assert heard_of(heard, "modbus-devices/south") == ["online", "offline"]
+        broker.kill()
+        await until(lambda: pump.statistics.trouble)
+        broker.start()
+        async with hearing(broker, "modbus-devices/+") as heard:
+            await until(lambda: len(heard) == 2)
+        assert heard_of(heard, "modbus-devices/south") == ["offline"]
+        assert heard_of(heard, "modbus-devices/north%2F1") == ["online"]
 
 
 @pytest.fixture
@@ -199,90 +191,81 @@ def text(device: str, value: object, at: float) -> Reading:
 
 
 @pytest.mark.parametrize("qos", [0, 1])
-def test_a_message_on_which_the_broker_disconnects_is_dropped(narrow: Broker, qos: int) -> None:
-    async def go() -> None:
-        async with (
-            hearing(narrow, "modbus/+/text") as heard,
-            pumping(Mqtt(narrow.url, qos=qos)) as pump,
-        ):
-            pump.buffer.put([text(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
-            pump.buffer.put([text(*each) for each in (("c", 1, 2), ("b", "y", 3))])
-            await until(lambda: pump.statistics.written == 3)
-            assert (pump.statistics.dropped, len(pump.buffer)) == (1, 0)
-            await until(lambda: len({topic for topic, *_ in heard}) == 3)
-        assert heard_of(heard, "modbus/b/text")[-1]["value"] == "y"
-
-    run(go())
-
-
-def test_a_connection_is_closed_if_nobody_waits_for_the_broker_any_more() -> None:
-    async def go() -> None:
-        with socket.create_server(("127.0.0.1", 0)) as listening:
-            output = Mqtt(f"mqtt://127.0.0.1:{listening.getsockname()[1]}")
-            opening = asyncio.create_task(output.open())
-            loop = asyncio.get_running_loop()
-            listening.setblocking(False)
-            accepted, _ = await loop.sock_accept(listening)
-            with accepted:
-                await loop.sock_recv(accepted, 1000)
-                opening.cancel()
-                with pytest.raises(asyncio.CancelledError) as left:  # which keeps all that it names
-                    await opening
-                assert left.value
-                assert await asyncio.wait_for(loop.sock_recv(accepted, 1), 10) == b""
-
-    run(go())
+@in_real_time
+async def test_a_message_on_which_the_broker_disconnects_is_dropped(
+    narrow: Broker, qos: int
+) -> None:
+    async with (
+        hearing(narrow, "modbus/+/text") as heard,
+        pumping(Mqtt(narrow.url, qos=qos)) as pump,
+    ):
+        pump.buffer.put([text(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
+        pump.buffer.put([text(*each) for each in (("c", 1, 2), ("b", "y", 3))])
+        await until(lambda: pump.statistics.written == 3)
+        assert (pump.statistics.dropped, len(pump.buffer)) == (1, 0)
+        await until(lambda: len({topic for topic, *_ in heard}) == 3)
+    assert heard_of(heard, "modbus/b/text")[-1]["value"] == "y"
 
 
-def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had_them(
+@in_real_time
+async def test_a_connection_is_closed_if_nobody_waits_for_the_broker_any_more() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        output = Mqtt(f"mqtt://127.0.0.1:{listening.getsockname()[1]}")
+        opening = asyncio.create_task(output.open())
+        loop = asyncio.get_running_loop()
+        listening.setblocking(False)
+        accepted, _ = await loop.sock_accept(listening)
+        with accepted:
+            await loop.sock_recv(accepted, 1000)
+            opening.cancel()
+            with pytest.raises(asyncio.CancelledError) as left:  # which keeps all that it names
+                await opening
+            assert left.value
+            assert await asyncio.wait_for(loop.sock_recv(accepted, 1), 10) == b""
+
+
+@in_real_time
+async def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had_them(
     broker: Broker,
 ) -> None:
-    async def go() -> None:
-        output = Mqtt(broker.url)
-        await output.open()
-        assert broker.process is not None
-        broker.process.send_signal(19)  # SIGSTOP: what is sent stays in its socket
-        writing = asyncio.create_task(output.write([text("a", 1, 0)]))
-        await asyncio.wait([writing], timeout=0.2)
-        broker.kill()
-        with pytest.raises(ConnectionError):
-            await writing
-        await output.close()
-
-    run(go())
+    output = Mqtt(broker.url)
+    await output.open()
+    assert broker.process is not None
+    broker.process.send_signal(19)  # SIGSTOP: what is sent stays in its socket
+    writing = asyncio.create_task(output.write([text("a", 1, 0)]))
+    await asyncio.wait([writing], timeout=0.2)
+    broker.kill()
+    with pytest.raises(ConnectionError):
+        await writing
+    await output.close()
 
 
-def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> None:
-    async def go() -> None:
-        output = Mqtt(broker.url, qos=1)
-        await output.open()
-        assert broker.process is not None
-        broker.process.send_signal(19)  # SIGSTOP: it confirms nothing
-        writing = asyncio.create_task(output.write([text("a", 1, 0)]))
-        await asyncio.wait([writing], timeout=0.1)
-        assert any("_publish_all" in repr(each) for each in asyncio.all_tasks())
-        writing.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await writing
-        for _ in range(10):  # turns of the loop
-            await asyncio.sleep(0)
-        left = [each for each in asyncio.all_tasks() if "_publish_all" in repr(each)]
-        broker.process.send_signal(18)  # SIGCONT
-        assert not left
-        await output.close()
-
-    run(go())
+@in_real_time
+async def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> None:
+    output = Mqtt(broker.url, qos=1)
+    await output.open()
+    assert broker.process is not None
+    broker.process.send_signal(19)  # SIGSTOP: it confirms nothing
+    writing = asyncio.create_task(output.write([text("a", 1, 0)]))
+    await asyncio.wait([writing], timeout=0.1)
+    assert any("_publish_all" in repr(each) for each in asyncio.all_tasks())
+    writing.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await writing
+    for _ in range(10):  # turns of the loop
+        await asyncio.sleep(0)
+    left = [each for each in asyncio.all_tasks() if "_publish_all" in repr(each)]
+    broker.process.send_signal(18)  # SIGCONT
+    assert not left
+    await output.close()
 
 
-def test_a_confirmation_waits_for_no_ack_of_tcp(broker: Broker) -> None:
+@in_real_time
+async def test_a_confirmation_waits_for_no_ack_of_tcp(broker: Broker) -> None:
     """Nagle's algorithm would hold back the request for it until the broker acknowledged others."""
-
-    async def go() -> None:
-        output = Mqtt(broker.url)
-        await output.open()
-        assert output._connection._client is not None
-        connection = output._connection._client._client.socket()
-        assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-        await output.close()
-
-    run(go())
+    output = Mqtt(broker.url)
+    await output.open()
+    assert output._connection._client is not None
+    connection = output._connection._client._client.socket()
+    assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    await output.close()

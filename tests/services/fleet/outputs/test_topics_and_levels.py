@@ -4,7 +4,6 @@ Names as levels of topics and subjects, and topics with names and labels.
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 
 import pytest
@@ -13,8 +12,8 @@ from libmodbus_py import Fleet, Server
 from libmodbus_py.fleet import DeviceConfig, FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Levels, Topic
-from tests.services.fleet.fleets import meter, simulated, until
-from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, run
+from tests.services.fleet.fleets import in_real_time, meter, simulated, until
+from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish
 from tests.support.cases import each_case
 
 LEVELS = Levels(r"[\s.%/]")
@@ -123,77 +122,69 @@ def test_a_device_without_the_label_is_told_when_the_file_is_read(
     assert str(raised.value).startswith(f"{file}, line {line}: ")
 
 
-def test_a_device_without_the_label_is_not_added() -> None:
-    async def go() -> None:
-        with Server({1: simulated()}).background("tcp://127.0.0.1:0") as served:
-            url = served.urls[0]
-            output = Mqtt("mqtt://127.0.0.1:1", topic=TEMPLATE)
-            async with Fleet([meter("a", url, labels={"site": "x"})], outputs=[output]) as fleet:
-                with pytest.raises(ValueError, match="'b' has no label 'site'"):
-                    fleet.add([meter("b", url)])
-                assert [*fleet.devices] == ["a"]
-                fleet.add([meter("b", url, labels={"site": "y"})])
-                assert [*fleet.devices] == ["a", "b"]
-            with pytest.raises(ValueError, match="'a' has no label 'site'"):
-                await Fleet([meter("a", url)], outputs=[output]).run(once=True)
-
-    asyncio.run(go())
+@in_real_time
+async def test_a_device_without_the_label_is_not_added() -> None:
+    with Server({1: simulated()}).background("tcp://127.0.0.1:0") as served:
+        url = served.urls[0]
+        output = Mqtt("mqtt://127.0.0.1:1", topic=TEMPLATE)
+        async with Fleet([meter("a", url, labels={"site": "x"})], outputs=[output]) as fleet:
+            with pytest.raises(ValueError, match="'b' has no label 'site'"):
+                fleet.add([meter("b", url)])
+            assert [*fleet.devices] == ["a"]
+            fleet.add([meter("b", url, labels={"site": "y"})])
+            assert [*fleet.devices] == ["a", "b"]
+        with pytest.raises(ValueError, match="'a' has no label 'site'"):
+            await Fleet([meter("a", url)], outputs=[output]).run(once=True)
 
 
-def test_a_changed_label_leaves_no_value_at_the_former_topic(broker: Broker) -> None:
+@in_real_time
+async def test_a_changed_label_leaves_no_value_at_the_former_topic(broker: Broker) -> None:
     """A new subscriber would take it for good."""
+    async with Server({1: simulated()}).serving("tcp://127.0.0.1:0") as served:
+        output = Mqtt(
+            broker.url, topic=TEMPLATE, status="", device_status="states/{label.site}/{device}"
+        )
 
-    async def go() -> None:
-        async with Server({1: simulated()}).serving("tcp://127.0.0.1:0") as served:
-            output = Mqtt(
-                broker.url, topic=TEMPLATE, status="", device_status="states/{label.site}/{device}"
-            )
+        def north(site: str) -> DeviceConfig:
+            return meter("north", served.urls[0], labels={"site": site})
 
-            def north(site: str) -> DeviceConfig:
-                return meter("north", served.urls[0], labels={"site": site})
-
-            async with Fleet([north("Halle")], outputs=[output]) as fleet:
-                async with hearing(broker, "plant/#", "states/#") as heard:
-                    # The state comes last: a write that is under way goes by the new labels.
-                    await until(lambda: "states/Halle/north" in {topic for topic, *_ in heard})
-                    fleet.replace([north("Hof")])
-                    await until(lambda: heard_of(heard, "plant/Hof/north/power"))
-                async with hearing(broker, "plant/Halle/#", "states/Halle/#") as heard:
-                    await until(lambda: len(heard) >= 4)
-                    kept = {topic: payload for topic, payload, _ in heard}
-                assert kept.pop("states/Halle/north") == "offline"
-                assert {each["quality"] for each in kept.values()} == {"offline"}
-                assert {each["value"] for each in kept.values()} == {None}
-
-    run(go())
+        async with Fleet([north("Halle")], outputs=[output]) as fleet:
+            async with hearing(broker, "plant/#", "states/#") as heard:
+                # The state comes last: a write that is under way goes by the new labels.
+                await until(lambda: "states/Halle/north" in {topic for topic, *_ in heard})
+                fleet.replace([north("Hof")])
+                await until(lambda: heard_of(heard, "plant/Hof/north/power"))
+            async with hearing(broker, "plant/Halle/#", "states/Halle/#") as heard:
+                await until(lambda: len(heard) >= 4)
+                kept = {topic: payload for topic, payload, _ in heard}
+            assert kept.pop("states/Halle/north") == "offline"
+            assert {each["quality"] for each in kept.values()} == {"offline"}
+            assert {each["value"] for each in kept.values()} == {None}
 
 
-def test_readings_and_commands_go_by_the_labels(broker: Broker) -> None:
+@in_real_time
+async def test_readings_and_commands_go_by_the_labels(broker: Broker) -> None:
     """A command to the topic of another site is none: rules of the broker go by topics."""
-
-    async def go() -> None:
-        device = simulated()
-        with Server({1: device}).background("tcp://127.0.0.1:0") as served:
-            output = Mqtt(
-                broker.url,
-                topic=TEMPLATE,
-                device_status="states/{label.site}/{device}",
-                status="",
-                commands=True,
-            )
-            north = meter("north", served.urls[0], labels={"site": "Halle 1"})
-            async with (
-                hearing(broker, "#") as heard,
-                Fleet([north], outputs=[output]),
-            ):
-                await until(lambda: any(each[0] == "plant/Halle 1/north/power" for each in heard))
-                await until(lambda: ("states/Halle 1/north", "online") in [e[:2] for e in heard])
-                await publish(broker, "plant/Hof/north/setpoint/set", b"25")
-                await publish(broker, "plant/Halle 1/north/setpoint/set", b"21")
-                await until(lambda: any(each[0].endswith("/set/result") for each in heard))
-                results = [each for each in heard if each[0].endswith("/set/result")]
-                assert [each[0] for each in results] == ["plant/Halle 1/north/setpoint/set/result"]
-                assert device.mapping.holding_registers[2] == 21
-                assert results[0][1]["ok"]
-
-    run(go())
+    device = simulated()
+    with Server({1: device}).background("tcp://127.0.0.1:0") as served:
+        output = Mqtt(
+            broker.url,
+            topic=TEMPLATE,
+            device_status="states/{label.site}/{device}",
+            status="",
+            commands=True,
+        )
+        north = meter("north", served.urls[0], labels={"site": "Halle 1"})
+        async with (
+            hearing(broker, "#") as heard,
+            Fleet([north], outputs=[output]),
+        ):
+            await until(lambda: any(each[0] == "plant/Halle 1/north/power" for each in heard))
+            await until(lambda: ("states/Halle 1/north", "online") in [e[:2] for e in heard])
+            await publish(broker, "plant/Hof/north/setpoint/set", b"25")
+            await publish(broker, "plant/Halle 1/north/setpoint/set", b"21")
+            await until(lambda: any(each[0].endswith("/set/result") for each in heard))
+            results = [each for each in heard if each[0].endswith("/set/result")]
+            assert [each[0] for each in results] == ["plant/Halle 1/north/setpoint/set/result"]
+            assert device.mapping.holding_registers[2] == 21
+            assert results[0][1]["ok"]

@@ -18,7 +18,7 @@ from libmodbus_py.fleet import OutputStatistics, Reading
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.workers.messages import Stream
-from tests.services.fleet.fleets import Peer, meter, simulated_run, until
+from tests.services.fleet.fleets import Peer, in_simulated_time, meter, simulated_run, until
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 from tests.support.cases import each_case
@@ -307,18 +307,16 @@ def test_a_poll_that_waits_alone_is_kept() -> None:
     assert simulated_run(go()).accepted == polls("a")
 
 
-def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
-    async def go() -> OutputStatistics:
-        output = Distant("x")
-        async with pumping(output, most=4) as pump:
-            pump.buffer.put(polls("x"))
-            await until_later(lambda: output.failed > 3)
-            pump.buffer.put(polls("bcd"))
-            await until_later(lambda: not pump.buffer)
-        assert {each.device for each in output.accepted} <= set("bcd")
-        return pump.statistics
-
-    statistics = simulated_run(go())
+@in_simulated_time
+async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
+    output = Distant("x")
+    async with pumping(output, most=4) as pump:
+        pump.buffer.put(polls("x"))
+        await until_later(lambda: output.failed > 3)
+        pump.buffer.put(polls("bcd"))
+        await until_later(lambda: not pump.buffer)
+    assert {each.device for each in output.accepted} <= set("bcd")
+    statistics = pump.statistics
     assert statistics.written + statistics.dropped == 8
     assert statistics.written >= 4
 
