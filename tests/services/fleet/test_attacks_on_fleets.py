@@ -18,6 +18,7 @@ from tests.services.fleet.fleets import (
     Peer,
     RealPeer,
     good,
+    in_real_time,
     in_simulated_time,
     meter,
     polling,
@@ -123,22 +124,20 @@ async def test_run_may_be_cancelled_at_any_time(turns: int) -> None:
             await until(lambda: fleet.statistics.up == 8)
 
 
-def test_a_fork_leaves_the_parent_alone() -> None:
-    async def go() -> None:
-        async with RealPeer() as peer:
-            devices = [meter(f"{unit}", peer.url, unit=unit) for unit in range(1, 6)]
-            async with polling(*devices) as (fleet, _):
-                await until(lambda: fleet.statistics.up == 5)
-                child = os.fork()
-                if not child:
-                    os._exit(0)
-                assert os.waitpid(child, 0)[1] == 0
-                polls = fleet.statistics.polls
-                await until(lambda: fleet.statistics.polls > polls + 10)
-                assert len(peer.connections) == 1
-                assert fleet.statistics.failures == 0
-
-    asyncio.run(asyncio.wait_for(go(), 60))
+@in_real_time
+async def test_a_fork_leaves_the_parent_alone() -> None:
+    async with RealPeer() as peer:
+        devices = [meter(f"{unit}", peer.url, unit=unit) for unit in range(1, 6)]
+        async with polling(*devices) as (fleet, _):
+            await until(lambda: fleet.statistics.up == 5)
+            child = os.fork()
+            if not child:
+                os._exit(0)
+            assert os.waitpid(child, 0)[1] == 0
+            polls = fleet.statistics.polls
+            await until(lambda: fleet.statistics.polls > polls + 10)
+            assert len(peer.connections) == 1
+            assert fleet.statistics.failures == 0
 
 
 @in_simulated_time

@@ -25,6 +25,7 @@ from tests.services.fleet.fleets import (
     NETWORK,
     Peer,
     good,
+    in_real_time,
     in_simulated_time,
     meter,
     polling,
@@ -118,32 +119,29 @@ async def test_fifty_dead_units_on_a_gateway_cost_the_others_nothing() -> None:
         assert of_the_dead == [1] * 150
 
 
-def test_real_connections_are_polled() -> None:
+@in_real_time
+async def test_real_connections_are_polled() -> None:
     """Over TCP, and on a line with a unit that is not there."""
-
-    async def go() -> None:
-        with SerialWire() as wire:
-            units = {1: simulated(100), 3: simulated(300)}
-            line = f"rtu://{wire.client}?timeout=0.5"
-            async with (
-                Server(units).serving(f"rtu://{wire.server}", "tcp://127.0.0.1:0") as running,
-                polling(
-                    *(meter(f"{unit}", line, unit=unit, interval=0.2) for unit in (1, 2, 3)),
-                    meter("tcp", running.urls[1], unit=3),
-                ) as (fleet, readings),
-            ):
-                await until(lambda: fleet.statistics.up == 3 and fleet.statistics.down == 1)
-                await fleet.write("1", {"setpoint": 25})
-                await until(lambda: readings[-1].value == 25)
-            told = {each[1:4] for each in readings if each.name == "voltage"}
-            assert told == {
-                ("1", "voltage", 10.0),
-                ("2", "voltage", None),
-                ("3", "voltage", 30.0),
-                ("tcp", "voltage", 30.0),
-            }
-
-    asyncio.run(asyncio.wait_for(go(), 60))
+    with SerialWire() as wire:
+        units = {1: simulated(100), 3: simulated(300)}
+        line = f"rtu://{wire.client}?timeout=0.5"
+        async with (
+            Server(units).serving(f"rtu://{wire.server}", "tcp://127.0.0.1:0") as running,
+            polling(
+                *(meter(f"{unit}", line, unit=unit, interval=0.2) for unit in (1, 2, 3)),
+                meter("tcp", running.urls[1], unit=3),
+            ) as (fleet, readings),
+        ):
+            await until(lambda: fleet.statistics.up == 3 and fleet.statistics.down == 1)
+            await fleet.write("1", {"setpoint": 25})
+            await until(lambda: readings[-1].value == 25)
+        told = {each[1:4] for each in readings if each.name == "voltage"}
+        assert told == {
+            ("1", "voltage", 10.0),
+            ("2", "voltage", None),
+            ("3", "voltage", 30.0),
+            ("tcp", "voltage", 30.0),
+        }
 
 
 # --- what is late --------------------------------------------------------------------------

@@ -25,7 +25,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.commands import parsed
-from tests.services.fleet.fleets import LONGEST, until
+from tests.services.fleet.fleets import LONGEST, in_real_time, until
 from tests.services.fleet.outputs.influxdb import Database
 from tests.support.commands import Started, ended
 from tests.support.programs import HeldPort, listens, missing, program
@@ -225,23 +225,20 @@ def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, broker: Br
     assert nodes["show"]["complete"] == "payload.value"
 
 
-def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> None:
-    from tests.services.fleet.outputs.brokers import hearing, publish, run
+@in_real_time
+async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> None:
+    from tests.services.fleet.outputs.brokers import hearing, publish
 
     nodes = {node["id"]: node for node in json.loads(block("Node-RED", "json"))}
     topic = nodes["out"]["topic"]
     add(plant, block("Node-RED", "toml").replace("mqtt://127.0.0.1", broker.url))
-
-    async def go() -> Any:
-        with Started("poll", plant):
-            async with hearing(broker, "plant/north/setpoint", f"{topic}/result") as heard:
-                # A reading is published after the output has subscribed to commands.
-                await until(lambda: "plant/north/setpoint" in [each[0] for each in heard])
-                await publish(broker, topic, nodes["button"]["payload"].encode())
-                await until(lambda: f"{topic}/result" in [each[0] for each in heard])
-                return [payload for each, payload, _ in heard if each == f"{topic}/result"]
-
-    (result,) = run(go())
+    with Started("poll", plant):
+        async with hearing(broker, "plant/north/setpoint", f"{topic}/result") as heard:
+            # A reading is published after the output has subscribed to commands.
+            await until(lambda: "plant/north/setpoint" in [each[0] for each in heard])
+            await publish(broker, topic, nodes["button"]["payload"].encode())
+            await until(lambda: f"{topic}/result" in [each[0] for each in heard])
+            (result,) = [payload for each, payload, _ in heard if each == f"{topic}/result"]
     assert result["ok"] is True
 
 

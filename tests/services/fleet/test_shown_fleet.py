@@ -13,7 +13,7 @@ from libmodbus_py import Fleet
 from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services.fleet.shown_fleet import PageOutput, ShownFleet
 from libmodbus_py.services.fleet.statistics import JournalStatistics
-from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, simulated_run, until
+from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, until
 
 
 class Away:
@@ -178,23 +178,21 @@ async def test_devices_that_are_replaced_while_somebody_looks() -> None:
             assert value(shown, "b power")[0] == "7"
 
 
-def test_a_look_from_another_thread_does_not_disturb_a_fleet_that_changes() -> None:
-    async def go() -> None:
-        async with Peer() as peer:
-            fleet, shown, output = shown_fleet()
-
-            def look() -> None:
-                while not is_over:
-                    cells(shown), shown.status(), shown.figures()
-
-            async with fleet:
-                looking = asyncio.create_task(asyncio.to_thread(look))
-                for count in [*range(40), 0]:
-                    fleet.replace([meter(f"m{at}", peer.url, unit=1) for at in range(count)])
-                    await output.write([])
-                is_over.append(True)
-                await looking
-                assert cells(shown) == {}
-
+@in_simulated_time
+async def test_a_look_from_another_thread_does_not_disturb_a_fleet_that_changes() -> None:
     is_over: list[bool] = []
-    simulated_run(go())
+    async with Peer() as peer:
+        fleet, shown, output = shown_fleet()
+
+        def look() -> None:
+            while not is_over:
+                cells(shown), shown.status(), shown.figures()
+
+        async with fleet:
+            looking = asyncio.create_task(asyncio.to_thread(look))
+            for count in [*range(40), 0]:
+                fleet.replace([meter(f"m{at}", peer.url, unit=1) for at in range(count)])
+                await output.write([])
+            is_over.append(True)
+            await looking
+            assert cells(shown) == {}

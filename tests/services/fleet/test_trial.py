@@ -11,7 +11,7 @@ import pytest
 from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
 from libmodbus_py.maps.point_plan import PointPlan
 from libmodbus_py.services.fleet.trial import Tried, overloads, trying
-from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, simulated_run
+from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter
 from tests.support.cases import each_case
 
 
@@ -91,7 +91,8 @@ async def test_who_looks_at_the_first_result_only_leaves_nothing_behind() -> Non
         assert not [task for task in asyncio.all_tasks() if "_try_line" in repr(task)]
 
 
-def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
+@in_simulated_time
+async def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
     """An unexpected exception is raised while other lines are still tried."""
 
     def broken(*_: object, **__: object) -> object:
@@ -100,14 +101,11 @@ def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
     async def silent(request: bytes) -> None:
         return None
 
-    async def go() -> None:
-        async with Peer() as peer, Peer(silent) as dead:
-            devices = meter("a", peer.url), meter("b", dead.url, timeout=60)
-            with pytest.raises(RuntimeError, match="a defect"):
-                await tried(*devices)
-
     monkeypatch.setattr(PointPlan, "results", broken)
-    simulated_run(go())
+    async with Peer() as peer, Peer(silent) as dead:
+        devices = meter("a", peer.url), meter("b", dead.url, timeout=60)
+        with pytest.raises(RuntimeError, match="a defect"):
+            await tried(*devices)
 
 
 @in_simulated_time

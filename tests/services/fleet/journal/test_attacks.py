@@ -32,7 +32,14 @@ from libmodbus_py.services.fleet.journal.schema import (
     JournalError,
 )
 from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
-from tests.services.fleet.fleets import Peer, meter, simulated_run, until
+from tests.services.fleet.fleets import (
+    Peer,
+    in_real_time,
+    in_simulated_time,
+    meter,
+    simulated_run,
+    until,
+)
 from tests.services.fleet.journal.journals import polls, readings
 from tests.services.fleet.journal.test_journal import Broker, Failing, in_journal, run_for
 from tests.simulation.network import Network
@@ -186,26 +193,23 @@ def test_a_clock_that_jumps_back_loses_and_repeats_nothing(
     assert len(broker.ids) > 250
 
 
-def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
+@in_simulated_time
+async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
     path: str, inline: None
 ) -> None:
     """Also with `on_change`, and after failed transactions: no list of points grows."""
     broker = Broker()
-
-    async def go() -> None:
-        async with Peer() as one, Peer() as two:
-            journal = Journal(path)
-            fleet = Fleet([], outputs=[broker], journal=journal)
-            async with fleet:
-                for at in range(60):
-                    devices = [
-                        meter(name, peer.url, on_change=at % 2 == 0, labels={"run": f"{at % 3}"})
-                        for name, peer in (("a", one), ("b", two))
-                    ]
-                    fleet.replace(devices[: 1 + at % 2])
-                    await asyncio.sleep(0.03 * (at % 7))
-
-    simulated_run(go(), Network())
+    async with Peer() as one, Peer() as two:
+        journal = Journal(path)
+        fleet = Fleet([], outputs=[broker], journal=journal)
+        async with fleet:
+            for at in range(60):
+                devices = [
+                    meter(name, peer.url, on_change=at % 2 == 0, labels={"run": f"{at % 3}"})
+                    for name, peer in (("a", one), ("b", two))
+                ]
+                fleet.replace(devices[: 1 + at % 2])
+                await asyncio.sleep(0.03 * (at % 7))
     assert broker.ids == in_journal(path)
     # Three points of two devices with three sets of labels.
     assert asked(path, "SELECT count(*) FROM point")[0][0] <= 18
@@ -236,47 +240,44 @@ def test_an_output_that_changes_the_list_it_is_given_loses_nothing(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_waits_is_counted_whatever_happens(
+@in_simulated_time
+async def test_what_waits_is_counted_whatever_happens(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     """Each reading is accepted, dropped or waits, through damage, full files and other runs."""
     monkeypatch.setattr(journal_module, "SIZE_BOUNDS", ("1 kB", "1 TB"))
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 40)
     chance, disk = random.Random(seed), Failing(monkeypatch, JournalFile, "write", None)
-
-    async def go() -> None:
-        put = accepted = dropped = 0
-        for _ in range(3):
-            journal = Journal(path, size="60 kB" if seed % 2 else "1 GB")
-            [place] = await journal.open(["a"])
-            for at in range(150):
-                put += len(journal.put(readings("a", time.time() + at, chance.randint(1, 9))))
-                disk.error = JournalDamaged("is damaged") if chance.random() < 0.01 else None
-                await asyncio.sleep(chance.choice([0, 0.01, 0.3]))
-                if chance.random() < 0.6:
-                    batch = await place.take_polls(chance.choice([1, 20, 200]), 0.1)
-                    way = chance.choice([place.confirm, place.confirm, place.put_back, place.drop])
-                    before = place.confirmed
-                    if (confirming := way(batch)) is not None:
-                        await confirming
-                        accepted += sum(each.id > before for each in batch)
-            disk.error = None
-            await asyncio.sleep(10)
-            assert put == accepted + dropped + place.dropped + len(place)
-            [[last]] = asked(path, "SELECT max(id) FROM poll")
-            if place.confirmed < last and not Path(f"{path}-damaged").exists():
-                behind = f"SELECT sum(readings) FROM poll WHERE id > {place.confirmed}"
-                assert asked(path, behind) == [(len(place),)]
-            dropped += place.dropped
-            await journal.close()
+    put = accepted = dropped = 0
+    for _ in range(3):
+        journal = Journal(path, size="60 kB" if seed % 2 else "1 GB")
         [place] = await journal.open(["a"])
-        while batch := await place.take_polls(100, 0.1):
-            accepted += len(batch)
-            await place.confirm(batch)
-        assert (put, len(place)) == (accepted + dropped + place.dropped, 0)
+        for at in range(150):
+            put += len(journal.put(readings("a", time.time() + at, chance.randint(1, 9))))
+            disk.error = JournalDamaged("is damaged") if chance.random() < 0.01 else None
+            await asyncio.sleep(chance.choice([0, 0.01, 0.3]))
+            if chance.random() < 0.6:
+                batch = await place.take_polls(chance.choice([1, 20, 200]), 0.1)
+                way = chance.choice([place.confirm, place.confirm, place.put_back, place.drop])
+                before = place.confirmed
+                if (confirming := way(batch)) is not None:
+                    await confirming
+                    accepted += sum(each.id > before for each in batch)
+        disk.error = None
+        await asyncio.sleep(10)
+        assert put == accepted + dropped + place.dropped + len(place)
+        [[last]] = asked(path, "SELECT max(id) FROM poll")
+        if place.confirmed < last and not Path(f"{path}-damaged").exists():
+            behind = f"SELECT sum(readings) FROM poll WHERE id > {place.confirmed}"
+            assert asked(path, behind) == [(len(place),)]
+        dropped += place.dropped
         await journal.close()
-
-    simulated_run(go(), Network())
+    [place] = await journal.open(["a"])
+    while batch := await place.take_polls(100, 0.1):
+        accepted += len(batch)
+        await place.confirm(batch)
+    assert (put, len(place)) == (accepted + dropped + place.dropped, 0)
+    await journal.close()
 
 
 KILLS = 3
@@ -288,24 +289,19 @@ def confirmed(polls: KilledPolls) -> int:
     return 0
 
 
-def test_a_poll_that_is_killed_loses_nothing_that_was_journalled(tmp_path: Path) -> None:
-    async def go() -> KilledPolls:
-        async with devices(5) as urls:
-            polls = KilledPolls(tmp_path, urls, interval=0.05)
-            for _ in range(KILLS):
-                with polls.running():
-                    size = polls.size + random.randint(1, 50_000)
-                    await until_really(lambda size=size: polls.size > size)  # type: ignore[misc]
-            last = polls.in_journal()[-1]
-            with polls.running() as process:
-                await until_really(
-                    lambda: confirmed(polls) > last and len(polls.in_journal()) > 100
-                )
-                process.send_signal(signal.SIGTERM)
-                assert await asyncio.to_thread(process.wait) == 0
-        return polls
-
-    polls = asyncio.run(go())
+@in_real_time
+async def test_a_poll_that_is_killed_loses_nothing_that_was_journalled(tmp_path: Path) -> None:
+    async with devices(5) as urls:
+        polls = KilledPolls(tmp_path, urls, interval=0.05)
+        for _ in range(KILLS):
+            with polls.running():
+                size = polls.size + random.randint(1, 50_000)
+                await until_really(lambda size=size: polls.size > size)  # type: ignore[misc]
+        last = polls.in_journal()[-1]
+        with polls.running() as process:
+            await until_really(lambda: confirmed(polls) > last and len(polls.in_journal()) > 100)
+            process.send_signal(signal.SIGTERM)
+            assert await asyncio.to_thread(process.wait) == 0
     arrived, journal = polls.in_file(), polls.in_journal()
     found = Found(journal, confirmed(polls), arrived)
     assert found.lost == 0

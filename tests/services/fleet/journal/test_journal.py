@@ -23,7 +23,15 @@ from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.schema import JournalDamaged
 from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
-from tests.services.fleet.fleets import LONGEST, Peer, meter, simulated_run, until
+from tests.services.fleet.fleets import (
+    LONGEST,
+    Peer,
+    in_real_time,
+    in_simulated_time,
+    meter,
+    simulated_run,
+    until,
+)
 from tests.services.fleet.journal.journals import Inline, readings
 from tests.simulation.network import Network
 
@@ -143,51 +151,46 @@ def test_a_live_output_gets_the_readings_of_this_run_only(path: str, inline: Non
     assert live.ids == in_journal(path)[-len(live.ids) :]
 
 
-def test_readings_have_ids_for_programs_too(path: str, inline: None) -> None:
-    async def go() -> list[Reading]:
-        async with Peer() as peer:
-            device = meter("a", peer.url, interval=10)
-            fleet = Fleet([device], journal=Journal(path))
-            kept = fleet.readings()
-            async with fleet:
-                await asyncio.sleep(25)
-                fleet.replace([])
-                await asyncio.sleep(1)
-            return [each async for each in kept]
-
-    found = simulated_run(go())
+@in_simulated_time
+async def test_readings_have_ids_for_programs_too(path: str, inline: None) -> None:
+    async with Peer() as peer:
+        device = meter("a", peer.url, interval=10)
+        fleet = Fleet([device], journal=Journal(path))
+        kept = fleet.readings()
+        async with fleet:
+            await asyncio.sleep(25)
+            fleet.replace([])
+            await asyncio.sleep(1)
+        found = [each async for each in kept]
     assert found[-1].quality == "offline"
     assert [each.id for each in found] == list(range(found[0].id, found[0].id + len(found)))
     assert [each.id for each in found] == in_journal(path)
 
 
-def test_an_output_that_is_slower_than_the_readings_is_bounded_by_the_journal(
+@in_simulated_time
+async def test_an_output_that_is_slower_than_the_readings_is_bounded_by_the_journal(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(journal_module, "SIZE_BOUNDS", ("1 kB", "1 TB"))
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 100)
-
-    async def go() -> None:
-        journal = Journal(path, size="120 kB")
-        [place] = await journal.open(["slow"])
-        for at in range(5000):
-            journal.put(readings("a", float(at)))
-            if at % 10 == 0:
-                await asyncio.sleep(1)
-        await asyncio.sleep(10)
-        left = in_journal(path)
-        assert 100 < len(left) < 9000
-        assert place.dropped == 10_000 - len(left)
-        assert len(place) == len(left)
-        taken = []
-        while batch := await place.take_polls(500, 0.1):
-            taken += batch
-            await place.confirm(batch)
-        assert [each.id for each in taken] == left
-        assert place.dropped == 10_000 - len(left)
-        await journal.close()
-
-    simulated_run(go())
+    journal = Journal(path, size="120 kB")
+    [place] = await journal.open(["slow"])
+    for at in range(5000):
+        journal.put(readings("a", float(at)))
+        if at % 10 == 0:
+            await asyncio.sleep(1)
+    await asyncio.sleep(10)
+    left = in_journal(path)
+    assert 100 < len(left) < 9000
+    assert place.dropped == 10_000 - len(left)
+    assert len(place) == len(left)
+    taken = []
+    while batch := await place.take_polls(500, 0.1):
+        taken += batch
+        await place.confirm(batch)
+    assert [each.id for each in taken] == left
+    assert place.dropped == 10_000 - len(left)
+    await journal.close()
     assert [each.getMessage() for each in caplog.records] == [
         "slow: the journal is full; its oldest readings are dropped unconfirmed"
     ]
@@ -393,26 +396,24 @@ def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.MonkeyP
     assert len(broker.ids) == 100
 
 
-def test_an_output_gets_what_memory_has_dropped_when_it_is_in_the_file(
+@in_simulated_time
+async def test_an_output_gets_what_memory_has_dropped_when_it_is_in_the_file(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Although no readings follow that would wake it."""
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 4)
-
-    async def go() -> list[int]:
-        journal = Journal(path)
-        [place] = await journal.open(["broker"])
-        journal.put(each for at in range(10) for each in readings("a", float(at)))
-        found = await place.take_polls(100, timeout=HOUR)
-        await journal.close()
-        return [each.id for each in found]
-
-    found = simulated_run(go(), Network())
+    journal = Journal(path)
+    [place] = await journal.open(["broker"])
+    journal.put(each for at in range(10) for each in readings("a", float(at)))
+    found = await place.take_polls(100, timeout=HOUR)
+    await journal.close()
+    found = [each.id for each in found]
     assert found == in_journal(path)
     assert len(found) == 20
 
 
-def test_each_poll_is_forced_onto_the_disk_although_none_follows(
+@in_simulated_time
+async def test_each_poll_is_forced_onto_the_disk_although_none_follows(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[tuple[str, float]] = []
@@ -426,17 +427,13 @@ def test_each_poll_is_forced_onto_the_disk_although_none_follows(
         return await call(thread, function, *arguments)
 
     monkeypatch.setattr(Inline, "call", slowly)
-
-    async def go() -> None:
-        journal = Journal(path)
-        await journal.open([])
-        for at in range(4):
-            journal.put(readings("a", float(at)))
-            await asyncio.sleep(0.45)
-        await asyncio.sleep(5)
-        await journal.close()
-
-    simulated_run(go())
+    journal = Journal(path)
+    await journal.open([])
+    for at in range(4):
+        journal.put(readings("a", float(at)))
+        await asyncio.sleep(0.45)
+    await asyncio.sleep(5)
+    await journal.close()
     written = [at for name, at in calls if name == "write"]
     assert len(written) == 4
     for each in written:
@@ -444,111 +441,98 @@ def test_each_poll_is_forced_onto_the_disk_although_none_follows(
         assert forced - each <= 0.5 + 0.5 + 0.01  # until it begins, and what the disk takes
 
 
-def test_what_was_written_is_forced_although_later_writes_fail(
+@in_simulated_time
+async def test_what_was_written_is_forced_although_later_writes_fail(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk = Failing(monkeypatch, JournalFile, "write", None)
     force = Failing(monkeypatch, JournalFile, "force", None)
-
-    async def go() -> None:
-        journal = Journal(path)
-        await journal.open([])
-        journal.put(readings("a", 1.0))
-        await asyncio.sleep(0.1)
-        disk.error = JournalError("the disk is full")
-        journal.put(readings("a", 2.0))
-        await asyncio.sleep(1)
-        assert (force.calls, journal.statistics.trouble) == (1, "the disk is full")
-        disk.error = None
-        await journal.close()
-
-    simulated_run(go())
+    journal = Journal(path)
+    await journal.open([])
+    journal.put(readings("a", 1.0))
+    await asyncio.sleep(0.1)
+    disk.error = JournalError("the disk is full")
+    journal.put(readings("a", 2.0))
+    await asyncio.sleep(1)
+    assert (force.calls, journal.statistics.trouble) == (1, "the disk is full")
+    disk.error = None
+    await journal.close()
 
 
-def test_a_journal_without_readings_leaves_the_disk_alone(
+@in_simulated_time
+async def test_a_journal_without_readings_leaves_the_disk_alone(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write = Failing(monkeypatch, JournalFile, "write", None)
     force = Failing(monkeypatch, JournalFile, "force", None)
-
-    async def go() -> None:
-        journal = Journal(path)
-        await journal.open([])
-        journal.put(readings("a", 1.0))
-        await asyncio.sleep(1000)
-        assert force.calls == 1
-        assert write.calls <= 4
-        await journal.close()
-
-    simulated_run(go())
+    journal = Journal(path)
+    await journal.open([])
+    journal.put(readings("a", 1.0))
+    await asyncio.sleep(1000)
+    assert force.calls == 1
+    assert write.calls <= 4
+    await journal.close()
 
 
 # --- the beginning and the end --------------------------------------------------------------
 
 
-def test_a_journal_that_cannot_be_used_ends_the_fleet_before_it_polls(
+@in_simulated_time
+async def test_a_journal_that_cannot_be_used_ends_the_fleet_before_it_polls(
     path: str, inline: None
 ) -> None:
     Path(path).write_text("not a journal")
-
-    async def go() -> None:
-        async with Peer() as peer:
-            fleet = Fleet([meter("a", peer.url)], journal=Journal(path))
-            with pytest.raises(JournalError, match=r"is not a journal$"):
-                await fleet.run()
-            assert peer.connections == []
-
-    simulated_run(go())
+    async with Peer() as peer:
+        fleet = Fleet([meter("a", peer.url)], journal=Journal(path))
+        with pytest.raises(JournalError, match=r"is not a journal$"):
+            await fleet.run()
+        assert peer.connections == []
 
 
-def test_a_journal_may_be_behind_a_link_and_is_the_same_one(path: str, tmp_path: Path) -> None:
+@in_real_time
+async def test_a_journal_may_be_behind_a_link_and_is_the_same_one(
+    path: str, tmp_path: Path
+) -> None:
     link = tmp_path / "link.db"
     link.symlink_to(path)
-
-    async def go() -> None:
-        journal = Journal(link)
-        await journal.open([])
-        with pytest.raises(JournalError, match="is used by another program"):
-            await Journal(path).open([])
-        journal.put(readings("a", time.time()))
-        await journal.close()
-
-    asyncio.run(go())
+    journal = Journal(link)
+    await journal.open([])
+    with pytest.raises(JournalError, match="is used by another program"):
+        await Journal(path).open([])
+    journal.put(readings("a", time.time()))
+    await journal.close()
     assert len(in_journal(path)) == 2
     assert [each.value for each in Journal(link).history("a", "p1", 0, time.time())] == [0.1]
     assert {each.name for each in tmp_path.iterdir() if each.name.startswith("link")} == {link.name}
 
 
-def test_a_journal_belongs_to_one_fleet(path: str) -> None:
-    async def go() -> None:
-        journal = Journal(path)
+@in_real_time
+async def test_a_journal_belongs_to_one_fleet(path: str) -> None:
+    journal = Journal(path)
+    await journal.open([])
+    with pytest.raises(RuntimeError, match="is already in use"):
         await journal.open([])
-        with pytest.raises(RuntimeError, match="is already in use"):
-            await journal.open([])
-        with pytest.raises(JournalError, match="is used by another program"):
-            await Journal(path).open([])
-        await journal.close()
-        await journal.close()
-
-    asyncio.run(go())
+    with pytest.raises(JournalError, match="is used by another program"):
+        await Journal(path).open([])
+    await journal.close()
+    await journal.close()
 
 
-def test_what_waits_is_written_when_the_fleet_ends(path: str) -> None:
-    async def go() -> int:
-        journal = Journal(path)
-        await journal.open(["x"])
-        told = [journal.put(readings("a", time.time() + at)) for at in range(1000)]
-        await journal.close()
-        assert journal.put(readings()) == readings()  # nothing is expected any more
-        return told[-1][-1].id
-
-    last = asyncio.run(go())
+@in_real_time
+async def test_what_waits_is_written_when_the_fleet_ends(path: str) -> None:
+    journal = Journal(path)
+    await journal.open(["x"])
+    told = [journal.put(readings("a", time.time() + at)) for at in range(1000)]
+    await journal.close()
+    assert journal.put(readings()) == readings()  # nothing is expected any more
+    last = told[-1][-1].id
     found = in_journal(path)
     assert len(found) == 2000
     assert found[-1] == last
 
 
-def test_a_cancelled_opening_leaves_the_file_to_others(
+@in_real_time
+async def test_a_cancelled_opening_leaves_the_file_to_others(
     path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opening, goes_on = threading.Event(), threading.Event()
@@ -560,19 +544,15 @@ def test_a_cancelled_opening_leaves_the_file_to_others(
         return original(this, *arguments)
 
     monkeypatch.setattr(JournalFile, "open", slow)
-
-    async def go() -> None:
-        task = asyncio.create_task(Journal(path).open(["x"]))
-        await until(opening.is_set)
-        task.cancel()
-        asyncio.get_running_loop().call_later(0.01, goes_on.set)
-        with pytest.raises(asyncio.CancelledError):
-            await task
-        other = Journal(path)
-        await other.open(["x"])
-        await other.close()
-
-    asyncio.run(go())
+    task = asyncio.create_task(Journal(path).open(["x"]))
+    await until(opening.is_set)
+    task.cancel()
+    asyncio.get_running_loop().call_later(0.01, goes_on.set)
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    other = Journal(path)
+    await other.open(["x"])
+    await other.close()
 
 
 @pytest.mark.parametrize("wrong", [{"keep": "90"}, {"size": "1 MB"}, {"path": ""}])
@@ -581,7 +561,10 @@ def test_wrong_arguments_are_named(wrong: dict[str, Any]) -> None:
         Journal(**{"path": "fleet.db", **wrong})
 
 
-def test_an_output_that_is_fast_and_behind_gets_larger_batches(path: str, inline: None) -> None:
+@in_simulated_time
+async def test_an_output_that_is_fast_and_behind_gets_larger_batches(
+    path: str, inline: None
+) -> None:
     sizes: list[int] = []
 
     class Fast(Broker):
@@ -589,19 +572,16 @@ def test_an_output_that_is_fast_and_behind_gets_larger_batches(path: str, inline
             sizes.append(len(readings))
             await super().write(readings)
 
-    async def go() -> None:
-        journal = Journal(path)
-        [place] = await journal.open(["broker"])
-        for at in range(1000):  # 30 do not divide 500
-            journal.put(readings("a", 1_700_000_000.0 + at, 30))
-        output = Fast()
-        pump = pumps.Pump(output, waiting=place)
-        pump.start()
-        await until(lambda: len(output.ids) == 30_000)
-        pump.close()
-        await pump.task
-        await journal.close()
-
-    simulated_run(go(), Network())
+    journal = Journal(path)
+    [place] = await journal.open(["broker"])
+    for at in range(1000):  # 30 do not divide 500
+        journal.put(readings("a", 1_700_000_000.0 + at, 30))
+    output = Fast()
+    pump = pumps.Pump(output, waiting=place)
+    pump.start()
+    await until(lambda: len(output.ids) == 30_000)
+    pump.close()
+    await pump.task
+    await journal.close()
     assert sizes[:4] == [480, 990, 1980, 3990]
     assert max(sizes) in range(4900, 5100)
