@@ -33,8 +33,8 @@ from libmodbus_py.scan import scan, search
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.tools.listener.listener import logger as listeners
 from tests.services.fleet.fleets import simulated_run
-from tests.services.fleet.outputs.test_unwritable_readings import Picky, pumped, reading
 from tests.support.cases import each_case
+from tests.support.outputs import Picky, pumped, reading
 
 URL = "tcp://127.0.0.1:1"
 

@@ -19,8 +19,8 @@ from libmodbus_py.services.engine.buckets import Watch
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.tasks import AGAIN, end_tasks, finish, finishing
-from tests.services.fleet.outputs.test_unwritable_readings import Picky, reading
 from tests.simulation.network import Network
+from tests.support.outputs import Picky, reading
 
 
 class Careless(Picky):

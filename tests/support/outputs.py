@@ -1,18 +1,90 @@
 """
-Outputs that a pump writes to, or a test directly.
+Outputs that a pump writes to, or a test directly, and one that takes what it likes.
 """
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
+from typing import Any
 
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.fleet.readings import MOST_KEPT
 
-__all__ = ["pumping", "write"]
+__all__ = ["Picky", "pumped", "pumping", "reading", "write"]
+
+
+def reading(device: str, name: str, value: Any = 1, time: float = 100.0) -> Reading:
+    return Reading(time, device, name, value, "V", "good")
+
+
+class Picky:
+    """
+    An output that takes what it likes.
+
+    Attributes:
+        is_away: True while it can neither be opened nor written to.
+        next: what the next writes do: an exception to raise, or seconds to take.
+        refused: devices; a write with readings of one raises `error`.
+        batches: the readings of each write that succeeded.
+        failed: the number of writes that were refused.
+        opened_at: the times of the loop at which it was opened.
+    """
+
+    def __init__(
+        self,
+        name: str = "picky",
+        *,
+        is_away: bool = False,
+        next: Sequence[BaseException | float] = (),
+        refused: Sequence[str] = (),
+        error: BaseException | None = None,
+        buffer: int = MOST_KEPT,
+    ) -> None:
+        self.name = name
+        self.is_away = is_away
+        self.next = [*next]
+        self.refused = refused
+        self.error = error or ValueError("too long")
+        self.buffer = buffer
+        self.batches: list[list[Reading]] = []
+        self.failed = 0
+        self.opened_at: list[float] = []
+        self.closed = 0
+
+    @property
+    def accepted(self) -> list[Reading]:
+        return [each for batch in self.batches for each in batch]
+
+    @property
+    def ids(self) -> list[int]:
+        return [each.id for each in self.accepted]
+
+    async def open(self) -> None:
+        if self.is_away:
+            raise ConnectionRefusedError(111, "Connection refused")
+        self.opened_at.append(asyncio.get_running_loop().time())
+
+    async def write(self, readings: Sequence[Reading]) -> None:
+        if self.is_away:
+            raise ConnectionResetError("away")
+        if not readings:
+            return
+        if self.next:
+            manner = self.next.pop(0)
+            if isinstance(manner, BaseException):
+                raise manner
+            await asyncio.sleep(manner)
+        if any(each.device in self.refused for each in readings):
+            self.failed += 1
+            raise self.error
+        self.batches.append([*readings])
+
+    async def close(self) -> None:
+        self.closed += 1
 
 
 @asynccontextmanager
@@ -23,6 +95,15 @@ async def pumping(output: Output, most: int = MOST_KEPT) -> AsyncIterator[Pump]:
     yield pump
     pump.close()
     await pump.ended()
+
+
+async def pumped(output: Output, readings: Sequence[Reading], most: int = MOST_KEPT) -> Pump:
+    """Write readings until each was written or dropped, in simulated time."""
+    async with pumping(output, most) as pump:
+        pump.buffer.put(readings)
+        while pump.statistics.written + pump.statistics.dropped < len(readings):
+            await asyncio.sleep(0.01)
+    return pump
 
 
 async def write(output: Output, *polls: Sequence[Reading]) -> None:

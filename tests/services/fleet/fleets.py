@@ -107,8 +107,8 @@ def stand_still(seconds: float) -> None:
 
 
 async def until(is_so: Callable[[], object]) -> None:
-    """Wait for it."""
-    async with asyncio.timeout(LONGEST):
+    """Wait for it; pauses in simulated time are up to half a minute."""
+    async with asyncio.timeout(LONGEST if NETWORK.get(None) is None else LONGEST_SIMULATED):
         while not is_so():
             await asyncio.sleep(0.01)
 

@@ -6,6 +6,7 @@ brokers that refuse a message, or die with it.
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
 
 import pytest
@@ -205,6 +206,21 @@ async def test_a_message_on_which_the_broker_disconnects_is_dropped(
         assert (pump.statistics.dropped, len(pump.buffer)) == (1, 0)
         await until(lambda: len({topic for topic, *_ in heard}) == 3)
     assert heard_of(heard, "modbus/b/text")[-1]["value"] == "y"
+
+
+@in_real_time
+async def test_other_packages_log_no_errors_of_a_refused_message(
+    narrow: Broker, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The pump tells of it."""
+    caplog.set_level(logging.DEBUG)
+    async with pumping(Mqtt(narrow.url)) as pump:
+        pump.buffer.put([text(*each) for each in (("a", 1, 0), ("b", "x" * 500, 0), ("c", 1, 0))])
+        await until(lambda: pump.statistics.dropped and pump.statistics.written == 2)
+    told = [each for each in caplog.records if each.levelno >= logging.INFO]
+    # asyncio tells of callbacks that a busy machine makes slow.
+    assert {each.name.partition(".")[0] for each in told} - {"asyncio"} == {"libmodbus_py"}
+    assert any(each.name.endswith(".mqtt_connection.client") for each in caplog.records)
 
 
 @in_real_time
