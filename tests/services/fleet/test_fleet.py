@@ -258,6 +258,7 @@ async def test_replacing_touches_only_what_changed() -> None:
 @in_simulated_time
 async def test_what_cannot_be_changes_nothing() -> None:
     async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, _):
+        before = fleet.devices["a"]
         for bad, text in (
             (meter("a", peer.url, unit=5), "'a' is also the name of another"),
             (
@@ -267,12 +268,15 @@ async def test_what_cannot_be_changes_nothing() -> None:
         ):
             with pytest.raises(ValueError, match=text):
                 fleet.add([bad])
+        with pytest.raises(ValueError, match="'a' is also the name of"):
+            fleet.replace([meter("a", peer.url), meter("a", peer.url, unit=2)])
         with pytest.raises(TypeError, match=r"devices\[0\] must be a DeviceConfig, not str"):
             fleet.replace(["a"])  # type: ignore[list-item]
-        assert set(fleet.devices) == {"a"}
+        assert fleet.devices == {"a": before}
         with pytest.raises(RuntimeError, match="already polling"):
             await fleet.run()
         await until(lambda: fleet.statistics.up == 1)
+        assert {*peer.units} == {1}
 
 
 # --- may_ask -----------------------------------------------------------------------------

@@ -10,30 +10,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from libmodbus_py import Fleet
-from libmodbus_py.fleet import DeviceConfig, Reading
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.shown_fleet import PageOutput, ShownFleet
 from libmodbus_py.services.fleet.statistics import JournalStatistics
 from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, until
-
-
-class Away:
-    """An output that cannot be reached while `is_away`."""
-
-    name = "database"
-
-    def __init__(self) -> None:
-        self.is_away = True
-        self.readings: list[Reading] = []
-
-    async def open(self) -> None:
-        if self.is_away:
-            raise ConnectionRefusedError(111, "Connection refused")
-
-    async def write(self, readings: Sequence[Reading]) -> None:
-        self.readings += readings
-
-    async def close(self) -> None:
-        """Do nothing."""
+from tests.support.outputs import Picky
 
 
 def shown_fleet(
@@ -111,7 +92,7 @@ async def test_values_and_devices_also_of_one_that_is_down() -> None:
 @in_simulated_time
 async def test_an_output_shows_what_waits_since_when_and_why() -> None:
     async with Peer() as peer:
-        away = Away()
+        away = Picky("database", is_away=True)
         fleet, shown, _ = shown_fleet(meter("a", peer.url), outputs=[away])
         async with fleet:
             await until(lambda: fleet.statistics.outputs["database"].waiting > 20)
@@ -128,7 +109,7 @@ async def test_an_output_shows_what_waits_since_when_and_why() -> None:
             assert problems(shown) == ["output database"]
             assert shown.status() == ("output database fails", True)
             away.is_away = False
-            await until(lambda: away.readings)
+            await until(lambda: away.accepted)
             await until(lambda: cells(shown)["output database"][1] == ["works", "", 0])
             assert problems(shown) == []
 

@@ -41,8 +41,9 @@ from tests.services.fleet.fleets import (
     until,
 )
 from tests.services.fleet.journal.journals import polls, readings
-from tests.services.fleet.journal.test_journal import Broker, Failing, in_journal, run_for
+from tests.services.fleet.journal.test_journal import Failing, in_journal, run_for
 from tests.simulation.network import Network
+from tests.support.outputs import Picky
 
 
 def asked(path: str | Path, query: str) -> list[Any]:
@@ -100,7 +101,7 @@ def test_a_disk_that_cannot_be_forced_is_reported_and_forced_again(
             raise error[0]
 
     monkeypatch.setattr("libmodbus_py.services.fleet.journal.journal_file.os.fsync", fsync)
-    broker = Broker()
+    broker = Picky()
 
     async def fail(fleet: Fleet) -> None:
         journal = fleet.statistics.journal
@@ -130,7 +131,7 @@ def test_a_defect_in_the_thread_that_writes_is_reported_and_loses_nothing(
 ) -> None:
     """Whatever it raises: the journal tries again, as after an error of the disk."""
     disk = Failing(monkeypatch, JournalFile, name, None)
-    broker, away = Broker(), Broker("away", is_away=True)
+    broker, away = Picky(), Picky("away", is_away=True)
 
     async def fail(fleet: Fleet) -> None:
         journal = fleet.statistics.journal
@@ -160,18 +161,18 @@ def test_a_defect_while_a_journal_closes_lets_others_use_the_file(
         disk.error = RuntimeError("a defect")
         await asyncio.sleep(10)
 
-    fleet = run_for(path, 100, Broker(), change=fail)
+    fleet = run_for(path, 100, Picky(), change=fail)
     disk.error = None
     assert fleet.statistics.journal is not None
     assert fleet.statistics.journal.dropped > 0
     assert "readings are lost" in caplog.text
-    run_for(path, 100, Broker())
+    run_for(path, 100, Picky())
 
 
 def test_a_clock_that_jumps_back_loses_and_repeats_nothing(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    broker, away = Broker(), Broker("away", is_away=True)
+    broker, away = Picky(), Picky("away", is_away=True)
     network = Network()
     shift = [0.0]
     now = network.time_of_day
@@ -198,7 +199,7 @@ async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
     path: str, inline: None
 ) -> None:
     """Also with `on_change`, and after failed transactions: no list of points grows."""
-    broker = Broker()
+    broker = Picky()
     async with Peer() as one, Peer() as two:
         journal = Journal(path)
         fleet = Fleet([], outputs=[broker], journal=journal)
@@ -227,14 +228,14 @@ async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
 def test_an_output_that_changes_the_list_it_is_given_loses_nothing(
     path: str, inline: None, change: Callable[[list[Reading]], object]
 ) -> None:
-    class Changing(Broker):
+    class Changing(Picky):
         async def write(self, readings: Any) -> None:
             await super().write(list(readings))
             change(readings)
 
     broker = Changing()
     run_for(path, 100, broker)
-    again = Broker()
+    again = Picky()
     run_for(path, 100, again)
     assert (broker.ids + again.ids) == in_journal(path)
 
@@ -314,7 +315,7 @@ def delete(path: str, *endings: str) -> None:
         os.unlink(f"{path}{each}")
 
 
-async def polled(broker: Broker, count: int) -> None:
+async def polled(broker: Picky, count: int) -> None:
     """Wait until an output has received so many more polls, in simulated time."""
     for _ in range(count):
         before = len(broker.ids)
@@ -326,7 +327,7 @@ async def polled(broker: Broker, count: int) -> None:
 def test_a_journal_that_was_deleted_is_replaced(
     path: str, endings: tuple[str, ...], caplog: pytest.LogCaptureFixture
 ) -> None:
-    broker, away = Broker(), Broker("away", is_away=True)
+    broker, away = Picky(), Picky("away", is_away=True)
 
     async def lose(fleet: Fleet) -> None:
         delete(path, *endings)
@@ -353,7 +354,7 @@ def test_a_journal_whose_changes_were_deleted_is_kept(
     path: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The changes are in the file -wal, which is merged once it is closed."""
-    broker = Broker()
+    broker = Picky()
 
     async def lose(fleet: Fleet) -> None:
         delete(path, "-wal")
@@ -367,11 +368,11 @@ def test_a_journal_whose_changes_were_deleted_is_kept(
 @pytest.mark.usefixtures("inline")
 def test_another_file_in_its_place_is_kept(path: str, tmp_path: Path) -> None:
     """Somebody has copied an older journal there, and has forgotten that the fleet runs."""
-    run_for(path, 100, Broker())
+    run_for(path, 100, Picky())
     older = in_journal(path)
     copy = tmp_path / "copy.db"
     copy.write_bytes(Path(path).read_bytes())
-    broker = Broker()
+    broker = Picky()
 
     async def restore(fleet: Fleet) -> None:
         os.rename(copy, path)

@@ -34,43 +34,9 @@ from tests.services.fleet.fleets import (
 )
 from tests.services.fleet.journal.journals import Inline, readings
 from tests.simulation.network import Network
+from tests.support.outputs import Picky
 
 HOUR = 3600.0
-
-
-class Broker:
-    """
-    An output that is away at times.
-
-    Attributes:
-        is_away: True while it cannot be reached.
-        ids: of all readings that it accepted.
-        ends: raised by `write` after the readings were accepted, once.
-    """
-
-    def __init__(self, name: str = "broker", *, is_away: bool = False) -> None:
-        self.name = name
-        self.is_away = is_away
-        self.ids: list[int] = []
-        self.ends: BaseException | None = None
-        self.values: list[Reading] = []
-
-    async def open(self) -> None:
-        if self.is_away:
-            raise ConnectionRefusedError("away")
-
-    async def write(self, readings: Sequence[Reading]) -> None:
-        if self.is_away:
-            raise ConnectionResetError("away")
-        await asyncio.sleep(0.001)
-        self.ids += [each.id for each in readings]
-        self.values += readings
-        if readings and self.ends is not None:
-            end, self.ends = self.ends, None
-            raise end
-
-    async def close(self) -> None:
-        pass
 
 
 def in_journal(path: str) -> list[int]:
@@ -101,7 +67,7 @@ def run_for(path: str, seconds: float, *outputs: Any, change: Any = None) -> Fle
 
 
 def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: None) -> None:
-    broker, other = Broker("north", is_away=True), Broker("south")
+    broker, other = Picky("north", is_away=True), Picky("south")
 
     async def come_back(fleet: Fleet) -> None:
         # As long as the broker was away, its readings were on the disk only.
@@ -118,16 +84,16 @@ def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: Non
 
 
 def test_an_output_goes_on_in_the_next_run(path: str, inline: None) -> None:
-    away, present = Broker("north", is_away=True), Broker("south")
+    away, present = Picky("north", is_away=True), Picky("south")
     run_for(path, 100, away, present)
     assert away.ids == []
     first = list(present.ids)
-    again, new = Broker("north"), Broker("new")
+    again, new = Picky("north"), Picky("new")
     run_for(path, 100, again, new)
     every = in_journal(path)
     assert again.ids == every
     assert new.ids == every[len(first) :]  # it begins with the next reading
-    late = Broker("south")
+    late = Picky("south")
     run_for(path, 100, late)
     assert late.ids == in_journal(path)[len(first) :]
 
@@ -135,16 +101,21 @@ def test_an_output_goes_on_in_the_next_run(path: str, inline: None) -> None:
 def test_a_write_that_was_accepted_and_failed_is_repeated_with_the_same_ids(
     path: str, inline: None
 ) -> None:
-    broker = Broker()
-    broker.ends = TimeoutError("the confirmation was lost")
+    class Unconfirmed(Picky):
+        async def write(self, readings: Sequence[Reading]) -> None:
+            await super().write(readings)
+            if len(self.batches) == 1:
+                raise TimeoutError("the confirmation was lost")
+
+    broker = Unconfirmed()
     run_for(path, 100, broker)
     assert sorted({*broker.ids}) == in_journal(path)
     assert len(broker.ids) == len({*broker.ids}) + 3  # one batch
 
 
 def test_a_live_output_gets_the_readings_of_this_run_only(path: str, inline: None) -> None:
-    run_for(path, 100, Broker("live", is_away=True))
-    live = Broker("live")
+    run_for(path, 100, Picky("live", is_away=True))
+    live = Picky("live")
     live.is_live = True  # type: ignore[attr-defined]
     fleet = run_for(path, 100, live)
     assert len(live.ids) == fleet.statistics.readings
@@ -234,7 +205,7 @@ def test_a_full_disk_delays_no_output_and_loses_nothing(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     disk = Failing(monkeypatch, JournalFile, "write", None)
-    broker = Broker()
+    broker = Picky()
 
     async def fill(fleet: Fleet) -> None:
         journal = fleet.statistics.journal
@@ -261,7 +232,7 @@ def test_while_a_disk_is_full_for_long_memory_is_bounded(
     monkeypatch.setattr(recent, "MOST_WAITING", 60)
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 60)
     disk = Failing(monkeypatch, JournalFile, "write", None)
-    broker, away = Broker(), Broker("away", is_away=True)
+    broker, away = Picky(), Picky("away", is_away=True)
 
     async def fill(fleet: Fleet) -> None:
         journal = fleet.statistics.journal
@@ -286,7 +257,7 @@ def test_a_journal_that_is_damaged_while_it_is_used_is_replaced(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     disk = Failing(monkeypatch, JournalFile, "write", None)
-    broker, away = Broker(), Broker("away", is_away=True)
+    broker, away = Picky(), Picky("away", is_away=True)
 
     async def damage(fleet: Fleet) -> None:
         before = fleet.statistics.outputs["away"].waiting
@@ -316,7 +287,7 @@ def test_damage_that_a_reader_meets_is_healed_too(
 ) -> None:
     reader = Failing(monkeypatch, JournalFile, "read", None)
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 3)
-    away = Broker("away", is_away=True)
+    away = Picky("away", is_away=True)
 
     async def damage(fleet: Fleet) -> None:
         reader.error = JournalDamaged("fleet.db: is damaged")
@@ -334,11 +305,11 @@ def test_damage_that_a_reader_meets_is_healed_too(
 def test_a_damaged_journal_is_replaced_when_a_fleet_begins(
     path: str, inline: None, caplog: pytest.LogCaptureFixture
 ) -> None:
-    run_for(path, 100, Broker())
+    run_for(path, 100, Picky())
     whole = bytearray(Path(path).read_bytes())
     whole[4096:] = b"\xff" * (len(whole) - 4096)
     Path(path).write_bytes(whole)
-    broker = Broker()
+    broker = Picky()
     run_for(path, 100, broker)
     assert broker.ids == in_journal(path) != []
     assert Path(f"{path}-damaged").read_bytes() == bytes(whole)
@@ -350,7 +321,7 @@ def test_a_disk_that_reports_errors_to_a_reader_is_asked_again(
 ) -> None:
     reader = Failing(monkeypatch, JournalFile, "read", None)
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 3)
-    away = Broker("away", is_away=True)
+    away = Picky("away", is_away=True)
 
     async def read(fleet: Fleet) -> None:
         reader.error = JournalError("the disk reports an error")
@@ -377,7 +348,7 @@ def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(JournalFile, "write", slow)
     monkeypatch.setattr("libmodbus_py.services.fleet.journal.place.NOTING_S", 0.01)
-    broker = Broker()
+    ids: list[int] = []
 
     async def go() -> None:
         journal = Journal(path)
@@ -386,14 +357,14 @@ def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.MonkeyP
         for at in range(50):
             journal.put(readings("a", time.time() + at))
             batch = await place.take_polls(100)
-            broker.ids += [each.id for each in batch]
+            ids.extend(each.id for each in batch)
             await place.confirm(batch)
         goes_on.set()
         await journal.close()
 
     asyncio.run(asyncio.wait_for(go(), 2 * LONGEST))
-    assert broker.ids == in_journal(path)
-    assert len(broker.ids) == 100
+    assert ids == in_journal(path)
+    assert len(ids) == 100
 
 
 @in_simulated_time
@@ -567,7 +538,7 @@ async def test_an_output_that_is_fast_and_behind_gets_larger_batches(
 ) -> None:
     sizes: list[int] = []
 
-    class Fast(Broker):
+    class Fast(Picky):
         async def write(self, readings: Sequence[Reading]) -> None:
             sizes.append(len(readings))
             await super().write(readings)

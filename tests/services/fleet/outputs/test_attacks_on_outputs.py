@@ -10,9 +10,8 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -32,14 +31,11 @@ from tests.services.fleet.fleets import (
     until,
 )
 from tests.support.commands import Started
-from tests.support.outputs import pumping
+from tests.support.outputs import Picky, pumping
 
 
 def poll(at: int, device: str = "a") -> list[Reading]:
     return [Reading(100.0 + at, device, name, at, "V", "good") for name in ("x", "y")]
-
-
-# --- servers --------------------------------------------------------------------------------
 
 
 # --- files ----------------------------------------------------------------------------------
@@ -124,24 +120,18 @@ async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_rea
 ) -> None:
     """`run` raises its error; in an `async with` nobody else would hear of it."""
 
-    class Broken:
-        name = "broken"
-
+    class Broken(Picky):
         async def open(self) -> None:
             raise OutputError("MQTT needs aiomqtt")
 
-        async def write(self, readings: Sequence[Reading]) -> None: ...
-
-        async def close(self) -> None: ...
-
     async with Peer() as peer:
-        async with polling(meter("a", peer.url), outputs=[Broken()]) as (fleet, readings):
+        async with polling(meter("a", peer.url), outputs=[Broken("broken")]) as (fleet, readings):
             await until(lambda: len(readings) > 3)
             assert fleet.statistics.outputs["broken"].trouble == "MQTT needs aiomqtt"
         assert caplog.text.count("broken gets no more readings: MQTT needs aiomqtt") == 1
         caplog.clear()
         with pytest.raises(OutputError, match="MQTT needs aiomqtt"):
-            await Fleet([meter("a", peer.url)], outputs=[Broken()]).run()
+            await Fleet([meter("a", peer.url)], outputs=[Broken("broken")]).run()
         assert caplog.text == ""
 
 
@@ -170,22 +160,6 @@ async def test_an_answer_after_a_reload_is_of_nobody(after: list[str]) -> None:
             statistics = fleet.statistics
             assert (statistics.devices, statistics.up) == (len(after), len(after))
             assert statistics.down == 0
-
-
-@in_simulated_time
-async def test_a_device_that_is_named_twice_changes_nothing() -> None:
-    async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, readings):
-        await until(lambda: readings)
-        before = fleet.devices["a"]
-        twice: list[Any] = [meter("a", peer.url), meter("a", peer.url, unit=2)]
-        with pytest.raises(ValueError, match="'a' is also the name of"):
-            fleet.replace(twice)
-        with pytest.raises(ValueError, match="'a' is also the name of"):
-            fleet.add([meter("a", peer.url, unit=2)])
-        assert fleet.devices["a"] is before
-        count = len(readings)
-        await until(lambda: len(readings) > count + 3)
-        assert {*peer.units} == {1}
 
 
 @in_real_time

@@ -18,6 +18,7 @@ from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import Output
 from tests.support.cases import each_case
 from tests.support.commands import run
+from tests.support.outputs import Picky
 
 MAP = "name,table,address\nlevel,holding_registers,0\n"
 
@@ -137,21 +138,9 @@ def test_a_program_with_two_outputs_to_one_place(
         Fleet([], outputs=[one(), other()])
 
 
-class Plain:
-    """An output of a program, which says nothing of what it uses."""
-
-    name = "plain"
-
-    async def open(self) -> None: ...
-
-    async def write(self, readings: object) -> None: ...
-
-    async def close(self) -> None: ...
-
-
 def test_one_output_given_twice_is_refused() -> None:
-    output = Plain()
-    with pytest.raises(ValueError, match="two outputs use the same plain"):
+    output = Picky()
+    with pytest.raises(ValueError, match="two outputs use the same picky"):
         Fleet([], outputs=[output, output])
 
 

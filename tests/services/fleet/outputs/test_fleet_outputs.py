@@ -8,7 +8,6 @@ import asyncio
 import errno
 import os
 import threading
-from collections.abc import Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -31,6 +30,7 @@ from tests.services.fleet.fleets import (
     simulated_run,
     until,
 )
+from tests.support.outputs import Picky
 
 
 @pytest.fixture
@@ -44,37 +44,6 @@ def run(test: Any) -> Any:
     return asyncio.run(asyncio.wait_for(test, 2 * LONGEST))
 
 
-class Odd:
-    """An output that does what it is told."""
-
-    name = "odd"
-
-    def __init__(self, *manners: Any) -> None:
-        self.buffer = 20
-        self.manners = list(manners)
-        self.taken: list[Reading] = []
-        self.opened_at: list[float] = []
-        self.closed = 0
-
-    @property
-    def opened(self) -> int:
-        return len(self.opened_at)
-
-    async def open(self) -> None:
-        self.opened_at.append(asyncio.get_running_loop().time())
-
-    async def write(self, readings: Sequence[Reading]) -> None:
-        if readings and self.manners:
-            manner = self.manners.pop(0)
-            if isinstance(manner, BaseException):
-                raise manner
-            await asyncio.sleep(manner)
-        self.taken += readings
-
-    async def close(self) -> None:
-        self.closed += 1
-
-
 async def polled(
     output: Output, is_so: Any, interval: float = 0.02, kind: type[Peer | RealPeer] = Peer
 ) -> Fleet:
@@ -86,32 +55,33 @@ async def polled(
 
 
 def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
-    output = Odd(1.5)
+    output = Picky(next=[1.5], buffer=20)
     fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 30))
-    lost = fleet.statistics.outputs["odd"]
+    lost = fleet.statistics.outputs["picky"]
     assert lost.dropped > 10
-    assert len(output.taken) + lost.dropped == fleet.statistics.readings
+    assert len(output.accepted) + lost.dropped == fleet.statistics.readings
     # Those that were taken before it was slow, and the last ones.
-    assert len(output.taken) <= 3 + 2 * output.buffer
+    assert len(output.accepted) <= 3 + 2 * output.buffer
 
 
 def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> None:
-    output = Odd(OSError(errno.EIO, "no"), OSError(errno.EIO, "no"), 0, RuntimeError("a bug"))
-    output.buffer = 1000
+    output = Picky(
+        next=[OSError(errno.EIO, "no"), OSError(errno.EIO, "no"), 0, RuntimeError("a bug")]
+    )
     fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 60, interval=0.05))
     # Twice as long after each failure, and as at first after a success.
     pauses = [after - before for before, after in pairwise(output.opened_at)]
     assert pauses == pytest.approx([0.5, 1.0, 0.5], abs=0.1)
-    statistics = fleet.statistics.outputs["odd"]
+    statistics = fleet.statistics.outputs["picky"]
     assert statistics.failures == 3
-    assert output.opened == output.closed == 4
+    assert len(output.opened_at) == output.closed == 4
     assert statistics.dropped == 0
-    assert len(output.taken) == fleet.statistics.readings
+    assert len(output.accepted) == fleet.statistics.readings
     warned = [each for each in caplog.records if each.levelname == "WARNING"]
     told = [each.getMessage() for each in warned]
-    assert told.count("odd: no") == 1  # each trouble once
-    assert "odd: a bug" in told
-    assert told.count("odd accepts readings again") == 2
+    assert told.count("picky: no") == 1  # each trouble once
+    assert "picky: a bug" in told
+    assert told.count("picky accepts readings again") == 2
 
 
 @pytest.mark.parametrize("error", [OutputError("gone"), SystemError("?"), GeneratorExit()])
@@ -119,7 +89,7 @@ def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> None:
 async def test_what_ends_an_output(error: BaseException) -> None:
     """OutputError and what is not an Exception end `run`; the rest are tried again."""
     async with Peer() as peer:
-        fleet = Fleet([meter("a", peer.url)], outputs=[Odd(error)])
+        fleet = Fleet([meter("a", peer.url)], outputs=[Picky(next=[error])])
         if isinstance(error, SystemError):
             with pytest.raises(TimeoutError):
                 await asyncio.wait_for(fleet.run(), 1)
@@ -187,7 +157,7 @@ def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path: Path
     run(until(lambda: threading.active_count() <= threads))
 
 
-class Described(Odd):
+class Described(Picky):
     """An output that wants to know the devices."""
 
     def describe(self, devices: Any) -> None:
@@ -198,12 +168,12 @@ class Described(Odd):
 async def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_apart() -> (
     None
 ):
-    outputs = [Described(), Odd(), Odd()]
+    outputs = [Described(), Picky(), Picky()]
     async with Peer() as peer:
         devices = [meter("a", peer.url, labels={"site": "here"})]
         async with Fleet(devices, outputs=outputs) as fleet:
             assert outputs[0].labels == {"a": {"site": "here"}}
-            assert list(fleet.statistics.outputs) == ["odd", "odd (2)", "odd (3)"]
+            assert list(fleet.statistics.outputs) == ["picky", "picky (2)", "picky (3)"]
             fleet.replace([meter("b", peer.url, labels={"site": "there"})])
             assert outputs[0].labels == {"b": {"site": "there"}}
 
