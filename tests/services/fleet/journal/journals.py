@@ -6,11 +6,17 @@ from __future__ import annotations
 
 import asyncio
 import queue
+import sqlite3
 from collections.abc import Callable
 from typing import Any
 
-from libmodbus_py.fleet import Reading
+import pytest
+
+from libmodbus_py import Fleet
+from libmodbus_py.fleet import Journal, Reading
 from libmodbus_py.services.fleet.journal.schema import JournalPoll, numbered
+from tests.services.fleet.fleets import Peer, meter, simulated_run
+from tests.simulation.network import Network
 
 
 class Inline:
@@ -43,3 +49,46 @@ def polls(first: int, count: int, size: int = 2, time: float = 100.0) -> list[Jo
         [poll] = numbered(readings("a", time + at, size), first + at * size)
         told.append(poll)
     return told
+
+
+def in_journal(path: str) -> list[int]:
+    database = sqlite3.connect(path)
+    found = [number for (number,) in database.execute("SELECT id FROM reading ORDER BY id")]
+    database.close()
+    return found
+
+
+def run_for(path: str, seconds: float, *outputs: Any, change: Any = None) -> Fleet:
+    """Poll a device each 10 s, for simulated seconds."""
+
+    async def go() -> Fleet:
+        async with Peer() as peer:
+            fleet = Fleet(
+                [meter("a", peer.url, interval=10)], outputs=outputs, journal=Journal(path)
+            )
+            async with fleet:
+                await asyncio.sleep(seconds)
+                if change is not None:
+                    await change(fleet)
+            return fleet
+
+    return simulated_run(go(), Network())
+
+
+class Failing:
+    """Lets calls of a method fail while `error` is set."""
+
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, kind: type, name: str, error: Exception | None
+    ) -> None:
+        self.error = error
+        self.calls = 0
+        original = getattr(kind, name)
+
+        def call(this: Any, *arguments: Any) -> Any:
+            self.calls += 1
+            if self.error is not None:
+                raise self.error
+            return original(this, *arguments)
+
+        monkeypatch.setattr(kind, name, call)

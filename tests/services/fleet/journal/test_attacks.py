@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import errno
 import os
 import random
 import shutil
@@ -40,8 +39,7 @@ from tests.services.fleet.fleets import (
     simulated_run,
     until,
 )
-from tests.services.fleet.journal.journals import polls, readings
-from tests.services.fleet.journal.test_journal import Failing, in_journal, run_for
+from tests.services.fleet.journal.journals import Failing, in_journal, polls, readings, run_for
 from tests.simulation.network import Network
 from tests.support.outputs import Picky
 
@@ -87,69 +85,6 @@ def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_pa
         assert begun.places["a"] <= len(ids) < begun.first
         found.add((len(ids), begun.places["a"]))
     assert found == {(0, 0), (20, 0), (40, 20), (60, 40)}
-
-
-def test_a_disk_that_cannot_be_forced_is_reported_and_forced_again(
-    path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    forced: list[bool] = []
-    error: list[OSError] = []
-
-    def fsync(descriptor: int) -> None:
-        forced.append(not error)
-        if error:
-            raise error[0]
-
-    monkeypatch.setattr("libmodbus_py.services.fleet.journal.journal_file.os.fsync", fsync)
-    broker = Picky()
-
-    async def fail(fleet: Fleet) -> None:
-        journal = fleet.statistics.journal
-        assert journal is not None
-        error.append(OSError(errno.EIO, "Input/output error"))
-        await until(lambda: journal.trouble)
-        assert journal.trouble == f"{path}: Input/output error"
-        error.clear()
-        await until(lambda: not journal.trouble)
-        count = len(forced)
-        await asyncio.sleep(6)
-        assert any(forced[count:])  # although the device is polled each ten seconds only
-
-    fleet = run_for(path, 100, broker, change=fail)
-    assert fleet.statistics.journal is not None
-    assert fleet.statistics.journal.dropped == 0
-    assert broker.ids == in_journal(path)
-
-
-@pytest.mark.parametrize("name", ["write", "force"])
-def test_a_defect_in_the_thread_that_writes_is_reported_and_loses_nothing(
-    path: str,
-    inline: None,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    name: str,
-) -> None:
-    """Whatever it raises: the journal tries again, as after an error of the disk."""
-    disk = Failing(monkeypatch, JournalFile, name, None)
-    broker, away = Picky(), Picky("away", is_away=True)
-
-    async def fail(fleet: Fleet) -> None:
-        journal = fleet.statistics.journal
-        assert journal is not None
-        disk.error = RuntimeError("a defect")
-        await asyncio.sleep(100)
-        await until(lambda: "a defect" in journal.trouble)
-        disk.error = None
-        away.is_away = False
-        await asyncio.sleep(60)
-        assert journal.trouble == ""
-        assert fleet.statistics.outputs["away"].waiting == 0
-
-    fleet = run_for(path, 100, broker, away, change=fail)
-    assert broker.ids == away.ids == in_journal(path)
-    assert fleet.statistics.journal is not None
-    assert fleet.statistics.journal.dropped == 0
-    assert "RuntimeError: a defect" in caplog.text  # with its traceback
 
 
 def test_a_defect_while_a_journal_closes_lets_others_use_the_file(
