@@ -5,7 +5,6 @@ Polls as rows of a journal, the ids of readings, and the polls in memory.
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Sequence
 
 import pytest
@@ -22,8 +21,6 @@ from libmodbus_py.services.fleet.journal.schema import (
     first_id,
     numbered,
 )
-from libmodbus_py.services.fleet.outputs.forms import as_json, object_text
-from libmodbus_py.services.workers.messages import _messages
 from tests.services.fleet.fleets import in_simulated_time
 from tests.services.fleet.journal.journals import polls, readings
 from tests.support.cases import each_case
@@ -116,30 +113,6 @@ def test_what_no_disk_takes_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (made.last, made.dropped) == (206, 206 - 8 - 4)
     assert made.take(1000) == made.after(198, 1000) == polls(199, 4, time=196.0)
     assert made.take(1) == []
-
-
-NUMBERED = Reading(100.0, "a", "voltage", 230.5, "V", "good", "", 17)
-DOWN = Reading(100.0, "a", "power", None, "W", "down", "ModbusTimeoutError", 18)
-
-
-def test_json_has_the_id_of_a_reading_that_has_one() -> None:
-    lines = as_json([NUMBERED, DOWN]).decode().splitlines()
-    assert [json.loads(line)["id"] for line in lines] == [17, 18]
-    assert [json.loads(object_text(each))["id"] for each in (NUMBERED, DOWN)] == [17, 18]
-    [(_, _, message)] = _messages([NUMBERED, DOWN], 10_000)
-    assert [each["id"] for each in json.loads(message)["values"].values()] == [17, 18]
-
-
-def test_json_has_no_id_without_a_journal() -> None:
-    bare = [each._replace(id=0) for each in (NUMBERED, DOWN)]
-    assert all("id" not in json.loads(line) for line in as_json(bare).decode().splitlines())
-    assert all("id" not in object_text(each) for each in bare)
-    assert as_json(bare) == (
-        b'{"device": "a", "name": "voltage", "time": "1970-01-01T00:01:40.000Z",'
-        b' "value": 230.5, "unit": "V", "quality": "good"}\n'
-        b'{"device": "a", "name": "power", "time": "1970-01-01T00:01:40.000Z",'
-        b' "value": null, "unit": "W", "quality": "down", "reason": "ModbusTimeoutError"}\n'
-    )
 
 
 class Shelf:

@@ -1,0 +1,164 @@
+"""
+What each output promises of readings: their labels, which are those of their time, and their ids.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import csv
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Point, RegisterMap
+from libmodbus_py.fleet import DeviceConfig, Reading
+from libmodbus_py.services.fleet.outputs.influx import Influx
+from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
+from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.workers.messages import _messages
+from tests.support.cases import each_case
+from tests.support.outputs import reading, write
+
+POINTS = RegisterMap([Point("level", "holding_registers", 0)])
+
+STATES = RegisterMap([Point("level", "holding_registers", 0, states={1: "open"})])
+
+
+def described(points: RegisterMap = POINTS, **labels: Mapping[str, str]) -> dict[str, DeviceConfig]:
+    return {
+        name: DeviceConfig(name, "tcp://127.0.0.1", points, labels=each)
+        for name, each in labels.items()
+    }
+
+
+def in_file(output: Any, path: Path, readings: Sequence[Reading]) -> list[str]:
+    asyncio.run(write(output, readings))
+    return path.read_text().splitlines()
+
+
+def in_json(path: Path, readings: Sequence[Reading]) -> list[str]:
+    return in_file(JsonOutput(str(path)), path, readings)
+
+
+def in_csv(path: Path, readings: Sequence[Reading]) -> list[str]:
+    return in_file(CsvOutput(str(path), labels=["line", "place", "site"]), path, readings)[1:]
+
+
+def in_lines(path: Path, readings: Sequence[Reading]) -> list[str]:
+    output = Influx(str(path))
+    # Neither a label of now nor a device that was removed changes what is known of a reading.
+    output.describe(described(north={"site": "Hof"}))
+    output.describe({})
+    return in_file(output, path, readings)
+
+
+def in_mqtt(topic: str, readings: Sequence[Reading]) -> list[str]:
+    output = Mqtt("mqtt://127.0.0.1", topic=topic, status="")
+    output.describe(described(north={"site": "Hof"}))
+    output.describe({})
+    return [f"{at} {data.decode()}" for at, data in output._messages.of(readings)]
+
+
+def in_nats(path: Path, readings: Sequence[Reading]) -> list[str]:
+    return [data.decode() for _, _, data in _messages(readings, 10_000)]
+
+
+Written = Callable[[Path, Sequence[Reading]], list[str]]
+
+EVERY: dict[str, Written] = {
+    "json": in_json,
+    "csv": in_csv,
+    "influx": in_lines,
+    "mqtt, a point": lambda _, readings: in_mqtt("{label.site}/{device}/{name}", readings),
+    "mqtt, a poll": lambda _, readings: in_mqtt("{label.site}/{device}", readings),
+    "nats": in_nats,
+}
+
+
+@pytest.mark.parametrize("kind", EVERY)
+def test_readings_have_the_labels_of_their_time(kind: str, tmp_path: Path) -> None:
+    """They waited meanwhile, and one device has none."""
+    waited = [
+        reading("north", "level", 7, 100.0 + at)._replace(labels={"site": site})
+        for at, site in enumerate(["Halle", "Tor"])
+    ]
+    *former, south = EVERY[kind](tmp_path / "readings", [*waited, reading("south", "level", 7)])
+    # At the former topic of MQTT, a reading without value follows.
+    first, last = former[0], former[-1]
+    assert "Halle" in first
+    assert "Tor" in last
+    assert not any("Hof" in each for each in former)
+    assert not any(each in south for each in ("Halle", "Tor", "Hof", '"labels"'))
+
+
+ODD = {"site": 'Halle "2", Tor\\', "line": "ü"}
+
+
+@each_case("kind", [each for each in EVERY if each not in ("csv", "influx")])
+def test_labels_of_json_are_an_object_that_stands_once(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / kind
+    found = EVERY[kind](path, [reading("north", "level")._replace(labels=ODD)])
+    told = json.loads(found[0][found[0].index("{") :])
+    assert told["labels"] == ODD
+    assert "labels" not in str(told.get("values", ""))
+
+
+def test_csv_has_a_column_for_each_label_that_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "rows"
+    rows = in_csv(path, [reading("north", "level")._replace(labels=ODD), reading("south", "level")])
+    assert path.read_text().splitlines()[0].endswith(",reason,line,place,site")
+    assert [row[-3:] for row in csv.reader(rows, strict=True)] == [["ü", "", ODD["site"]], [""] * 3]
+
+
+@each_case("kind", [each for each in EVERY if each not in ("csv", "influx")])
+@each_case("number", [0, 17])
+def test_json_has_the_id_of_a_reading_that_has_one(kind: str, number: int, tmp_path: Path) -> None:
+    """Readings have ids from a journal."""
+    (tmp_path / kind).unlink(missing_ok=True)
+    (line,) = EVERY[kind](tmp_path / kind, [reading("a", "level")._replace(id=number)])
+    told = json.loads(line[line.index("{") :])
+    assert told.get("values", {"level": told})["level"].get("id", 0) == number
+    assert ("id" in line) is bool(number)
+
+
+# --- labels of some outputs -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("topic", ["{label.site}/{device}/{name}", "{label.site}/{device}"])
+def test_a_former_topic_is_taken_back_until_that_was_accepted(topic: str) -> None:
+    messages = Mqtt("mqtt://127.0.0.1", topic=topic, status="")._messages
+    sites = [reading("north", "level")._replace(labels={"site": site}) for site in ("x", "y", "z")]
+    moved = [sites[1], sites[2]._replace(time=101.0)]
+    list(messages.of(sites[:1]))
+    messages.keep()
+    for _ in range(2):  # the connection is lost during the first write
+        sent = [(at.partition("/")[0], b'"offline"' in data) for at, data in messages.of(moved)]
+        assert sent == [("x", True), ("y", False), ("y", True), ("z", False)]
+    messages.keep()
+    assert [at.partition("/")[0] for at, _ in messages.of(moved[1:])] == ["z"]
+
+
+def test_points_with_states_stay_text_when_their_device_is_removed(tmp_path: Path) -> None:
+    output = Influx(str(tmp_path / "lines"))
+    output.describe(described(STATES, north={}))
+    output.describe({})
+    (line,) = in_file(output, tmp_path / "lines", [reading("north", "level", 7)])
+    assert 'level="7"' in line
+
+
+@each_case(
+    ("labels", "told"),
+    [
+        ("site", "labels must be a list"),
+        ([1], r"labels\[0\] must be text"),
+        ([""], r"labels\[0\] must be text"),
+        (["time"], r"labels\[0\]: there is a column 'time' already"),
+        (["site", "site"], r"labels\[1\]: there is a column 'site' already"),
+    ],
+)
+def test_bad_columns_are_refused(labels: Any, told: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=told):
+        CsvOutput(labels=labels)
