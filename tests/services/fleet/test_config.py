@@ -12,7 +12,6 @@ from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.fleet.config import ENGINE
-from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.fleet.fleets import meter
 from tests.support.cases import each_case
@@ -38,26 +37,6 @@ def test_an_unknown_item_is_answered_with_eight_names() -> None:
         DeviceConfig("pump", "tcp://192.0.2.1", many, items=("level",))
     given_twice = DeviceConfig("pump", "tcp://192.0.2.1", many, items=("p1", "p0", "p1"))
     assert given_twice.items == ("p1", "p0")
-
-
-# --- topics -------------------------------------------------------------------------------------
-
-
-@each_case(
-    ("topic", "said"),
-    [
-        ("x/{device}-{name}", "each level must have one {name}"),
-        ("x/{name}.{device}/y", "each level must have one {name}"),
-        ("x/{device}/{name}/{", "each level must have one {name}"),
-        ("x}/{device}/{name}", "each level must have one {name}"),
-        ("x/{{device}/{name}", "topic"),
-        ("x/{device}}/{name}", "each level must have one {name}"),
-        ("x/{device!r}/{name}", "topic must hold"),
-    ],
-)
-def test_topics_of_two_points_differ(topic: str, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        Mqtt("mqtt://127.0.0.1", topic=topic)
 
 
 # --- labels -------------------------------------------------------------------------------------

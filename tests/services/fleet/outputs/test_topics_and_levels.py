@@ -63,26 +63,6 @@ def test_a_device_that_was_removed_has_no_labels() -> None:
     assert topic().of({}, device="north", name="power") == "plant/unknown/north/power"
 
 
-@each_case(
-    "template",
-    [
-        "plant/{label.site}{device}/{name}",
-        "plant/{label.site}-{label.line}/{device}/{name}",
-        "plant/{label.}/{device}/{name}",
-        "plant/{site}/{device}/{name}",
-        "plant/{label.site/{device}/{name}",
-    ],
-)
-def test_bad_templates_are_refused(template: str) -> None:
-    with pytest.raises(ValueError, match="topic"):
-        topic(template)
-
-
-def test_the_status_is_no_topic_of_a_reading() -> None:
-    with pytest.raises(ValueError, match="status must not be the topic of a reading"):
-        Mqtt("mqtt://127.0.0.1", topic="{label.site}/{device}/{name}", status="a/b/c")
-
-
 FLEET = """
 [[device]]
 name = "north"
