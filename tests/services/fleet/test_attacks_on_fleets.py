@@ -182,6 +182,3 @@ def test_memory_for_a_device_is_small() -> None:
         assert simulated_run(go()) < 12_000
     finally:
         tracemalloc.stop()
-
-
-# --- before anything is polled ---------------------------------------------------------------

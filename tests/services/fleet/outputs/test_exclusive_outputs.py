@@ -20,10 +20,6 @@ from tests.support.cases import each_case
 from tests.support.commands import run
 from tests.support.outputs import Picky
 
-MAP = "name,table,address\nlevel,holding_registers,0\n"
-
-DEVICE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
-
 SERVER = '[[output.influx]]\nurl = "http://h:8086"\n'
 
 BROKER = '[[output.mqtt]]\nurl = "mqtt://h"\n'
@@ -31,9 +27,23 @@ BROKER = '[[output.mqtt]]\nurl = "mqtt://h"\n'
 COMMANDED = f'{BROKER}commands = true\nstatus = ""\n'
 
 
-def fleet_file(folder: Path, outputs: str) -> Path:
-    (folder / "meter.csv").write_text(MAP)
-    (folder / "fleet.toml").write_text(DEVICE + outputs)
+METER_MAP = "name,table,address\nlevel,holding_registers,0\n"
+
+FLEET = 'devices = "devices.csv"\n[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
+
+FILES = {
+    "meter.csv": METER_MAP,
+    "devices.csv": "name,url,map\nb,tcp://h,other.csv\n",
+    "other.csv": METER_MAP,
+    "secret": "secret\n",
+}
+
+
+def fleet_file(folder: Path, outputs: str = "") -> Path:
+    for name, text in FILES.items():
+        (folder / name).write_text(text)
+    (folder / "secret").chmod(0o600)
+    (folder / "fleet.toml").write_text(FLEET + outputs)
     return folder / "fleet.toml"
 
 
@@ -60,49 +70,49 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
     [
         (
             '[[output.csv]]\npath = "a"\n[[output.csv]]\npath = "../FOLDER/a"\n',
-            7,
+            8,
             "output.csv[1]: uses the file FILE/a, as output.csv[0] does",
         ),
         (
             '[output.json]\npath = "a"\n[output.csv]\npath = "a"\n',
-            7,
+            8,
             "output.csv: uses the file FILE/a, as output.json does",
         ),
         (
             "[output.json]\n[[output.csv]]\n",
-            6,
+            7,
             "output.csv[0]: uses the standard output, as output.json does",
         ),
         (
             f"{BROKER}{BROKER}",
-            7,
+            8,
             "output.mqtt[1]: uses the topic 'modbus/{device}/{name}' of mqtt h:1883, as",
         ),
         (
             f'{BROKER}client_id = "x"\n{BROKER}client_id = "x"\ntopic = "x/{{name}}/{{device}}"\n',
-            8,
+            9,
             "output.mqtt[1]: uses the client_id 'x' at mqtt h:1883, as output.mqtt[0] does",
         ),
         (
             f'{COMMANDED}topic = "x/{{device}}/{{name}}"\n'
             f'{COMMANDED}topic = "x/{{name}}/{{device}}"\n',
-            10,
+            11,
             "output.mqtt[1]: uses topics of commands that can be the same: 'x/{device}/{name}' and"
             " 'x/{name}/{device}' of mqtt h:1883, as output.mqtt[0] does",
         ),
         (
             f'{COMMANDED}topic = "x/{{device}}"\n{COMMANDED}topic = "{{device}}/y/{{name}}"\n',
-            10,
+            11,
             "topics of commands that can be the same: 'x/{device}' and '{device}/y/{name}'",
         ),
         (
             f'{SERVER}database = "a"\n{SERVER}database = "a"\n',
-            8,
+            9,
             "output.influx[1]: uses the measurement 'modbus' in 'a' of influx h:8086, as",
         ),
         (
             '[output.csv]\npath = "a"\n[output.influx]\npath = "a"\n',
-            7,
+            8,
             "output.influx: uses the file FILE/a, as output.csv does",
         ),
     ],
@@ -160,47 +170,21 @@ def test_an_output_is_no_file_of_the_journal(name: str, tmp_path: Path) -> None:
     Fleet(outputs=[CsvOutput(str(tmp_path / "other"))], journal=journal)
 
 
-METER_MAP = "name,table,address\nlevel,holding_registers,0\n"
-
-FLEET = 'devices = "devices.csv"\n[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
-
-FILES = {
-    "meter.csv": METER_MAP,
-    "devices.csv": "name,url,map\nb,tcp://h,other.csv\n",
-    "other.csv": METER_MAP,
-    "secret": "secret\n",
-}
-
-
-def written(folder: Path, more: str = "") -> Path:
-    for name, text in FILES.items():
-        (folder / name).write_text(text)
-    (folder / "secret").chmod(0o600)
-    (folder / "fleet.toml").write_text(FLEET + more)
-    return folder / "fleet.toml"
-
-
-SOURCES = ["fleet.toml", "./fleet.toml", "devices.csv", "meter.csv", "other.csv"]
+SOURCES = ["fleet.toml", "./fleet.toml", "devices.csv", "meter.csv", "other.csv", "secret"]
 
 
 @each_case("source", SOURCES)
 @each_case("kind", ["json", "csv", "influx"])
 def test_in_the_fleet_file(tmp_path: Path, kind: str, source: str) -> None:
-    file = written(tmp_path, f'[output.{kind}]\npath = "{source}"\n')
-    with pytest.raises(FleetFileError, match="which the fleet is read from"):
-        load(file)
-
-
-def test_a_file_with_a_password(tmp_path: Path) -> None:
-    broker = '[output.mqtt]\nurl = "mqtt://h"\nuser = "u"\npassword_file = "secret"\n'
-    file = written(tmp_path, f'{broker}[output.json]\npath = "secret"\n')
+    broker = f'{BROKER}user = "u"\npassword_file = "secret"\n'
+    file = fleet_file(tmp_path, f'{broker}[output.{kind}]\npath = "{source}"\n')
     with pytest.raises(FleetFileError, match="which the fleet is read from"):
         load(file)
 
 
 @pytest.mark.parametrize("source", ["devices.csv", "link"])
 def test_on_the_command_line(tmp_path: Path, source: str) -> None:
-    file = written(tmp_path)
+    file = fleet_file(tmp_path)
     (tmp_path / "link").symlink_to("meter.csv")
     done = run("poll", file, "--once", "--json", tmp_path / source)
     assert done.code == 2
