@@ -54,12 +54,7 @@ class Watched:
 
 
 class Replier:
-    """
-    modbus_reply on a socketpair (answer_chunk.c): `struct` is the replier_t.
-
-    libmodbus 3.1.6 sends and receives on it like on any socket; both ends are non-blocking, because
-    it would wait for ever on a full one.
-    """
+    """modbus_reply on a socketpair (answer_chunk.c): `struct` is the replier_t."""
 
     _pair: tuple[socket.socket, ...] = ()
 
@@ -84,6 +79,7 @@ class Replier:
 
     def _open(self) -> None:
         self._pair = inner, outer = socket.socketpair()
+        # libmodbus would wait for ever on a full one.
         inner.setblocking(False)
         outer.setblocking(False)
         self._context = make(lib.modbus_new_tcp(b"127.0.0.1", 0))

@@ -141,9 +141,7 @@ class PastRefusal(NamedTuple):
 
 @dataclass(slots=True)
 class Holes:
-    """
-    The refusals of one unit, as one client knows them: pieces, and addresses where requests begin.
-    """
+    """The refusals of one unit, as one client knows them: pieces, and where requests begin."""
 
     refused: dict[Span, PastRefusal] = field(default_factory=dict)
     cuts: dict[tuple[Any, ...], PastRefusal] = field(default_factory=dict)
@@ -349,12 +347,9 @@ def reading(
     """
     Read the blocks of a plan: yield requests, take their outcomes, and return the answers.
 
-    Args:
-        holes: what is known of the unit, to which is added what is found.
-        now: the time in seconds, of any steady clock; `connects`: how many connections there were.
-        is_strict: True to ask for everything until one request fails: the last answer is its error
-            then, with the names of the first piece that is refused alone.
-        tell: is called with a sentence about each hole that was found, or holes side by side.
+    `now` is in seconds of any steady clock. A strict reading asks for everything until one request
+    fails: the last answer is its error, with the names of the first piece that is refused alone.
+    `tell` is called with a sentence about each hole that was found, or holes side by side.
     """
     run = _PlanRun(blocks, holes, now, connects)
     try:

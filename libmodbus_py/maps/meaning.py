@@ -139,18 +139,14 @@ class Part(NamedTuple):
         return found - (1 << self.width) if self.is_signed and found >> self.width - 1 else found
 
     def put(self, name: str | Path, value: object) -> int:
-        """
-        Return the bits of a value, all others 0; raise TypeError or ValueError if it does not fit.
-        """
+        """Return the bits of a value, all others 0, or raise TypeError or ValueError."""
         if self.is_flag and isinstance(value, bool):
             value = int(value)
         return integer(name, value, *self.limits) << self.shift & self.mask
 
 
 def part_of(path: str | Path, given: object, bits: int, *, is_signed: bool = False) -> Part:
-    """
-    Return the part that a number such as 3, or a text such as "4..7", names; or raise an error.
-    """
+    """Return the part that a number such as 3 or a text such as "4..7" names, or raise an error."""
     if isinstance(given, int) and not isinstance(given, bool):
         return Part(integer(path, given, 0, bits - 1), 1, is_flag=True)
     if not isinstance(given, str):
@@ -172,13 +168,7 @@ def part_of(path: str | Path, given: object, bits: int, *, is_signed: bool = Fal
 
 
 class CellChange(NamedTuple):
-    """
-    The change of the cells of a point by a new value.
-
-    Attributes:
-        cells: the new cells; of a part of registers, with all other bits 0.
-        masks: the bits that change in each register; None if all do.
-    """
+    """The new cells of a point, and the bits of each that change; None if all do."""
 
     cells: list[Any]
     masks: list[int] | None
@@ -252,9 +242,7 @@ class Meaning:
     # --- read ------------------------------------------------------------------------------
 
     def values_in(self, cells: Sequence[Any], scaling: Scaling | None) -> list[Any]:
-        """
-        Return the values that cells of one value or several hold; a `NoValue` stands for none.
-        """
+        """Return the values that cells hold; a `NoValue` stands for none."""
         scale = None if scaling is None else scaling.to_value
         raws = self.raws_in(cells)
         return [raw if isinstance(raw, NoValue) else self.judge(raw, scale) for raw in raws]
@@ -418,9 +406,7 @@ class Scaling:
 
 @lru_cache(maxsize=1024)
 def scaling_by(scale: float, offset: float, how: str, source: float) -> Scaling:
-    """
-    Return the scaling with a power of ten, or a factor, that the device tells; or raise ValueError.
-    """
+    """Return the scaling with a power of ten, or a factor, of a device; or raise ValueError."""
     from fractions import Fraction
 
     if how == "exponent":
@@ -433,9 +419,7 @@ def scaling_by(scale: float, offset: float, how: str, source: float) -> Scaling:
 
 
 def exact(value: Any) -> Fraction:
-    """
-    Return a number as it is written; of a float, the shortest text that Python reads as that float.
-    """
+    """Return a number as it is written; a float as the shortest text that Python reads as it."""
     from fractions import Fraction
 
     if isinstance(value, bool) or not isinstance(value, SupportsFloat | SupportsIndex):

@@ -311,10 +311,7 @@ class Plan:
                     raise ValueError(f"items[{name!r}]: {read} touches the forbidden {closed}")
 
     def _merge(self, table: str, limit: int) -> None:
-        """
-        Cover the items of a table with the fewest requests: none begins before the lowest cell that
-        is in none yet.
-        """
+        """Cover a table with the fewest requests, each from the lowest cell that is in none yet."""
         items = [(name, read) for name, read in self._reads.items() if read.table == table]
         pieces = [
             _Rest(each.address, each.cells.stop, at, _size_together(each, limit))

@@ -101,9 +101,9 @@ class _Quick(NamedTuple):
 
 class PointPlan(Plan):
     """
-    A `Plan` for points of a map, whose results are their values by name.
+    A `Plan` for points, whose results are values by name, and for `sources`, which scale them.
 
-    The points that scale them are read, too; in `sources` each stands before those that it scales.
+    Each of these stands before those that it scales.
     """
 
     def __init__(
@@ -163,15 +163,9 @@ class PointPlan(Plan):
         self, answers: Iterable[Sequence[Any] | ModbusError], *, return_exceptions: bool = False
     ) -> dict[str, Any]:
         """
-        Return the values of the points by name, None for no value.
+        Return the values by name, as `Plan.results` does; None for no value.
 
-        Args:     answers: the answer to each of `requests`, in their order: a list of cells, or a
-        ModbusError,         which is the result of its points, too.     return_exceptions: True to
-        return a ValueError in place of a value that the registers do not         hold, such as a
-        bcd16 with the digit F, and a `NoValue` in place of None.
-
-        Raises:     ValueError: answers that are not to these requests; registers that hold no such
-        value.
+        With `return_exceptions` a ValueError or `NoValue` tells why there is none.
         """
         given = self._checked_answers(list(answers))
         data = self._data(given)
@@ -215,9 +209,7 @@ class PointPlan(Plan):
         return None if isinstance(value, NoValue) and not return_exceptions else value
 
     def _value(self, name: str, answers: list[Any], scales: _Scales) -> Any:
-        """
-        Return the value of a point, a `NoValue`, or the error of its request; or raise ValueError.
-        """
+        """Return a value, a `NoValue`, or the error of the request; or raise ValueError."""
         point, cells = self._all[name], self._values(name, answers)
         source = scales.values.get(point.scale_from or "")
         for each in (cells, source):

@@ -269,12 +269,7 @@ class MapBinding:
         self._names = {attribute: name for name, attribute in self._attributes.items()}
 
     def __getitem__(self, name: str) -> Any:
-        """
-        Return the value of a point by its name in the map.
-
-        Raises:
-            KeyError: there is no such point, or it has not been read.
-        """
+        """Return a value by the point's name in the map; KeyError if unknown, or not read yet."""
         if name in self._values:
             return self._values[name]
         if name in self.map:
@@ -307,9 +302,7 @@ class MapBinding:
         return self.client.write_map(self.map, given)
 
     def _value(self, name: str) -> Any:
-        """
-        Return the value of a point, None for no value; raise AttributeError if it was not read.
-        """
+        """Return the value of a point, None for none; raise AttributeError if it was not read."""
         if name not in self._values:
             raise AttributeError(f"{self._attributes[name]} has not been read: call read()")
         return self._values[name]
@@ -386,14 +379,7 @@ class BoundMap(MapBinding):
 
 
 def attribute_names(names: Iterable[str]) -> dict[str, str]:
-    """
-    Return the attribute for the name of each point.
-
-    A name that is an identifier stays as it is. In others every run of characters that no
-    identifier has becomes one ``_``, and those at the ends are removed; "point" stands for nothing,
-    and "point_" before a digit. A name that is used already gets ``_`` behind it, and one that is
-    taken ``_2`` and so on.
-    """
+    """Return the attribute for the name of each point, by the rules of `BoundMap`."""
     given = list(names)
     found = {name: name for name in given if _identifier(name) == name}
     taken = set(found)

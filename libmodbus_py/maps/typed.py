@@ -27,14 +27,10 @@ Each = TypeVar("Each")
 
 def typed_value(point: Point, text: str) -> Any:
     """
-    Return one value of a point, as `Point.encode` takes it.
+    Return one value, as `Point.encode` takes it, or raise a ValueError that begins with "value".
 
     Spaces around the text are ignored, except in strings. Scaled numbers are decimal and exact:
-    one that a float cannot hold becomes an int or a Decimal. A state is its name or its number;
-    named bits are like "door=1, mode=5", or a JSON object.
-
-    Raises:
-        ValueError: the text is not a value of this type; the message begins with "value".
+    one that a float cannot hold becomes an int or a Decimal.
     """
     if point.states is not None:
         return _state(point.states, text.strip())
@@ -55,13 +51,9 @@ def typed_value(point: Point, text: str) -> Any:
 
 def typed_values(point: Point, text: str) -> Any:
     """
-    Return the value of a point that a text says; a list if the point has several.
+    Return the value of a point that a text says; a list, of values between commas, if it has some.
 
-    Several values are separated by commas. Named bits contain commas themselves, and so may the
-    names of states: these are a JSON array.
-
-    Raises:
-        ValueError: as `typed_value`.
+    Named bits contain commas themselves, and so may the names of states: these are a JSON array.
     """
     if point.count == 1:
         return typed_value(point, text)

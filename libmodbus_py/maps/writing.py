@@ -68,8 +68,7 @@ def write_requests(
     """
     Return the requests that write values to points, in their order; all values are checked.
 
-    Points that lie directly behind each other are written with one request; those that are parts
-    of one register with one request of function 22, in the place of the first of them.
+    Neighbours are written with one request, parts of one register with one of function 22.
     """
     runs: list[_Run | _Masked] = []
     masked: dict[int, _Masked] = {}
@@ -132,7 +131,7 @@ def check_overlaps(changes: Iterable[tuple[Point, CellChange]]) -> None:
 
 def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> None:
     """
-    Check the values in the cells of a point, which someone else has encoded, against its bounds.
+    Check values that someone else has encoded against the bounds of a point.
 
     The nearest value to a bound that the type has is within it: 0.1 as a float32 is not above 0.1.
     """

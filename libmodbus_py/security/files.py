@@ -99,12 +99,7 @@ def _read_pins(pins: Iterable[File]) -> dict[str, bytes]:
 
 
 class Revoked:
-    """
-    The revocation lists of a file (RFC 5280, section 5).
-
-    OpenSSL checks them when a connection begins. They are read here, too, for connections that
-    were open before a list was changed.
-    """
+    """The revocation lists of a file (RFC 5280, 5), for connections open before it was changed."""
 
     def __init__(self, file: PemFile) -> None:
         require_cryptography()
