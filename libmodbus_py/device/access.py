@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ..protocol import pdu
-from ..protocol.tables import TABLE_SIZE
+from ..protocol.tables import TABLE_SIZE, TABLES
 from .mapping import Mapping
 
 # fmt: off
@@ -150,11 +150,7 @@ ACCESSES: dict[type[pdu.Request[Any]], TouchRule] = {
 """Request class -> the rule for the accesses of its requests."""
 
 READABLE: dict[str, int] = {
-    "coils": TABLE_SIZE,
-    "discrete_inputs": TABLE_SIZE,
-    "holding_registers": TABLE_SIZE,
-    "input_registers": TABLE_SIZE,
-    "fifo": TABLE_SIZE,
+    **dict.fromkeys((*TABLES, "fifo"), TABLE_SIZE),
     "file": pdu.RECORDS_PER_FILE,
 }
 """`Access.table` -> the number of its items; for "file", of each file. All can be read."""

@@ -233,20 +233,15 @@ class PointPlan(Plan):
             except ValueError:
                 scales.values[name] = None
             for scale, number in self._numbers.items():
-                if scale.source == name:
-                    _add_scale(scales, scale, number)
+                value = scales.values[name]
+                if scale.source == name and isinstance(value, int | float):
+                    with contextlib.suppress(ValueError):
+                        scaling = scaling_by(scale.scale, scale.offset, scale.how, value)
+                        scales.functions[number] = scaling.to_value
         return scales
 
     def _decoded(self, name: str, cells: list[Any]) -> Any:
         return cells  # `_value` decodes them
-
-
-def _add_scale(scales: _Scales, scale: _Scale, number: int) -> None:
-    value = scales.values[scale.source]
-    if isinstance(value, int | float):
-        with contextlib.suppress(ValueError):
-            scaling = scaling_by(scale.scale, scale.offset, scale.how, value)
-            scales.functions[number] = scaling.to_value
 
 
 def _form_of(kind: ValueType, meaning: Meaning) -> str:

@@ -137,30 +137,23 @@ def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> No
     """
     if not point.has_bounds:
         return
-    scaling = point.scaling_for(source)
+    # Integers hold a bound, or it lies between two of them; so do those that another point scales.
+    is_exact = bool(point.step) or point.scale_from is not None
+    held = [] if is_exact else _held_bounds(point)
     try:
-        for value in point.values_in(cells, scaling):
+        for value in point.values_in(cells, point.scaling_for(source)):
             if value is None:
                 raise WrongValue("value", "must not be the raw value that means no value")
-            _check_value(point, value)
+            if value not in held:
+                point.check_bounds(value)
     except ValueError as error:
         raise WrongValue.about(point.name, str(error)) from None
 
 
-def _check_value(point: Point, value: Any) -> None:
-    try:
-        point.check_bounds(value)
-    except ValueError:
-        # Integers hold a bound, or it lies between two of them; so do those that another point
-        # scales.
-        if point.step or point.scale_from is not None or not _is_bound(point, value):
-            raise
-
-
-def _is_bound(point: Point, value: Any) -> bool:
-    """Return True if cells with a bound hold this value."""
+def _held_bounds(point: Point) -> list[Any]:
+    """Return the values that cells hold in which the bounds are written."""
+    found: list[Any] = []
     for bound in (point.minimum, point.maximum):
         with contextlib.suppress(ValueError):  # cells cannot hold every bound
-            if bound is not None and value in point.values_in(point.cells_for([bound])):
-                return True
-    return False
+            found += [] if bound is None else point.values_in(point.cells_for([bound]))
+    return found
