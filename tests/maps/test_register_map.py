@@ -307,3 +307,24 @@ def test_a_map_is_a_mapping_that_never_changes() -> None:
         RegisterMap([METER["run"], METER["run"]])
     with pytest.raises(TypeError, match=r"^points must be Point objects, not str$"):
         RegisterMap(["run"])  # type: ignore[list-item]
+
+
+GROUPS = RegisterMap(
+    [
+        Point("a", "holding_registers", 0, group="x"),
+        Point("b", "holding_registers", 1, group="y"),
+        Point("c", "holding_registers", 2, group="x"),
+        Point("d", "holding_registers", 3, group="x", access="write"),
+        Point("e", "holding_registers", 4, group="z", access="write"),
+    ]
+)
+
+
+def test_a_group_has_the_points_that_can_be_read() -> None:
+    assert GROUPS.group("x") == ["a", "c"]
+
+
+@each_case("name", ["", "z", "X"])
+def test_an_unknown_group_is_named(name: str) -> None:
+    with pytest.raises(ValueError, match=f"no points of a group '{name}'; its groups are x, y"):
+        GROUPS.group(name)

@@ -1,0 +1,226 @@
+"""
+Points from poll to poll: which are due, totals that fall, and what a poll of a map reads.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from libmodbus_py import IllegalDataAddress, ModbusTimeoutError, Point, RegisterMap
+from libmodbus_py.maps.watched import MOST_PLANS, PointIntervals, Totals, WatchedPoints
+from tests.support.cases import each_case
+
+
+def polled(pace: PointIntervals, polls: int) -> list[list[float]]:
+    """Return the times at which each of two points is read."""
+    found: list[list[float]] = [[], []]
+    for number in range(polls):
+        at = number * pace.interval
+        due = pace.due(at)
+        for index in (0, 1) if due is None else due:
+            found[index].append(at)
+        pace.done()
+    return found
+
+
+def test_a_point_is_read_at_its_own_interval() -> None:
+    assert polled(PointIntervals([None, 60], 10), 13) == [
+        [10.0 * at for at in range(13)],
+        [0, 60, 120],
+    ]
+
+
+def test_polls_come_at_the_shortest_interval() -> None:
+    pace = PointIntervals([None, 2], 10)
+    assert pace.interval == 2
+    assert polled(pace, 6) == [[0, 10], [0, 2, 4, 6, 8, 10]]
+
+
+@each_case(
+    ("interval", "usual", "expected"),
+    [
+        (25, 10, [0, 30, 60, 90]),  # not 0, 20, 50, which is sooner
+        (20.1, 10, [0, 30, 60, 90]),
+        (19.95, 10, [0, 20, 40, 60]),
+        (10.5, 10, [0, 20, 40, 60]),
+        (0.3, 0.1, [0, 0.3, 0.6, 0.9]),  # in binary fractions, 3 * 0.1 is more than 0.3
+        (0.7, 0.1, [0, 0.7, 1.4, 2.1]),
+        (86_400, 0.01, [0]),
+    ],
+)
+def test_an_interval_ends_at_the_first_poll_that_is_not_sooner(
+    interval: float, usual: float, expected: list[float]
+) -> None:
+    _, found = polled(PointIntervals([None, interval], usual), 100)
+    assert found[: len(expected)] == pytest.approx(expected)
+
+
+def test_sums_of_times_are_never_exact() -> None:
+    """A fleet adds its interval to the time of the last poll, for months."""
+    pace, at, found = PointIntervals([None, 60], 0.1), 1e6, []
+    for _ in range(6001):
+        if pace.due(at) is None:
+            found.append(at - 1e6)
+        pace.done()
+        at += 0.1
+    assert found == pytest.approx([60 * each for each in range(11)], abs=0.01)
+
+
+def test_polls_that_are_left_out_count_as_time() -> None:
+    pace = PointIntervals([None, 60], 10)
+    times = [0, 10, 50, 90, 140, 150]
+    found = []
+    for at in times:
+        if pace.due(at) is None:
+            found.append(at)
+        pace.done()
+    assert found == [0, 90, 150]
+
+
+@given(
+    own=st.lists(st.none() | st.floats(0.01, 86_400), min_size=1, max_size=5),
+    steps=st.lists(st.floats(0, 1e6), max_size=20),
+)
+def test_something_is_due_at_every_poll(own: list[float | None], steps: list[float]) -> None:
+    pace, now = PointIntervals(own, 10), 0.0
+    for step in steps:
+        now += step
+        due = pace.due(now)
+        assert due is None or (due and set(due) <= set(range(len(own))))
+        pace.done()
+
+
+def test_points_without_an_answer_are_read_at_the_next_poll_once() -> None:
+    pace = PointIntervals([None, 60], 10)
+    assert pace.due(0) is None
+    pace.done([1])
+    assert pace.due(10) is None
+    pace.done([1])
+    assert [pace.due(now) for now in (20, 30, 40)] == [(0,)] * 3
+
+
+def test_without_any_answer_all_stay_due() -> None:
+    pace = PointIntervals([None, 60], 10)
+    for now in range(0, 100, 10):
+        assert pace.due(now) is None
+        pace.done([0, 1])
+    assert pace.due(100) is None
+    pace.done()
+    assert pace.due(110) == (0,)
+
+
+# --- totals --------------------------------------------------------------------------------------
+
+
+def falls(*polls: Any) -> list[str]:
+    """Return for each poll of one total whether it is believed, doubtful, or fell."""
+    totals = Totals([0])
+    found = []
+    for value in polls:
+        doubtful, fell = totals.take([value])
+        found.append("doubtful" if doubtful else "fell" if fell else "believed")
+    return found
+
+
+def test_a_total_that_falls_is_read_again_once() -> None:
+    assert falls(10, 11, 3, 3) == ["believed", "believed", "doubtful", "fell"]
+    assert falls(10, 3, 2, 3) == ["believed", "doubtful", "fell", "believed"]
+
+
+def test_a_total_that_fell_for_one_poll_is_forgotten() -> None:
+    assert falls(10, 0, 11, 5) == ["believed", "doubtful", "believed", "doubtful"]
+
+
+def test_what_is_no_number_is_no_total() -> None:
+    assert falls(10, ValueError(), 10, 9) == ["believed"] * 3 + ["doubtful"]
+    assert falls(10, 9, None, 9) == ["believed", "doubtful", "believed", "fell"]
+
+
+def test_other_points_are_not_looked_at() -> None:
+    totals = Totals([1])
+    for values in ([5, 10], [4, 11]):
+        assert totals.take(values) == (frozenset(), frozenset())
+    assert totals.take([3, 10]) == (frozenset({1}), frozenset())
+    assert totals.before(1) == 11
+
+
+@given(st.lists(st.integers(0, 5)))
+def test_no_total_is_doubtful_twice_in_a_row(polls: list[int]) -> None:
+    found = falls(*polls)
+    assert ("doubtful", "doubtful") not in list(pairwise(found))
+    rises = all(first <= second for first, second in pairwise(polls))
+    assert not rises or set(found) <= {"believed"}
+
+
+# --- polls of a map ------------------------------------------------------------------------------
+
+POINTS = RegisterMap(
+    [
+        Point("fast", "holding_registers", 0),
+        Point("slow", "holding_registers", 1, interval=60),
+        Point("total", "holding_registers", 2, never_falls=True),
+    ]
+)
+
+
+def poll(watched: WatchedPoints, at: float, *answers: dict[str, Any]) -> tuple[list[Any], Any]:
+    """Poll once; return the names of the points that each plan reads, and the values."""
+    steps, read = watched.poll(at), []
+    plan = next(steps)
+    try:
+        for answer in answers:
+            read.append(list(plan.names))
+            plan = steps.send({name: answer[name] for name in plan.names})
+    except StopIteration as done:
+        return read, done.value
+    raise AssertionError("more is read")
+
+
+def test_a_poll_reads_what_is_due_and_has_all_values() -> None:
+    watched = WatchedPoints(POINTS, None, 10)
+    assert watched.interval == 10
+    first = {"fast": 1, "slow": 2, "total": 3}
+    assert poll(watched, 0, first) == ([["fast", "slow", "total"]], first)
+    later = {"fast": 4, "total": 5}
+    assert poll(watched, 10, later) == ([["fast", "total"]], {"fast": 4, "slow": 2, "total": 5})
+    assert poll(watched, 60, first | later)[0] == [["fast", "slow", "total"]]
+
+
+def test_a_total_that_falls_is_read_alone_and_named_if_it_fell() -> None:
+    watched = WatchedPoints(POINTS, ["total", "fast"], 10)
+    assert poll(watched, 0, {"fast": 1, "total": 9})[1].fell == frozenset()
+    read, values = poll(watched, 10, {"fast": 2, "total": 3}, {"total": 10})
+    assert (read, values, values.fell) == (
+        [["total", "fast"], ["total"]], {"total": 10, "fast": 2}, frozenset(),
+    )  # fmt: skip
+    _, values = poll(watched, 20, {"fast": 2, "total": 3}, {"total": 4})
+    assert (values["total"], values.fell) == (4, {"total"})
+
+
+@each_case(
+    ("error", "is_read_again"), [(ModbusTimeoutError(""), True), (IllegalDataAddress(), False)]
+)
+def test_what_is_lost_is_read_again_and_what_is_refused_is_not(
+    error: Exception, is_read_again: bool
+) -> None:
+    watched = WatchedPoints(POINTS, ["fast", "slow"], 10)
+    poll(watched, 0, {"fast": 1, "slow": error})
+    read, _ = poll(watched, 10, {"fast": 1, "slow": 2})
+    assert read == [["fast", "slow"] if is_read_again else ["fast"]]
+
+
+def test_plans_for_sets_of_points_are_kept_and_not_too_many() -> None:
+    points = [Point(f"p{at}", "holding_registers", at) for at in range(MOST_PLANS + 1)]
+    watched = WatchedPoints(RegisterMap(points), None, 10)
+    every = watched._plan(None)
+    first = watched._plan((0,))
+    for at in range(MOST_PLANS - 1):
+        assert watched._plan((at,)).names == (f"p{at}",)
+    assert watched._plan((0,)) is first
+    watched._plan((MOST_PLANS,))
+    assert (len(watched._plans), watched._plan(None)) == (2, every)
