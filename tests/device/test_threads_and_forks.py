@@ -7,13 +7,14 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
 
-from libmodbus_py import pdu
+from libmodbus_py import Device, Mapping, pdu
 from tests.device.devices import new_device, words
+from tests.support.cases import each_case
 
 
 @pytest.fixture
@@ -25,7 +26,7 @@ def quick_switches() -> Iterator[None]:
     sys.setswitchinterval(usual)
 
 
-class TestThreadsAndForks:
+class TestThreads:
     @pytest.mark.parametrize("devices", [1, 4])
     def test_threads_get_their_own_answers(self, devices: int, quick_switches: None) -> None:
         """Of one device, whose lock they share, and of their own, where no lock helps."""
@@ -100,42 +101,210 @@ class TestThreadsAndForks:
         writer.join()
         assert mixed == []
 
-    def test_child_and_parent_answer_after_a_fork(self) -> None:
-        script = """
-import os, struct
+    def test_value_is_seen_whole(self) -> None:
+        holding = Mapping(holding_registers=4).holding_registers
+        stop = threading.Event()
+
+        def write() -> None:
+            while not stop.is_set():
+                holding.write(0, 0, "uint64")
+                holding.write(0, 0xFFFF_FFFF_FFFF_FFFF, "uint64")
+
+        done = runs_in_thread(write)
+        seen = {holding.read(0, "uint64") for _ in range(5000)}
+        stop.set()
+        assert done.wait(10)
+        assert seen <= {0, 0xFFFF_FFFF_FFFF_FFFF}
+
+
+def runs_in_thread(work: Callable[[], object]) -> threading.Event:
+    """Start work in another thread; the event says when it is done."""
+    done = threading.Event()
+
+    def run() -> None:
+        work()
+        done.set()
+
+    threading.Thread(target=run, daemon=True).start()
+    return done
+
+
+class TestLock:
+    @each_case(
+        "work",
+        [
+            pytest.param(lambda mapping: mapping.coils[0], id="read"),
+            pytest.param(lambda mapping: mapping.input_registers[:], id="read all"),
+            pytest.param(lambda mapping: mapping.holding_registers.__setitem__(0, 1), id="write"),
+            pytest.param(lambda mapping: list(mapping.discrete_inputs), id="iterate"),
+            pytest.param(lambda mapping: mapping.input_registers.read(0, "int32"), id="read value"),
+            pytest.param(
+                lambda mapping: mapping.holding_registers.write(0, 1.0, "float64"), id="write value"
+            ),
+            pytest.param(lambda mapping: mapping.__enter__(), id="enter"),
+            pytest.param(lambda mapping: Device(mapping).answer(b"\3\0\0\0\1"), id="answer"),
+        ],
+    )
+    def test_others_wait_until_the_mapping_is_left(self, work: Callable[[Mapping], object]) -> None:
+        mapping = Mapping(4, 4, 4, 4)
+        with mapping as entered:
+            assert entered is mapping
+            done = runs_in_thread(lambda: work(mapping))
+            assert not done.wait(0.05)
+        assert done.wait(10)
+
+    def test_owner_of_the_mapping_goes_on(self) -> None:
+        mapping = Mapping(4, 4, 4, 4)
+        with mapping, mapping:
+            mapping.coils[0] = True
+            assert mapping.coils[:] == [True, False, False, False]
+            assert Device(mapping).answer(b"\1\0\0\0\4") == b"\1\1\1"
+
+    def test_mapping_is_left_after_an_error(self) -> None:
+        mapping = Mapping(4)
+        with pytest.raises(IndexError), mapping:
+            mapping.coils[4]
+        assert runs_in_thread(lambda: mapping.coils[0]).wait(10)
+
+
+def forked(script: str) -> None:
+    """Run a program with a mapping that forks once; no thread of pytest is in the child."""
+    # On a busy machine a hook takes long, of which the log warns; failures it tells as errors.
+    head = """
+import logging, os, signal, threading
 from libmodbus_py import Device, Mapping
 
-device = Device(Mapping(holding_registers=4))
-READ = b"\\3\\0\\0\\0\\2"
+logging.disable(logging.WARNING)
+mapping = Mapping(coils=8, holding_registers=70000 // 2)
+device = Device(mapping)
+assert device.answer(b"\\3\\0\\0\\0\\1") == b"\\3\\2\\0\\0"  # by what only this process uses
+registers, view = mapping.holding_registers, mapping.holding_registers.view
 
-def write(address, value):
-    request = b"\\6" + struct.pack(">HH", address, value)
-    assert device.answer(request) == request, request
 
-write(0, 1)
-children = []
-for number in range(3):
+def in_child(check):
     child = os.fork()
     if not child:
+        status = 1
         try:
-            for turn in range(200):
-                write(1, turn)
-                answer = device.answer(READ)
-                assert answer[:2] == b"\\3\\4", answer
-            os._exit(0)
+            signal.alarm(20)
+            check()
+            status = 0
         finally:
-            os._exit(1)
-    children.append(child)
-for turn in range(200):
-    write(0, turn)
-    answer = device.answer(READ)
-    assert answer[:4] == b"\\3\\4" + struct.pack(">H", turn), answer
-assert [os.waitpid(child, 0)[1] for child in children] == [0, 0, 0]
-write(0, 7)
-assert device.answer(READ)[:4] == b"\\3\\4\\0\\7"
-print("good")
+            os._exit(status)
+    return child
 """
-        run = subprocess.run(
-            [sys.executable, "-c", script], capture_output=True, text=True, timeout=50, check=False
-        )
-        assert (run.stdout, run.stderr) == ("good\n", "")
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore::DeprecationWarning", "-c", head + script],
+        capture_output=True,
+        text=True,
+        timeout=50,
+        check=False,
+    )
+    assert (run.stdout, run.stderr) == ("good\n", "")
+
+
+class TestForks:
+    def test_each_process_has_tables_of_its_own(self) -> None:
+        """Whichever way they are written: by the table, a view that was kept, or a request."""
+        forked("""
+registers[0:4] = [1, 2, 3, 4]
+go, wait = os.pipe(), os.pipe()
+
+def check():
+    assert registers[0:4] == [1, 2, 3, 4]
+    registers[0] = 10
+    view[1] = 20
+    assert device.answer(b"\\6\\0\\2\\0\\x1e")[0] == 6
+    mapping.coils[0] = True
+    assert registers[0:4] == view[:4].tolist() == [10, 20, 30, 4]
+    os.write(wait[1], b"x")
+    os.read(go[0], 1)
+    assert registers[0:4] == view[:4].tolist() == [10, 20, 30, 4]
+    assert device.answer(b"\\3\\0\\0\\0\\4") == b"\\3\\x08\\0\\x0a\\0\\x14\\0\\x1e\\0\\4"
+
+child = in_child(check)
+os.read(wait[0], 1)
+assert registers[0:4] == view[:4].tolist() == [1, 2, 3, 4]
+assert mapping.coils[0] is False
+view[3] = 40
+assert device.answer(b"\\3\\0\\0\\0\\4") == b"\\3\\x08\\0\\1\\0\\2\\0\\3\\0\\x28"
+os.write(go[1], b"x")
+assert os.waitpid(child, 0)[1] == 0
+assert registers[0:4] == [1, 2, 3, 40]
+print("good")
+""")
+
+    def test_a_lock_that_another_thread_held_does_not_stop_the_child(self) -> None:
+        forked("""
+held, done = threading.Event(), threading.Event()
+
+def hold():
+    with mapping:
+        held.set()
+        done.wait()
+
+thread = threading.Thread(target=hold)
+thread.start()
+held.wait()
+
+def check():
+    assert device.answer(b"\\3\\0\\0\\0\\1") == b"\\3\\2\\0\\0"
+    registers[0] = 1
+    with mapping:
+        registers[1] = 2
+    answers = []
+    other = threading.Thread(target=lambda: answers.append(device.answer(b"\\3\\0\\0\\0\\2")))
+    with mapping:  # it is one lock for all of it
+        other.start()
+        other.join(0.05)
+        assert not answers
+    other.join()
+    assert answers == [b"\\3\\4\\0\\1\\0\\2"]
+
+assert os.waitpid(in_child(check), 0)[1] == 0
+assert not mapping.lock.acquire(blocking=False)
+done.set()
+thread.join()
+assert device.answer(b"\\3\\0\\0\\0\\1") == b"\\3\\2\\0\\0"
+print("good")
+""")
+
+    def test_a_lock_that_the_forking_thread_held_is_held_in_both(self) -> None:
+        """As in a hook."""
+        forked("""
+def taken_by_another_thread():
+    got = []
+    thread = threading.Thread(target=lambda: got.append(mapping.lock.acquire(blocking=False)))
+    thread.start()
+    thread.join()
+    return got == [True]
+
+children = []
+
+def hook(access):
+    children.append(os.fork())
+    assert not taken_by_another_thread()
+
+hooked = Device(mapping, before_read=hook)
+answer = hooked.answer(b"\\3\\0\\0\\0\\1")
+status = 0 if answer == b"\\3\\2\\0\\0" and taken_by_another_thread() else 1
+if not children[0]:
+    os._exit(status)
+assert status == 0
+assert os.waitpid(children[0], 0)[1] == 0
+print("good")
+""")
+
+    def test_children_and_parent_answer_at_once(self) -> None:
+        forked("""
+def use(address):
+    for turn in range(200):
+        request = bytes([6, 0, address, 0, turn])
+        assert device.answer(request) == request
+        assert device.answer(bytes([3, 0, address, 0, 1])) == bytes([3, 2, 0, turn])
+
+children = [in_child(lambda: use(1)) for _ in range(3)]
+use(0)
+assert [os.waitpid(child, 0)[1] for child in children] == [0, 0, 0]
+print("good")
+""")
