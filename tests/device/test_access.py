@@ -137,16 +137,8 @@ class TestHooks:
             *(("before_read", access) for access in reads),
             *(("after_write", access) for access in writes),
         ]
-        for (name, _), state in zip(recorder.calls, recorder.states, strict=True):
+        for (name, access), state in zip(recorder.calls, recorder.states, strict=True):
             assert state == (contents(plain) if name == "after_write" else before)
-
-    @each_case(("request_", "writes", "reads"), TOUCHES, ids=id_of)
-    def test_values_have_the_types_of_their_tables(
-        self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
-    ) -> None:
-        recorder = Recorder()
-        recorder.device.answer(request_.encode(), CALLER)
-        for name, access in recorder.calls:
             kind = bool if access.table == "coils" else int
             assert {type(value) for value in access.values} <= {kind}
             assert len(access.values) == (0 if name == "before_read" else access.count)
@@ -157,24 +149,23 @@ class TestHooks:
         assert not recorder.device.answer(request_.encode(), CALLER)[0] & 0x80
         assert recorder.calls == []
 
-    @each_case("request_", BEYOND, ids=id_of)
-    def test_hooks_never_see_what_does_not_exist(self, request_: pdu.Request[Any]) -> None:
-        recorder = Recorder()
-        before = contents(recorder.device)
-        answer = recorder.device.answer(request_.encode(), CALLER)
-        assert answer == bytes([request_.function | 0x80, 2])
-        assert recorder.calls == []
-        assert contents(recorder.device) == before
-
-    @each_case(("request_", "writes", "reads"), TOUCHES, ids=id_of)
-    def test_hooks_never_see_bad_requests(
-        self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
+    @each_case(
+        ("body", "code"),
+        [
+            *[(each.encode(), 2) for each in BEYOND],
+            *[(each.encode()[:-1], 3) for each, *_ in TOUCHES],
+            *[(each.encode() + b"\0", 3) for each, *_ in TOUCHES],
+            *[(each.encode()[:1], 3) for each, *_ in TOUCHES],
+        ],
+    )
+    def test_hooks_never_see_what_does_not_exist_or_is_malformed(
+        self, body: bytes, code: int
     ) -> None:
         recorder = Recorder()
-        body = request_.encode()
-        for bad in (body[:-1], body + b"\0", body[:1]):
-            assert recorder.device.answer(bad, CALLER) == bytes([body[0] | 0x80, 3])
+        before = contents(recorder.device)
+        assert recorder.device.answer(body, CALLER) == bytes([body[0] | 0x80, code])
         assert recorder.calls == []
+        assert contents(recorder.device) == before
 
     def test_units_of_a_broadcast(self) -> None:
         recorder = Recorder()

@@ -26,7 +26,6 @@ from libmodbus_py import (
 )
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.pdu import SubFunction
-from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import LineEnd, Stage
 
 DEVICE = "/dev/ttyS0"
@@ -239,18 +238,3 @@ def test_ascii_delimiter_changes_after_the_echo_both_ways(
     assert stage.until(lambda: listener.heard.count(b"\r$") == 2)
     answer = listener.heard.removeprefix(request)
     assert framer.feed(answer) == [framing.Frame(1, b"\x03\x02\0\0")]
-
-
-@pytest.mark.parametrize("kind", CONTEXTS)
-def test_counters_and_log_on_real_ports(kind: str, devices: dict[int, Device]) -> None:
-    with (
-        SerialWire() as wire,
-        Server(devices).background(f"{kind}://{wire.server}?baudrate=115200"),
-        CONTEXTS[kind](wire.client, 115200, timeout=30) as context,
-    ):
-        context.diagnostics(SubFunction.RESTART_COMMUNICATIONS, 0xFF00)
-        with pytest.raises(IllegalDataAddress):
-            context.read_coils(8, 1)
-        log = context.read_comm_event_log()
-        assert log.events[::-1] == bytes.fromhex("00 8041 80")
-        assert (log.event_count, log.message_count) == (0, 2)

@@ -86,10 +86,6 @@ def test_the_words_of_urls_are_taken_too(papers: Papers, files: Files) -> None:
         Security(key=files.key, ca=papers.ca)
 
 
-def short_key() -> bytes:
-    return make("short", key=rsa.generate_private_key(65537, 1024)).key_pem()
-
-
 NO_KEY: dict[str, tuple[Callable[[], bytes] | None, str]] = {
     "missing": (None, "No such file or directory"),
     "empty": (lambda: b"", "no key in PEM format"),
