@@ -177,21 +177,13 @@ def test_a_slow_one_is_told_of_once_for_each_device(
     assert any(0.02 <= float(word) < 60 for word in message.split() if word[0].isdigit())
 
 
-def test_one_that_is_slow_and_fails_is_told_of(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(hooks_module, "SLOW", 0)
-    device = made_device("before_read", raising(errors.IllegalDataAddress))
-    assert device.answer(READ) == b"\x83\2"
-    assert [record.levelno for record in caplog.records] == [logging.WARNING]
-
-
 # --- hooks for some accesses -------------------------------------------------------------------
 
 
 @each_case(
     ("places", "error", "message"),
     [
+        *[({"call": each}, TypeError, "call must be a function") for each in (5, "x", Hook(print))],
         ({"holding_registers": 100}, TypeError, "holding_registers must be a range .* not 100"),
         ({"coils": "0-9"}, TypeError, "coils must be a range .* not '0-9'"),
         ({"coils": [1, 2]}, TypeError, r"coils must be a range .* not \[1, 2\]"),
@@ -203,20 +195,14 @@ def test_one_that_is_slow_and_fails_is_told_of(
     ],
     ids=str,
 )
-def test_places_that_cannot_be_are_refused_by_name(
+def test_what_no_hook_can_be_is_refused_by_name(
     places: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message):
-        Hook(print, **places)
+        Hook(**{"call": print, **places})
 
 
-@pytest.mark.parametrize("hook", [5, "print", Hook(print)], ids=str)
-def test_a_hook_calls_a_function(hook: Any) -> None:
-    with pytest.raises(TypeError, match="call must be a function"):
-        Hook(hook)
-
-
-@pytest.mark.parametrize("name", ["before_write", "after_write", "before_read"])
+@each_case("name", ["before_write", "after_write", "before_read"])
 def test_hooks_of_devices_are_functions_or_hooks(name: str) -> None:
     with pytest.raises(TypeError, match=f"{name} must be a function or a Hook, not 5"):
         Device(Mapping(), **{name: 5})  # type: ignore[arg-type]
@@ -227,16 +213,16 @@ def test_ranges_may_overlap_and_touch_in_any_order() -> None:
     assert hook.places == {"coils": (range(5), range(9, 13))}
 
 
-def test_a_slow_hook_with_places_is_told_of(
+def test_a_slow_hook_with_places_is_told_of_even_if_it_fails(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(hooks_module, "SLOW", 0)
-    hook = Hook(lambda access: None, holding_registers=range(1))
+    hook = Hook(raising(errors.IllegalDataAddress), holding_registers=range(1))
     device = Device(Mapping(holding_registers=2), before_read=hook)
     assert device.answer(b"\3\0\1\0\1") == b"\3\2\0\0"
     assert caplog.records == []
-    assert device.answer(READ) == b"\3\2\0\0"
-    assert len(caplog.records) == 1
+    assert device.answer(READ) == b"\x83\2"
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
 
 
 def test_all_that_a_read_touches_is_given() -> None:

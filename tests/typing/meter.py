@@ -27,9 +27,7 @@ ClientT = TypeVar("ClientT", "Context", "AsyncClient")
 
 MeterName = Literal[
     'voltage',
-    'power',
     'energy_total',
-    'phases',
     'setpoint',
     'serial_number',
     'run',
@@ -57,29 +55,11 @@ MAP = RegisterMap(
             description='phase to neutral',
         ),
         Point(
-            name='power',
-            table='input_registers',
-            address=2,
-            type='int32',
-            scale=0.1,
-            units='W',
-            access='read',
-            description='negative when it feeds back',
-        ),
-        Point(
             name='energy total',
             table='input_registers',
             address=4,
             type='uint32',
             units='kWh',
-            access='read',
-        ),
-        Point(
-            name='phases',
-            table='input_registers',
-            address=6,
-            type='float32',
-            units='A',
             access='read',
         ),
         Point(
@@ -159,29 +139,11 @@ class Meter(_MeterRequests[ClientT]):
         return value
 
     @property
-    def power(self) -> float:
-        """
-        power: int32, W, read-only.
-
-        negative when it feeds back
-        """
-        value: float = self._certain('power')
-        return value
-
-    @property
     def energy_total(self) -> int:
         """
         energy total: uint32, kWh, read-only.
         """
         value: int = self._certain('energy total')
-        return value
-
-    @property
-    def phases(self) -> float:
-        """
-        phases: float32, A, read-only.
-        """
-        value: float = self._certain('phases')
         return value
 
     @property
