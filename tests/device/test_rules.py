@@ -118,25 +118,14 @@ runs = st.tuples(st.integers(0, 30), st.integers(1, 12))
 def test_parts_of_a_table_cover_what_their_items_do(
     allowed: list[tuple[int, int]], asked: tuple[int, int]
 ) -> None:
-    rules = Rules({None: Allow([Access("holding_registers", *run) for run in allowed])})
+    made = device(Rules({None: Allow([Access("holding_registers", *run) for run in allowed])}))
     items = {item for first, count in allowed for item in range(first, first + count)}
     first, count = asked
     is_allowed = items.issuperset(range(first, first + count))
-    answer = DEVICE_MAPPING.answered(rules, pdu.ReadHoldingRegisters(first, count))
-    assert (code(answer) == 0) == is_allowed
-    assert code(DEVICE_MAPPING.answered(rules, pdu.ReadInputRegisters(first, count))) == 1
-    assert code(DEVICE_MAPPING.answered(rules, pdu.WriteRegisters(first, (0,) * count))) == 1
-
-
-class _Shared:
-    def __init__(self) -> None:
-        self._mapping = Mapping(100, 100, 100, 100)
-
-    def answered(self, rules: Rules, request: pdu.Request[Any]) -> bytes:
-        return Device(self._mapping, authorize=rules).answer(request.encode())
-
-
-DEVICE_MAPPING = _Shared()
+    read = pdu.ReadHoldingRegisters(first, count)
+    assert (code(made.answer(read.encode())) == 0) == is_allowed
+    for other in (pdu.ReadInputRegisters(first, count), pdu.WriteRegisters(first, (0,) * count)):
+        assert code(made.answer(other.encode())) == 1
 
 
 def test_the_last_item_of_a_table() -> None:

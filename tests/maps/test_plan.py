@@ -54,69 +54,44 @@ def answers(plan: Plan) -> list[list[Any]]:
 # --- examples ----------------------------------------------------------------------------
 
 
-@each_case(
-    ("items", "options", "expected"),
-    [
-        ([("coils", 5)], {}, [pdu.ReadCoils(5, 1)]),
-        ([("coils", 5, 3), ("coils", 8, 2)], {}, [pdu.ReadCoils(5, 5)]),
-        ([("coils", 8, 2), ("coils", 5, 4)], {}, [pdu.ReadCoils(5, 5)]),
-        ([("coils", 5, 3), ("coils", 9, 2)], {}, [pdu.ReadCoils(5, 3), pdu.ReadCoils(9, 2)]),
-        ([("coils", 5, 3), ("coils", 9, 2)], {"gap": 1}, [pdu.ReadCoils(5, 6)]),
-        (
-            [("coils", 5, 3), ("coils", 9, 2)],
-            {"gap": 9, "forbidden": [("coils", range(8, 9))]},
-            [pdu.ReadCoils(5, 3), pdu.ReadCoils(9, 2)],
-        ),
-        (
-            [("coils", 5, 3), ("coils", 9, 2)],
-            {"gap": 9, "forbidden": [("discrete_inputs", range(8, 9)), ("coils", range(8, 8))]},
-            [pdu.ReadCoils(5, 6)],
-        ),
-        (
-            [("input_registers", 0, 100), ("input_registers", 100, 100)],
-            {},
-            [pdu.ReadInputRegisters(0, 100), pdu.ReadInputRegisters(100, 100)],
-        ),
-        (
-            [("holding_registers", 0, 125), ("holding_registers", 10, 100)],
-            {},
-            [pdu.ReadHoldingRegisters(0, 125)],
-        ),
-        (
-            [("holding_registers", 0, 260)],
-            {},
-            [
-                pdu.ReadHoldingRegisters(0, 125),
-                pdu.ReadHoldingRegisters(125, 125),
-                pdu.ReadHoldingRegisters(250, 10),
-            ],
-        ),
-        (
-            [("holding_registers", 0, 100, "float32")],
-            {"max_registers": 125},
-            [pdu.ReadHoldingRegisters(0, 124), pdu.ReadHoldingRegisters(124, 76)],
-        ),
-        (
-            [("holding_registers", 0, 250), ("holding_registers", 250, 5)],
-            {"max_registers": 120},
-            [
-                pdu.ReadHoldingRegisters(0, 120),
-                pdu.ReadHoldingRegisters(120, 120),
-                pdu.ReadHoldingRegisters(240, 15),
-            ],
-        ),
-        (
-            [("coils", 65535), ("coils", 0, 2001)],
-            {},
-            [pdu.ReadCoils(0, 2000), pdu.ReadCoils(2000, 1), pdu.ReadCoils(65535, 1)],
-        ),
-        ([], {}, []),
-    ],
-)
-def test_requests(items: Any, options: Any, expected: list[pdu.Request[Any]]) -> None:
+C, H, INPUT = "coils", "holding_registers", "input_registers"
+
+# Items, options, and the requests: table, first address and count.
+REQUESTS: list[tuple[list[Any], dict[str, Any], list[tuple[str, int, int]]]] = [
+    ([(C, 5)], {}, [(C, 5, 1)]),
+    ([(C, 5, 3), (C, 8, 2)], {}, [(C, 5, 5)]),
+    ([(C, 8, 2), (C, 5, 4)], {}, [(C, 5, 5)]),
+    ([(C, 5, 3), (C, 9, 2)], {}, [(C, 5, 3), (C, 9, 2)]),
+    ([(C, 5, 3), (C, 9, 2)], {"gap": 1}, [(C, 5, 6)]),
+    (
+        [(C, 5, 3), (C, 9, 2)],
+        {"gap": 9, "forbidden": [(C, range(8, 9))]},
+        [(C, 5, 3), (C, 9, 2)],
+    ),
+    (
+        [(C, 5, 3), (C, 9, 2)],
+        {"gap": 9, "forbidden": [("discrete_inputs", range(8, 9)), (C, range(8, 8))]},
+        [(C, 5, 6)],
+    ),
+    ([(INPUT, 0, 100), (INPUT, 100, 100)], {}, [(INPUT, 0, 100), (INPUT, 100, 100)]),
+    ([(H, 0, 125), (H, 10, 100)], {}, [(H, 0, 125)]),
+    ([(H, 0, 260)], {}, [(H, 0, 125), (H, 125, 125), (H, 250, 10)]),
+    ([(H, 0, 100, "float32")], {"max_registers": 125}, [(H, 0, 124), (H, 124, 76)]),
+    (
+        [(H, 0, 250), (H, 250, 5)],
+        {"max_registers": 120},
+        [(H, 0, 120), (H, 120, 120), (H, 240, 15)],
+    ),
+    ([(C, 65535), (C, 0, 2001)], {}, [(C, 0, 2000), (C, 2000, 1), (C, 65535, 1)]),
+    ([], {}, []),
+]
+
+
+@each_case(("items", "options", "expected"), REQUESTS)
+def test_requests(items: Any, options: Any, expected: list[tuple[str, int, int]]) -> None:
     plan = Plan(items, **options)
-    assert list(plan.requests) == expected
-    reads = [item if isinstance(item, Read) else Read(*item) for item in items]
+    assert [(table, cells[0], len(cells)) for table, cells in spans(plan)] == expected
+    reads = [Read(*item) for item in items]
     if all(read.type is None for read in reads):
         assert plan.results(answers(plan)) == [
             [cell(read.table, read.address + at) for at in range(read.count)] for read in reads
