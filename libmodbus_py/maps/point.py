@@ -225,10 +225,7 @@ class Point:
         return Judged.of(found, is_list=self.count > 1)
 
     def scaling_for(self, source: object) -> Scaling | None:
-        """
-        Return the scaling, None if raw values are the values; raise NoValue if `source` is no
-        scale.
-        """
+        """Return the scaling, None where raw values are values; or raise NoValue for no scale."""
         if self.scale_from is None:
             return self._scaling
         try:
@@ -240,9 +237,7 @@ class Point:
             raise NoValue(self.name, "BadScale", text) from None
 
     def values_in(self, cells: Sequence[Any], scaling: Scaling | None = None) -> list[Any]:
-        """
-        Return the values that the cells of some values of the point hold; None stands for none.
-        """
+        """Return the values that the cells of some of them hold; None stands for none."""
         found = self.meaning.values_in(cells, scaling or self._scaling)
         return [None if isinstance(each, NoValue) else each for each in found]
 
@@ -286,9 +281,7 @@ class Point:
             raise kind.about(self.name, str(error)) from None
 
     def cells_of(self, value: Any, scaling: Scaling | None = None) -> list[Any]:
-        """
-        Return the cells of a value, as `encode` does; errors begin with "value", not with the name.
-        """
+        """Return the cells of a value as `encode` does, with errors that begin with "value"."""
         return self._change(value, scaling).cells
 
     def cells_for(self, values: Iterable[Any]) -> list[Any]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Generator, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from ..protocol.errors import ModbusError
 from .holes import is_refusal
@@ -53,9 +53,7 @@ class PointIntervals:
         self._at = 0.0
 
     def due(self, at: float) -> tuple[int, ...] | None:
-        """
-        Return the indexes of the points that are read at a poll that is due now; None if all are.
-        """
+        """Return the indexes of the points that are read at a poll at this time; None for all."""
         self._at = at
         over = at + self.interval * TOLERANCE
         self._due = [
@@ -69,10 +67,9 @@ class PointIntervals:
 
     def done(self, unanswered: Collection[int] = ()) -> None:
         """
-        Note that what was due is read, but for the unanswered.
+        Note that what was due is read, but for the unanswered: these are due once more.
 
-        Points without an answer are read again at the next poll, once; if there was no answer at
-        all, until there is one.
+        If there was no answer at all, they are due until there is one.
         """
         missing = set(unanswered)
         if missing and all(missing.issuperset(self._indexes[each]) for each in self._due):
@@ -85,15 +82,6 @@ class PointIntervals:
             self._last[each] = self._at
 
 
-class Falls(NamedTuple):
-    """
-    The indexes of totals that are smaller than before: doubtful at first, fell when read again.
-    """
-
-    doubtful: frozenset[int]
-    fell: frozenset[int]
-
-
 class Totals:
     """Remembers the totals of one device from poll to poll. No clock."""
 
@@ -103,10 +91,10 @@ class Totals:
         self._last: dict[int, Any] = dict.fromkeys(indexes)
         self._doubtful: frozenset[int] = frozenset()
 
-    def take(self, values: Sequence[Any]) -> Falls:
-        """Return which totals of a poll are smaller than before."""
+    def take(self, values: Sequence[Any]) -> tuple[frozenset[int], frozenset[int]]:
+        """Return which totals are smaller than before: doubtful at first, fell when read again."""
         if not self._last:
-            return NO_FALLS
+            return frozenset(), frozenset()
         smaller = {
             at
             for at, before in self._last.items()
@@ -119,14 +107,11 @@ class Totals:
                 self._last[at] = values[at]
         unread = {at for at in self._doubtful if not isinstance(values[at], int | float)}
         self._doubtful = doubtful | unread
-        return Falls(doubtful, fell)
+        return doubtful, fell
 
     def before(self, at: int) -> Any:
         """Return the last total that was believed."""
         return self._last[at]
-
-
-NO_FALLS = Falls(frozenset(), frozenset())
 
 
 class PolledValues(dict[str, Any]):
@@ -169,12 +154,11 @@ class WatchedPoints:
     def poll(self, at: float) -> Generator[PointPlan, dict[str, Any], PolledValues]:
         """Yield the plans of a poll that is due now, take their results, and return all values."""
         found = yield self._plan(self._pace.due(at))
-        fell: frozenset[int] = frozenset()
-        doubtful = self._totals.take(self._all(found)).doubtful
+        doubtful, fell = self._totals.take(self._all(found))
         if doubtful:
             again = yield self._plan(tuple(sorted(doubtful)))
             found |= again
-            fell = self._totals.take(self._all(again)).fell
+            _, fell = self._totals.take(self._all(again))
         self._pace.done([at for at, name in enumerate(self._names) if _is_lost(found.get(name))])
         self._values |= found
         values = PolledValues({name: self._values[name] for name in self._names})

@@ -119,9 +119,11 @@ class Reader:
         context.connect()
         context = client_of(context, self.unit)
         found = self._read(context, self._pace.due(at))
-        if doubtful := self._totals.take(self._values(found)).doubtful:
+        doubtful, _ = self._totals.take(self._values(found))
+        if doubtful:
             again = self._read(context, tuple(sorted(doubtful)))
-            for index in self._totals.take(self._values(again)).fell:
+            _, fell = self._totals.take(self._values(again))
+            for index in fell:
                 remark = f"{again[index].fields['name']} is smaller than before"
                 again[index] = again[index]._replace(remark=remark, has_fallen=True)
             found |= again
