@@ -280,12 +280,8 @@ class Point:
             kind = WrongType if isinstance(error, TypeError) else WrongValue
             raise kind.about(self.name, str(error)) from None
 
-    def cells_of(self, value: Any, scaling: Scaling | None = None) -> list[Any]:
-        """Return the cells of a value as `encode` does, with errors that begin with "value"."""
-        return self._change(value, scaling).cells
-
     def cells_for(self, values: Iterable[Any]) -> list[Any]:
-        """Return the cells of some of the values; `minimum` and `maximum` are not checked."""
+        """Return the cells of some of the values; no bounds are checked; errors begin with "value"."""
         changes = [self.meaning.change(each, self._scaling) for each in values]
         return [cell for each in changes for cell in each.cells]
 

@@ -73,7 +73,7 @@ def _set_cells(unit: ShownUnit, given: Given, text: str) -> Point:
         place, span = getattr(mapping, table), point.cells
         if not place.has(address, len(span)):
             raise ValueError(f"the device lacks {table} {address}..{span.stop - 1}")
-        place[address : span.stop] = cells = point.cells_of(value)
+        place[address : span.stop] = cells = point.cells_for([value])
         _check_set(unit, point, cells)
     return point
 
