@@ -281,7 +281,7 @@ class Point:
             raise kind.about(self.name, str(error)) from None
 
     def cells_for(self, values: Iterable[Any]) -> list[Any]:
-        """Return the cells of some of the values; no bounds are checked; errors begin with "value"."""
+        """Return the cells of some of the values, in any bounds; errors begin with "value"."""
         changes = [self.meaning.change(each, self._scaling) for each in values]
         return [cell for each in changes for cell in each.cells]
 

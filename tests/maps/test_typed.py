@@ -5,7 +5,6 @@ Values as people type them: exact, whatever floats make of them.
 from __future__ import annotations
 
 import math
-import re
 from typing import Any
 
 import pytest
@@ -39,6 +38,16 @@ TYPED: list[tuple[dict[str, Any], str, list[Any]]] = [
     ({"type": "float32", "scale": 0.1}, "inf", [0x7F80, 0]),
     ({"scale": 0.1}, "1e-999999999", [0]),
     ({"scale": 0.1, "maximum": 0.3}, "0.29999999999999999", [3]),
+    ({"states": {0: "off", 1: "on"}}, "on", [1]),
+    ({"states": {0: "off", 1: "on"}}, " 0x10 ", [16]),
+    ({"bits": {0: "door", "4..7": "mode"}}, "door=on, mode=5", [0x51]),
+    ({"bits": {0: "door", "4..7": "mode"}}, ' {"door": true, "mode": 5}', [0x51]),
+    ({"bit": 3}, "on", [8]),
+    ({"bit": "4..7"}, "0xF", [0xF0]),
+    ({"bit": "4..7", "type": "bits16"}, "15", [0xF0]),
+    ({"bit": "4..7", "scale": 0.5}, "2.5", [0x50]),
+    ({"byte": "low", "type": "int16"}, "-1", [0xFF]),
+    ({"type": "unix32"}, "1970-01-01T01:00:00+01:00", [0, 0]),
 ]
 
 
@@ -50,6 +59,8 @@ def test_a_text_is_the_value_that_it_says(
     assert made.encode(typed_value(made, text)) == cells
 
 
+DOOR = {"bits": {0: "door", "4..7": "mode"}}
+
 REFUSED: list[tuple[dict[str, Any], str, str]] = [
     ({"table": "coils"}, "2", "value must be one of 0, 1, off, on"),
     ({}, "1.5", "value must be a number, not '1.5'"),
@@ -59,6 +70,18 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     ({"scale": 0.1}, "nan", "value must be a finite number"),
     ({"scale": 0.1, "maximum": 0.3}, "0.30000000000000001", "not 0.30000000000000001"),
     ({"scale": 0.1, "minimum": 0.3}, "0.29999999999999999", "not 0.29999999999999999"),
+    ({"states": {0: "off", 1: "on"}}, "On", "value must be one of off, on, or a number, not 'On'"),
+    (DOOR, "door", "value must be like name=1, other=0, or a JSON object, not 'door'"),
+    (DOOR, "door=shut", "value must be a number, not 'shut'"),
+    (DOOR, '{"a":' * 1900, "value must be"),
+    (DOOR, "{door}", "value must be a JSON object"),
+    (DOOR, "door=1, door=0", "value.door: occurs twice"),
+    (DOOR, "door=1,mode=3, door=1", "value.door: occurs twice"),
+    (DOOR, '{"door": 1, "door": 0}', "value.door: occurs twice"),
+    (DOOR, '{"mode":1,"mode":1}', "value.mode: occurs twice"),
+    ({"bit": 3}, "2", "value must be one of 0, 1, off, on, false, true, not '2'"),
+    ({"type": "unix32"}, "2026-07-01", "value must be a date and time with a time zone, such as"),
+    ({"type": "unix32"}, "now", "value must be a date and time with a time zone, such as"),
 ]
 
 
@@ -88,71 +111,3 @@ def test_a_register_is_typed_with_or_without_a_sign(text: str, register: int) ->
 def test_more_than_16_bits_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match=rf"value must be in -32768\.\.65535, not {text}"):
         typed_register(text)
-
-
-# What is typed for points with names, parts of registers and times, and the cells of it.
-NAMED = [
-    ({"states": {0: "off", 1: "on"}}, "on", [1]),
-    ({"states": {0: "off", 1: "on"}}, " 0x10 ", [16]),
-    ({"bits": {0: "door", "4..7": "mode"}}, "door=on, mode=5", [0x51]),
-    ({"bit": 3}, "on", [8]),
-    ({"bit": "4..7"}, "0xF", [0xF0]),
-    ({"bit": "4..7", "type": "bits16"}, "15", [0xF0]),
-    ({"bit": "4..7", "scale": 0.5}, "2.5", [0x50]),
-    ({"byte": "low", "type": "int16"}, "-1", [0xFF]),
-    ({"type": "unix32"}, "1970-01-01T01:00:00+01:00", [0, 0]),
-]
-
-
-@each_case(("keys", "text", "cells"), NAMED)
-def test_names_and_parts_are_typed(keys: dict[str, Any], text: str, cells: list[int]) -> None:
-    made = point(**keys)
-    assert made.encode(typed_value(made, text)) == cells
-
-
-WRONG_NAMES = [
-    ({"states": {0: "off", 1: "on"}}, "On", "value must be one of off, on, or a number, not 'On'"),
-    (
-        {"bits": {0: "door"}},
-        "door",
-        "value must be like name=1, other=0, or a JSON object, not 'door'",
-    ),
-    ({"bits": {0: "door"}}, "door=shut", "value must be a number, not 'shut'"),
-    ({"bits": {0: "door"}}, '{"a":' * 1900, "value must be"),
-    ({"bit": 3}, "2", "value must be one of 0, 1, off, on, false, true, not '2'"),
-    ({"type": "unix32"}, "2026-07-01", "value must be a date and time with a time zone, such as"),
-    ({"type": "unix32"}, "now", "value must be a date and time with a time zone, such as"),
-]
-
-
-@each_case(("keys", "text", "message"), WRONG_NAMES)
-def test_what_is_no_name_or_part(keys: dict[str, Any], text: str, message: str) -> None:
-    with pytest.raises(ValueError, match=re.escape(message)):
-        typed_value(point(**keys), text)
-
-
-def test_named_bits_may_be_a_json_object() -> None:
-    flags = Point("flags", "holding_registers", 0, bits={0: "door", "4..7": "mode"})
-    assert flags.encode(typed_value(flags, ' {"door": true, "mode": 5}')) == [0x51]
-    with pytest.raises(ValueError, match="value must be a JSON object"):
-        typed_value(flags, "{door}")
-
-
-# --- bits ----------------------------------------------------------------------------------------
-
-
-FLAGS = Point("flags", "holding_registers", 0, bits={0: "door", "4..7": "mode"})
-
-
-@each_case(
-    "text",
-    ["door=1, door=0", "door=1,mode=3, door=1", '{"door": 1, "door": 0}', '{"mode":1,"mode":1}'],
-)
-def test_a_bit_that_is_named_twice_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match=r"^value\.(door|mode): occurs twice$"):
-        typed_value(FLAGS, text)
-
-
-def test_bits_that_are_named_once_are_taken() -> None:
-    assert typed_value(FLAGS, "door=1, mode=3") == {"door": True, "mode": 3}
-    assert typed_value(FLAGS, '{"mode": 3, "door": true}') == {"mode": 3, "door": True}
