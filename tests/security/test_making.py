@@ -5,9 +5,7 @@ The maker of certificates: what it makes is what TLS takes, and what its reader 
 from __future__ import annotations
 
 import contextlib
-import socket
 import ssl
-import threading
 from pathlib import Path
 
 import pytest
@@ -33,34 +31,15 @@ def context(purpose: int, identity: Identity, trusted: Identity, directory: Path
 
 def shake(server: Identity, client: Identity, trusted: Identity, directory: Path) -> bytes:
     """Return the certificate that the server saw; raise what the server raised."""
-    outcome: list[bytes | BaseException] = []
-    ours, theirs = socket.socketpair()
-
-    def serve() -> None:
-        accept = context(ssl.PROTOCOL_TLS_SERVER, server, trusted, directory)
-        try:
-            with accept.wrap_socket(theirs, server_side=True) as tls:
-                outcome.append(tls.getpeercert(True) or b"")
-                tls.sendall(b"!")
-        except OSError as error:
-            outcome.append(error)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
-        connect = context(ssl.PROTOCOL_TLS_CLIENT, client, trusted, directory)
-        with (
-            contextlib.suppress(OSError),  # what the server says is what counts
-            connect.wrap_socket(ours, server_hostname="localhost") as tls,
-        ):
-            tls.recv(1)
-    finally:
-        ours.close()
-        thread.join()
-    (seen,) = outcome
-    if isinstance(seen, BaseException):
-        raise seen
-    return seen
+    to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
+    accepting = context(ssl.PROTOCOL_TLS_SERVER, server, trusted, directory)
+    connecting = context(ssl.PROTOCOL_TLS_CLIENT, client, trusted, directory)
+    there = accepting.wrap_bio(to_server, to_client, server_side=True)
+    here = connecting.wrap_bio(to_client, to_server, server_hostname="localhost")
+    for end in (here, there) * 3:
+        with contextlib.suppress(ssl.SSLWantReadError):
+            end.do_handshake()
+    return there.getpeercert(True) or b""
 
 
 def test_tls_takes_what_is_made(tmp_path: Path) -> None:
