@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
 from dataclasses import replace
 from functools import cached_property
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
 
 from ..protocol.checks import integer
@@ -216,10 +215,9 @@ class Device(NamedValues, PythonFunctions):
             TypeError, ValueError: a value does not fit its point, or an argument is wrong.
             FileError: a ValueError: the file cannot be read, or contains a mistake.
         """
-        points: Any = map
-        if isinstance(map, str | os.PathLike):
-            # Files are read on a floor above, which a device needs for nothing else.
-            points = import_module("..tools.files.map_file", __package__).load_map(map)
+        from ..maps.register_map import map_of
+
+        points = map_of(map)
         device = cls(zeros_for(points), points=points, **options)
         device.update(values or {})
         return device

@@ -43,12 +43,8 @@ NOTHING: Written = {}
 Ranges = tuple[range, ...]
 
 
-def zeros_for(map: object) -> Mapping:
+def zeros_for(map: RegisterMap) -> Mapping:
     """Return a mapping with the cells of all points of a map, all zero."""
-    from ..maps.register_map import RegisterMap
-
-    if not isinstance(map, RegisterMap):
-        raise WrongType("map", f"must be a RegisterMap or a path, not {type(map).__name__}")
     places: dict[str, list[range]] = {table: [] for table in TABLES}
     for point in map.values():
         places[point.table].append(point.cells)
@@ -82,34 +78,6 @@ def source_after(
     for source in sources_of([point], points).values():  # each scales the next one
         value = source.decode(cells_after(source, mapping, written), source=value)
     return value
-
-
-def set_values(
-    mapping: Mapping, points: MappingABC[str, Point], values: MappingABC[str, Any]
-) -> None:
-    """Set values of points by name, all of them or none. Hold the mapping's lock."""
-    from ..maps.point_plan import sources_of
-    from ..maps.writing import check_overlaps
-
-    if not isinstance(values, MappingABC):
-        given = type(values).__name__
-        raise WrongType("values", f"must be a mapping from names to values, not {given}")
-    changed = {name: known_point(points, name) for name in values}
-    # What scales comes first: the others are scaled by what its cells then hold.
-    scales = [name for name in sources_of(changed.values(), points) if name in changed]
-    changes: list[tuple[Point, CellChange]] = []
-    written: dict[tuple[str, int], Any] = {}
-    for name in dict.fromkeys([*scales, *changed]):
-        point = changed[name]
-        source = source_after(point, points, mapping, written)
-        change = point.change(values[name], source=source)
-        changes.append((point, change))
-        cells = change.over(cells_after(point, mapping, written))
-        written |= {(point.table, at): cell for at, cell in zip(point.cells, cells, strict=True)}
-    check_overlaps(changes)
-    for point in changed.values():
-        table, cells = getattr(mapping, point.table), cells_after(point, mapping, written)
-        table[point.cells.start : point.cells.stop] = cells
 
 
 class NamedValues:
@@ -179,8 +147,31 @@ class NamedValues:
             TypeError, ValueError: a value does not fit its point, or points share cells; the
                 message names the points.
         """
-        with self.mapping.lock:
-            set_values(self.mapping, self.points, values)
+        from ..maps.point_plan import sources_of
+        from ..maps.writing import check_overlaps
+
+        if not isinstance(values, MappingABC):
+            given = type(values).__name__
+            raise WrongType("values", f"must be a mapping from names to values, not {given}")
+        points = self.points
+        changed = {name: known_point(points, name) for name in values}
+        # What scales comes first: the others are scaled by what its cells then hold.
+        scales = [name for name in sources_of(changed.values(), points) if name in changed]
+        changes: list[tuple[Point, CellChange]] = []
+        written: dict[tuple[str, int], Any] = {}
+        with self.mapping as mapping:
+            for name in dict.fromkeys([*scales, *changed]):
+                point = changed[name]
+                source = source_after(point, points, mapping, written)
+                change = point.change(values[name], source=source)
+                changes.append((point, change))
+                after = change.over(cells_after(point, mapping, written))
+                cells = zip(point.cells, after, strict=True)
+                written |= {(point.table, at): cell for at, cell in cells}
+            check_overlaps(changes)
+            for point in changed.values():
+                table = getattr(mapping, point.table)
+                table[point.cells.start : point.cells.stop] = cells_after(point, mapping, written)
 
 
 class RuledCells(NamedTuple):

@@ -179,5 +179,5 @@ def test_a_device_of_the_path_of_a_map(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"boiler.csv, line 1: "):
         Device.of_map(path)
     for wrong in (5, b"boiler.csv", None):
-        with pytest.raises(TypeError, match="map must be a RegisterMap or a path, not "):
+        with pytest.raises(TypeError, match="map must be a RegisterMap or the path of"):
             Device.of_map(wrong)  # type: ignore[arg-type]
