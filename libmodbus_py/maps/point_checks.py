@@ -103,11 +103,12 @@ def _check_string(name: str | Path, value: object) -> None:
         raise WrongType(name, f"must be a string, not {type(value).__name__}")
 
 
-def _check_text(name: str, value: Any, least: int, most: int) -> None:
+def _check_text(name: str | Path, value: Any, least: int, most: int) -> None:
     _check_string(name, value)
     if not least <= len(value) <= most:
         raise WrongValue(name, f"must have {least}..{most} characters, not {len(value)}")
-    unfit = [each for each in value if not each.isprintable() and each not in "\n\t"]
+    spaces = "\n\t" if name == "description" else ""
+    unfit = [each for each in value if not each.isprintable() and each not in spaces]
     if unfit or (name != "description" and value != value.strip()):
         raise WrongValue(
             name, f"must be printable characters, without spaces around: {reprlib.repr(value)}"
@@ -213,11 +214,7 @@ def _names(name: str, given: object, key_of: Callable[[Path, Any], Any]) -> dict
     found: dict[Any, str] = {}
     for key, text in given.items():
         path = (name, str(key))
-        if not isinstance(text, str):
-            raise WrongType(path, f"must be a name, not {type(text).__name__}")
-        if not 1 <= len(text) <= MAX_NAME or not text.isprintable() or text != text.strip():
-            wanted = f"1..{MAX_NAME} printable characters, without spaces around"
-            raise WrongValue(path, f"must have {wanted}: {reprlib.repr(text)}")
+        _check_text(path, text, 1, MAX_NAME)
         made = key_of(path, key)
         if made in found:
             raise WrongValue(path, "is given twice")

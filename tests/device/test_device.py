@@ -145,10 +145,6 @@ class TestBroadcasts:
 class TestTwoDevices:
     """All state is the device's own, and none is a module's or a class's."""
 
-    @staticmethod
-    def two() -> tuple[Device, Device]:
-        return new_device(), new_device()
-
     def test_identification_status_identifier_and_register(self) -> None:
         first = Device(Mapping(), identification={0: "first"}, exception_status=1)
         second = Device(Mapping(), identification={0: "second", 128: "more"})

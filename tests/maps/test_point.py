@@ -134,7 +134,9 @@ def test_what_is_not_given() -> None:
 REFUSED = [
     ({"name": ""}, "name must have 1..100 characters, not 0"),
     ({"name": 7}, "name must be a string, not int"),
-    ({"name": "a\nb\x1b[2J"}, "name must be printable characters"),
+    ({"name": "a\nb"}, "name must be printable characters"),
+    ({"units": "V\tA"}, "units must be printable characters"),
+    ({"description": "a\nb\x1b[2J"}, "description must be printable characters"),
     ({"name": " a"}, "name must be printable characters"),
     ({"table": "coilz"}, "table must be one of coils, discrete_inputs, "),
     ({"table": ["coils"]}, "table must be one of coils, discrete_inputs, "),
