@@ -237,7 +237,7 @@ class Point:
             raise NoValue(self.name, "BadScale", text) from None
 
     def values_in(self, cells: Sequence[Any], scaling: Scaling | None = None) -> list[Any]:
-        """Return the values that the cells of some of them hold; None stands for none."""
+        """Return the values that some of the cells hold; None stands for no value."""
         found = self.meaning.values_in(cells, scaling or self._scaling)
         return [None if isinstance(each, NoValue) else each for each in found]
 
@@ -281,7 +281,7 @@ class Point:
             raise kind.about(self.name, str(error)) from None
 
     def cells_for(self, values: Iterable[Any]) -> list[Any]:
-        """Return the cells of some of the values, in any bounds; errors begin with "value"."""
+        """Return the cells of some of the values; `minimum` and `maximum` are not checked."""
         changes = [self.meaning.change(each, self._scaling) for each in values]
         return [cell for each in changes for cell in each.cells]
 
