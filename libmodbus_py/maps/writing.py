@@ -140,8 +140,9 @@ def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> No
     # Integers hold a bound, or it lies between two of them; so do those that another point scales.
     is_exact = bool(point.step) or point.scale_from is not None
     held = [] if is_exact else _held_bounds(point)
+    scaling = point.scaling_for(source)
     try:
-        for value in point.values_in(cells, point.scaling_for(source)):
+        for value in point.values_in(cells, scaling):
             if value is None:
                 raise WrongValue("value", "must not be the raw value that means no value")
             if value not in held:
