@@ -35,7 +35,8 @@ print("asan:", _libmodbus.__file__)
 END
 
 result=0
-[ $# -gt 0 ] || set -- tests/protocol/test_framing.py tests/device/test_device.py tests/device/test_model.py tests/device/test_mapping.py \
+[ $# -gt 0 ] || set -- tests/protocol/test_framing.py tests/protocol/test_rtu_framing.py \
+    tests/protocol/test_ascii_framing.py tests/device/test_device.py tests/device/test_model.py tests/device/test_mapping.py \
     tests/server/test_framed.py tests/server/test_server.py tests/server/test_hostile_clients.py \
     tests/server/test_chunks.py tests/server/test_chunks_with_hooks.py \
     tests/client/test_functions.py tests/client/test_bad_answers.py \

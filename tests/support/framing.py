@@ -1,0 +1,115 @@
+"""Frames built apart from the package, and framers fed with their bytes."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+
+from libmodbus_py.protocol.errors import FrameError
+from libmodbus_py.protocol.framing import (
+    AsciiFramer,
+    Frame,
+    RtuFramer,
+    TcpFramer,
+)
+from tests.support.cases import each_case
+
+AnyFramer = TcpFramer | RtuFramer | AsciiFramer
+
+
+def take(framer: AnyFramer, data: bytes = b"") -> tuple[list[Frame], list[FrameError]]:
+    """Feed bytes, and go on until the framer has nothing more to say about them."""
+    frames: list[Frame] = []
+    errors: list[FrameError] = []
+    while True:
+        try:
+            found = framer.feed(data)
+        except FrameError as error:
+            errors.append(error)
+            if not framer.in_step:
+                return frames, errors
+            found = []
+        else:
+            if not found:
+                return frames, errors
+        frames += found
+        data = b""
+
+
+def quiet(framer: AnyFramer) -> list[Frame]:
+    """Return the frames that silence ends; its errors do not matter here."""
+    frames: list[Frame] = []
+    with contextlib.suppress(FrameError):
+        frames += framer.silence()
+    return frames + take(framer)[0]
+
+
+def taken(framer: AnyFramer, data: bytes) -> list[Frame]:
+    """Frames in bytes that silence follows, and no errors."""
+    frames, errors = take(framer, data)
+    frames += framer.silence()
+    assert errors == []
+    return frames
+
+
+def single_bytes(data: bytes) -> Iterator[bytes]:
+    return (data[at : at + 1] for at in range(len(data)))
+
+
+def fed_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
+    """Return the frames that the last byte completes; none is complete before."""
+    for byte in single_bytes(data[:-1]):
+        assert framer.feed(byte) == []
+    return framer.feed(data[-1:])
+
+
+def taken_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
+    """Return the frames that the last byte, or silence behind it, completes."""
+    return fed_in_bytes(framer, data) + framer.silence()
+
+
+def _shifted(crc: int) -> int:
+    for _ in range(8):
+        crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
+    return crc
+
+
+CRC_TABLE = [_shifted(byte) for byte in range(256)]
+
+
+def rtu(unit: int, body: bytes) -> bytes:
+    """An RTU frame, built apart from the package."""
+    crc = 0xFFFF
+    for byte in bytes([unit]) + body:
+        crc = _shifted(crc ^ byte)
+    return bytes([unit]) + body + bytes([crc & 0xFF, crc >> 8])
+
+
+def ascii_frame(unit: int, body: bytes, end: bytes = b"\r\n") -> bytes:
+    """An ASCII frame, built apart from the package."""
+    data = bytes([unit]) + body
+    check = (0x100 - sum(data) % 0x100) % 0x100
+    return b":" + data.hex().upper().encode() + b"%02X" % check + end
+
+
+def mbap(transaction: int, protocol: int, length: int, unit: int, body: bytes) -> bytes:
+    return b"".join(
+        number.to_bytes(size, "big")
+        for number, size in ((transaction, 2), (protocol, 2), (length, 2), (unit, 1))
+    ) + bytes(body)
+
+
+READ = Frame(17, b"\x03\x00\x6b\x00\x03")
+REFUSAL = Frame(17, b"\x83\x02")
+ANSWER = Frame(17, b"\x03\x02\x12\x34")
+WRITE = Frame(17, b"\x06\x00\x01\x00\x03")
+LONGEST = Frame(17, b"\x15\xfb\x06\x00\x04\x00\x07\x00\x7a" + bytes(range(244)))
+
+
+ALL_FRAMERS: dict[str, Callable[[], AnyFramer]] = {
+    "tcp": TcpFramer,
+    "rtu server": lambda: RtuFramer("server"),
+    "rtu client": lambda: RtuFramer("client"),
+    "ascii": AsciiFramer,
+}
+each_framer = each_case("make", ALL_FRAMERS.values(), ids=ALL_FRAMERS)
