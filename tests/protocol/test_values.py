@@ -1,13 +1,8 @@
-"""
-Values in registers, in every type and order, and references, the 1-based notation of manuals.
-"""
+"""Values in registers, in every type and order, one or many, and the names of types."""
 
 from __future__ import annotations
 
-import codecs
 import math
-from array import array
-from collections.abc import Callable
 from decimal import Decimal
 from fractions import Fraction
 from typing import Any, get_args
@@ -16,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py import values
 from libmodbus_py.protocol.values import (
     ORDERS,
     TYPES,
@@ -26,48 +20,24 @@ from libmodbus_py.protocol.values import (
     TextType,
     TimeType,
     TypeName,
-    parse_reference,
-    readings,
     string_type,
     value_type,
 )
-from libmodbus_py.protocol.words import REFERENCE_TABLES
 from tests.support.cases import each_case
-from tests.support.vectors import BYTE_ORDERS, REFERENCES, ByteOrder, Reference, rows
-
-
-def encode(value: Any, type: str, **options: Any) -> list[int]:
-    return value_type(type, **options).encode(value)
-
-
-def encode_many(values: Any, type: str, **options: Any) -> list[int]:
-    return value_type(type, **options).encode_many(values)
-
-
-def decode(registers: Any, type: str, **options: Any) -> Any:
-    return value_type(type, **options).decode(registers)
-
-
-def decode_many(registers: Any, type: str, **options: Any) -> list[Any]:
-    return value_type(type, **options).decode_many(registers)
-
-
-# As the examples call the tables, and as this package does.
-TABLES = {
-    "coil": "coils",
-    "discrete_input": "discrete_inputs",
-    "input_register": "input_registers",
-    "holding_register": "holding_registers",
-    "file_record": "file",
-}
-DIGITS = {
-    "0": "coils",
-    "1": "discrete_inputs",
-    "3": "input_registers",
-    "4": "holding_registers",
-    "6": "file",
-}
-
+from tests.support.values import (
+    NUMBERS,
+    cell,
+    decode,
+    decode_many,
+    each_number,
+    each_order,
+    encode,
+    encode_many,
+    same,
+    strategy,
+    words,
+)
+from tests.support.vectors import BYTE_ORDERS, ByteOrder, rows
 
 # Where byte 0, 1, ... of the wire comes from, of a value's bytes, most significant first.
 # Written out by hand, from the letters of each order.
@@ -85,47 +55,6 @@ PLACES = {
     ("BADC", 4): [1, 0, 3, 2, 5, 4, 7, 6],
     ("DCBA", 4): [7, 6, 5, 4, 3, 2, 1, 0],
 }
-NUMBERS = [
-    f"{family}{bits}" for family in ("int", "uint", "float", "bcd", "bits") for bits in (16, 32, 64)
-]
-LIMITS = {
-    "int16": (-32768, 32767),
-    "int32": (-2147483648, 2147483647),
-    "int64": (-9223372036854775808, 9223372036854775807),
-    "uint16": (0, 65535),
-    "uint32": (0, 4294967295),
-    "uint64": (0, 18446744073709551615),
-    "bcd16": (0, 9999),
-    "bcd32": (0, 99999999),
-    "bcd64": (0, 9999999999999999),
-}
-ASCII = st.characters(min_codepoint=1, max_codepoint=126)
-
-each_order = each_case("order", ["ABCD", "CDAB", "BADC", "DCBA"])
-each_number = each_case("name", NUMBERS)
-cell = st.integers(0, 0xFFFF)
-
-
-def words(text: str) -> list[int]:
-    """Registers from hexadecimal digits, four each."""
-    return [int(word, 16) for word in text.split()]
-
-
-def strategy(name: str) -> st.SearchStrategy[Any]:
-    """Values that a type holds exactly."""
-    bits = int(name.lstrip("abcdefghijklmnopqrstuvwxyz:"))
-    if name in LIMITS:
-        return st.integers(*LIMITS[name])
-    if name.startswith("float"):
-        return st.floats(width=bits)  # type: ignore[arg-type]
-    if name.startswith("bits"):
-        return st.lists(st.booleans(), min_size=bits, max_size=bits)
-    return st.text(ASCII, max_size=bits)
-
-
-def same(one: Any, other: Any) -> bool:
-    """Equal, with nan and the sign of zero."""
-    return type(one) is type(other) and repr(one) == repr(other)
 
 
 class TestKnownEncodings:
@@ -318,285 +247,6 @@ class TestValueType:
             value_type(name)
 
 
-class TestErrors:
-    @each_case("name", LIMITS)
-    def test_integers_have_limits(self, name: str) -> None:
-        low, high = LIMITS[name]
-        for value in (low, high):
-            assert decode(encode(value, name), name) == value
-        for value in (low - 1, high + 1, 1 << 70, -1 << 70):
-            with pytest.raises(
-                ValueError, match=rf"^value must be in {low}\.\.{high}, not {value}$"
-            ):
-                encode(value, name)
-        for bad in (1.0, "1", None, True, [1], 1j):
-            with pytest.raises(
-                TypeError, match=rf"^value must be an integer in {low}\.\.{high}, not"
-            ):
-                encode(bad, name)
-
-    @pytest.mark.parametrize(
-        ("name", "span", "values"),
-        [
-            ("float16", r"-65504\.\.65504", [65520, -65520.0, 1e300, 10**400]),
-            ("float32", r"-3\.4028235e\+38\.\.3\.4028235e\+38", [3.4028236e38, -1e39, 10**400]),
-            ("float64", r"-1\.7976931e\+308\.\.1\.7976931e\+308", [10**400, -(10**400)]),
-        ],
-    )
-    def test_floats_have_limits(self, name: str, span: str, values: list[Any]) -> None:
-        for value in values:
-            with pytest.raises(
-                ValueError, match=rf"^value must be in {span}, infinite or nan, not"
-            ) as e:
-                encode(value, name)
-            assert len(str(e.value)) < 150
-        for bad in ("1", None, True, [1.0], 1j, b"1"):
-            with pytest.raises(TypeError, match=r"^value must be a number, not "):
-                encode(bad, name)
-
-    @each_case("registers", ["000A", "A000", "0F00", "FFFF"])
-    def test_decimals_are_decimal(self, registers: str) -> None:
-        with pytest.raises(ValueError, match=rf"^registers\[0:1\] hold no bcd16: {registers} has"):
-            decode(words(registers), "bcd16")
-
-    def test_bits_may_be_zeros_and_ones(self) -> None:
-        assert encode([1, 0, 1] + [0] * 13, "bits16") == [5]
-        assert encode((True,) * 16, "bits16") == [0xFFFF]
-        assert decode([5], "bits16") == [True, False, True] + [False] * 13
-        assert {type(bit) for bit in decode([5], "bits16")} == {bool}
-
-    @each_case(
-        ("value", "error", "named"),
-        [
-            ([True] * 15, ValueError, "value must hold 16 bits, lowest first, not 15"),
-            ([True] * 17, ValueError, "value must hold 16 bits, lowest first, not 17"),
-            ([], ValueError, "not 0"),
-            ([0, 2] + [0] * 14, ValueError, r"value\[1\] must be in 0\.\.1, not 2"),
-            ([0] * 15 + [-1], ValueError, r"value\[15\] must be in 0\.\.1, not -1"),
-            ([0, 1.0] + [0] * 14, TypeError, r"value\[1\] must be an integer"),
-            (["0"] * 16, TypeError, r"value\[0\] must be an integer"),
-            ("0" * 16, TypeError, "value must be a list, not str"),
-            (bytes(16), TypeError, "value must be a list, not bytes"),
-            (dict.fromkeys(range(16)), TypeError, "value must be a list, not dict"),
-            (5, TypeError, "value must be a list, not int"),
-            (None, TypeError, "value must be a list, not NoneType"),
-        ],
-    )
-    def test_bits_are_as_many_as_named(
-        self, value: Any, error: type[Exception], named: str
-    ) -> None:
-        with pytest.raises(error, match=named):
-            encode(value, "bits16")
-
-    @each_number
-    def test_registers_are_as_many_as_the_type_takes(self, name: str) -> None:
-        takes = value_type(name).registers
-        for count in {0, takes - 1, takes + 1, 2 * takes}:
-            with pytest.raises(ValueError, match=f"must hold {takes} for {name}, not {count}$"):
-                decode([0] * count, name)
-
-    @each_case(
-        ("registers", "error", "named"),
-        [
-            ([0, -1], ValueError, r"registers\[1\] must be in 0\.\.65535, not -1"),
-            ([65536, 0], ValueError, r"registers\[0\] must be in 0\.\.65535, not 65536"),
-            ([0, 1.0], TypeError, r"registers\[1\] must be an integer in 0\.\.65535, not float"),
-            ([0, True], TypeError, r"registers\[1\] must be an integer"),
-            ([None, 0], TypeError, r"registers\[0\] must be an integer"),
-            (b"\x00\x01", TypeError, "registers must be a list, not bytes"),
-            ("01", TypeError, "registers must be a list, not str"),
-            ({1, 2}, TypeError, "registers must be a list, not set"),
-            (5, TypeError, "registers must be a list, not int"),
-            (None, TypeError, "registers must be a list, not NoneType"),
-        ],
-    )
-    @each_case(
-        "function",
-        [
-            lambda registers: decode(registers, "uint32"),
-            lambda registers: decode_many(registers, "uint32"),
-            readings,
-        ],
-        ids=["decode", "decode_many", "readings"],
-    )
-    def test_registers_are_registers(
-        self, function: Callable[[Any], Any], registers: Any, error: type[Exception], named: str
-    ) -> None:
-        with pytest.raises(error, match=named):
-            function(registers)
-
-    @each_case("registers", [(1, 2), array("H", [1, 2]), range(1, 3), (at for at in (1, 2))])
-    def test_registers_may_be_any_run_of_integers(self, registers: Any) -> None:
-        assert decode(registers, "uint32") == 0x10002
-
-    @settings(max_examples=80)
-    @given(
-        st.lists(cell | st.integers(), max_size=5),
-        st.sampled_from([*NUMBERS, "string:3", "string:8"]),
-        st.sampled_from(list(ORDERS)),
-    )
-    def test_registers_are_a_value_or_a_value_error(
-        self, registers: list[int], name: str, order: str
-    ) -> None:
-        try:
-            value = decode(registers, name, order=order)
-        except ValueError:
-            return
-        if isinstance(value, float | str):
-            return  # payloads of nan and padding are not kept
-        assert encode(value, name, order=order) == registers
-
-
-class TestText:
-    @each_case(
-        ("value", "name", "options", "registers"),
-        [
-            ("AB", "string:5", {}, "4142 0000 0000"),
-            ("AB", "string:5", {"padding": " "}, "4142 2020 2000"),
-            ("AB", "string:4", {"padding": "\xff", "encoding": "latin-1"}, "4142 FFFF"),
-            ("\xe4", "string:2", {"encoding": "latin-1"}, "E400"),
-            ("\xe4", "string:2", {"encoding": "utf-8"}, "C3A4"),
-            ("\u20ac", "string:4", {"encoding": "utf-8"}, "E282 AC00"),
-            ("A", "string:4", {"encoding": "utf-16-be"}, "0041 0000"),
-            ("A", "string:4", {"encoding": "utf-16-le"}, "4100 0000"),
-            ("\u0100", "string:4", {"encoding": "utf-16-be"}, "0100 0000"),
-            ("A", "string:4", {"encoding": "utf-16-le", "padding": " "}, "4100 2000"),
-            ("A", "string:4", {"encoding": "utf-16-le", "order": "BADC"}, "0041 0000"),
-            ("\u6f22", "string:4", {"encoding": "shift-jis"}, "8ABF 0000"),
-            ("AB\0C", "string:6", {}, "4142 0043 0000"),
-            ("ABC", "string:3", {"order": "BADC"}, "4241 0043"),
-            ("ABC", "string:3", {"order": "DCBA"}, "4241 0043"),
-            ("ABC", "string:3", {"order": "CDAB"}, "4142 4300"),
-            ("A" * 250, "string:250", {}, " ".join(["4141"] * 125)),
-        ],
-    )
-    def test_encodings_and_padding(
-        self, value: str, name: str, options: dict[str, str], registers: str
-    ) -> None:
-        assert encode(value, name, **options) == words(registers)
-        assert decode(words(registers), name, **options) == value
-
-    def test_mark_that_begins_utf_16_is_not_repeated_in_padding(self) -> None:
-        registers = encode("A", "string:8", encoding="utf-16")
-        assert registers[2:] == [0, 0]
-        assert decode(registers, "string:8", encoding="utf-16") == "A"
-
-    def test_odd_string_does_not_look_at_the_last_byte(self) -> None:
-        assert decode(words("4142 43FF"), "string:3") == "ABC"
-        assert decode(words("4241 FF43"), "string:3", order="BADC") == "ABC"
-
-    def test_only_padding_at_the_end_is_cut(self) -> None:
-        assert decode(words("2041 2042 2020"), "string:6", padding=" ") == " A B"
-        assert decode(words("4100 4200"), "string:4") == "A\0B"
-        assert decode(words("4120 0000"), "string:4") == "A "
-        assert decode(words("0000 0000"), "string:4") == ""
-
-    @each_case(
-        ("value", "name", "options", "named"),
-        [
-            ("ABC", "string:2", {}, r"value must have 0\.\.2 bytes in ascii, not 'ABC' with 3"),
-            ("A" * 251, "string:250", {}, "with 251"),
-            ("\u20ac", "string:2", {"encoding": "utf-8"}, r"0\.\.2 bytes in utf-8, not .* with 3"),
-            ("A\xe4", "string:2", {"encoding": "utf-8"}, "with 3"),
-            ("AB", "string:3", {"encoding": "utf-16-le"}, r"0\.\.3 bytes in utf-16-le"),
-            ("A", "string:3", {"encoding": "utf-16-le"}, "leaves 1 bytes of 3"),
-            ("A", "string:4", {"encoding": "utf-8", "padding": "\xe4"}, "leaves 3 bytes of 4"),
-            ("\xe4", "string:2", {}, "value must be ascii, not '\xe4'"),
-            ("\u20ac", "string:2", {"encoding": "latin-1"}, "value must be latin-1, not"),
-            ("\ud800", "string:4", {"encoding": "utf-8"}, "value must be utf-8, not"),
-        ],
-    )
-    def test_text_that_does_not_fit_is_never_cut(
-        self, value: str, name: str, options: dict[str, str], named: str
-    ) -> None:
-        with pytest.raises(ValueError, match=named):
-            encode(value, name, **options)
-
-    @each_case("value", [None, 1, b"AB", ["A"], True])
-    def test_text_is_a_string(self, value: Any) -> None:
-        with pytest.raises(TypeError, match=r"^value must be a string, not "):
-            encode(value, "string:4")
-
-    @each_case(
-        ("registers", "name", "encoding", "named"),
-        [
-            ("80FF", "string:2", "ascii", r"registers\[0:1\] hold no string:2: 80 FF is no ascii"),
-            ("41E2 8200", "string:3", "utf-8", "hold no string:3: 41 E2 82 is no utf-8"),
-            ("4100 42FF", "string:3", "utf-16-le", "41 00 42 is no utf-16-le"),
-            ("00D8 4100", "string:4", "utf-16-le", "00 D8 41 00 is no utf-16-le"),
-        ],
-    )
-    def test_character_cut_in_the_middle_is_an_error(
-        self, registers: str, name: str, encoding: str, named: str
-    ) -> None:
-        with pytest.raises(ValueError, match=named):
-            decode(words(registers), name, encoding=encoding)
-
-    def test_every_encoding_of_the_list_is_one_of_python(self) -> None:
-        for encoding in values.ENCODINGS:
-            assert codecs.lookup(encoding).encode("A")
-            text = values.value_type("string:40", encoding=encoding)
-            assert text.decode(text.encode("ABC 123")) == "ABC 123"
-
-    @each_case(
-        "encoding", ["Latin-1", "ISO-8859-15", "UTF8", "windows-1252", "Shift_JIS", "us-ascii"]
-    )
-    def test_encodings_go_by_all_their_names(self, encoding: str) -> None:
-        text = values.value_type("string:4", encoding=encoding)
-        assert text.encode("AB") == [0x4142, 0]
-
-    @each_case(
-        "encoding",
-        ["punycode", "idna", "unicode_escape", "utf-7", "undefined", "latin-1\0", "l\xe4tin-1"],
-    )
-    def test_slow_and_odd_encodings_are_none(self, encoding: str) -> None:
-        """These need time that grows with the square of the length of a text, or an import."""
-        with pytest.raises(ValueError, match=r"^encoding must be ascii, latin-1, .*, not '"):
-            values.value_type("string:4", encoding=encoding)
-
-    @each_case(
-        ("options", "error", "named"),
-        [
-            ({"encoding": "no-such"}, ValueError, "encoding must be .*, not 'no-such'"),
-            ({"encoding": "rot13"}, ValueError, "encoding must be .*, not 'rot13'"),
-            ({"encoding": "hex"}, ValueError, "encoding must be .*, not 'hex'"),
-            ({"padding": ""}, ValueError, "padding must be one character, not ''"),
-            ({"padding": "  "}, ValueError, "padding must be one character, not '  '"),
-            ({"padding": "\xff"}, ValueError, "padding must be ascii"),
-            ({"encoding": 8}, TypeError, "encoding must be a string, not int"),
-            ({"encoding": None}, TypeError, "encoding must be a string, not NoneType"),
-            ({"padding": b"\0"}, TypeError, "padding must be a string, not bytes"),
-            ({"padding": 0}, TypeError, "padding must be a string, not int"),
-            ({"fill": " "}, TypeError, "fill"),
-        ],
-    )
-    def test_no_such_encoding_or_padding(
-        self, options: dict[str, Any], error: type[Exception], named: str
-    ) -> None:
-        with pytest.raises(error, match=named):
-            value_type("string:4", **options)
-
-    @settings(max_examples=80)
-    @given(
-        st.text(max_size=20),
-        st.integers(1, 40),
-        st.sampled_from(["ascii", "latin-1", "utf-8", "utf-16", "utf-16-be", "utf-32-le", "cp932"]),
-        st.sampled_from(["\0", " "]),
-        st.sampled_from(list(ORDERS)),
-    )
-    def test_text_comes_back_whole_or_is_refused(
-        self, value: str, size: int, encoding: str, padding: str, order: str
-    ) -> None:
-        options = {"encoding": encoding, "padding": padding, "order": order}
-        try:
-            registers = encode(value, f"string:{size}", **options)
-        except ValueError:
-            return
-        assert len(registers) == (size + 1) // 2
-        back = value.encode(encoding).decode(encoding).rstrip(padding)
-        assert decode(registers, f"string:{size}", **options) == back
-
-
 class TestMany:
     @each_order
     @each_case("name", [*NUMBERS, "string:5"])
@@ -662,152 +312,6 @@ class TestMany:
             decode_many([0x4142, 0xFFFF], "string:2")
 
 
-class TestReadings:
-    @settings(max_examples=40)
-    @given(st.lists(cell, min_size=1, max_size=6))
-    def test_every_distinct_value_stands_once(self, registers: list[int]) -> None:
-        expected: dict[tuple[str, str], str] = {}
-        for name in [*NUMBERS, f"string:{2 * len(registers)}"]:
-            for order in ("ABCD", "CDAB", "BADC", "DCBA"):
-                try:
-                    value = decode(registers, name, order=order)
-                except ValueError:
-                    continue
-                expected.setdefault((name, repr(value)), order)
-        found = readings(registers)
-        assert {(name, repr(value)): order for name, order, value in found} == expected
-        assert len(found) == len(expected)
-
-    def test_known_registers(self) -> None:
-        found = readings(words("0000 42C8"))
-        assert ("float32", "CDAB", 100.0) in found
-        assert ("uint32", "ABCD", 0x42C8) in found
-        assert found[0] == ("int32", "ABCD", 0x42C8)
-        assert found[0].type == "int32"
-        assert found[0].order == "ABCD"
-        assert found[0].value == 0x42C8
-        assert not [reading for reading in found if reading.type == "bcd32"]
-
-    def test_16_bits_have_two_orders(self) -> None:
-        assert [reading[1:] for reading in readings([0x1234]) if reading.type == "uint16"] == [
-            ("ABCD", 0x1234),
-            ("BADC", 0x3412),
-        ]
-        assert [reading[1:] for reading in readings([0x1212]) if reading.type == "bcd16"] == [
-            ("ABCD", 1212)
-        ]
-
-    @each_case("registers", ["FFFF FFFF", "7FC0 7FC0", "FFFF FFFF FFFF FFFF", "FFFF"])
-    def test_nan_is_not_repeated(self, registers: str) -> None:
-        found = readings(words(registers))
-        assert [reading.order for reading in found if str(reading.value) == "nan"] == ["ABCD"]
-
-    def test_signs_of_zero_are_distinct(self) -> None:
-        kept = [str(value) for name, _, value in readings(words("8000 0000")) if name == "float32"]
-        assert "-0.0" in kept
-
-    def test_4_registers_are_64_bits_or_text(self) -> None:
-        types = {reading.type for reading in readings(words("3132 3334 3536 3738"))}
-        assert types == {"int64", "uint64", "float64", "bcd64", "bits64", "string:8"}
-
-    @each_case("count", [3, 5, 6, 8, 124, 125])
-    def test_other_counts_can_only_be_text(self, count: int) -> None:
-        name = f"string:{2 * count}"
-        assert readings([0x4142] * count) == [
-            (name, "ABCD", "AB" * count),
-            (name, "BADC", "BA" * count),
-        ]
-        assert readings([0xFFFF] * count) == []
-        assert readings([0] * count) == [(name, "ABCD", "")]
-
-    @pytest.mark.parametrize("count", [0, 126, 1000])
-    def test_registers_are_1_to_125(self, count: int) -> None:
-        with pytest.raises(
-            ValueError, match=rf"the number of registers must be in 1\.\.125, not {count}"
-        ):
-            readings([0] * count)
-
-
-class TestParseReference:
-    @each_case("vector", rows(REFERENCES))
-    def test_reference_of_a_worked_example(self, vector: Reference) -> None:
-        parsed = parse_reference(vector.reference)
-        assert parsed == (TABLES[vector.table], vector.address)
-        assert parsed.table == TABLES[vector.table]
-        assert parsed.address == vector.address
-
-    def test_worked_examples_cover_every_table(self) -> None:
-        assert {vector.table for vector in REFERENCES} == set(TABLES)
-
-    @each_case("digit", ["0", "1", "3", "4"])
-    def test_first_and_last_item_of_a_table(self, digit: str) -> None:
-        table = DIGITS[digit]
-        assert parse_reference(f"{digit}0001") == (table, 0)
-        assert parse_reference(f"{digit}9999") == (table, 9998)
-        assert parse_reference(f"{digit}00001") == (table, 0)
-        assert parse_reference(f"{digit}65536") == (table, 65535)
-
-    def test_file_records_count_from_0(self) -> None:
-        assert parse_reference("60000") == ("file", 0)
-        assert parse_reference("600000") == ("file", 0)
-        assert parse_reference("69999") == ("file", 9999)
-        assert parse_reference("609999") == ("file", 9999)
-
-    @each_case(
-        "bad",
-        [
-            "",
-            "4",
-            "4012",
-            "4001234",
-            "40000",  # items count from 1
-            "400000",
-            "000000",
-            "465537",
-            "499999",
-            "610000",
-            "20001",
-            "50001",
-            "70001",
-            "90001",
-            "-40001",
-            "+40001",
-            " 40001",
-            "40001 ",
-            "40001\n",
-            "4 0001",
-            "4_0001",
-            "4x0001",
-            "0x001",
-            "4000.1",
-            "4000\u0661",  # a digit, but of another script
-            "\uff140001",
-        ],
-    )
-    def test_anything_else_is_refused_and_named(self, bad: str) -> None:
-        with pytest.raises(ValueError, match="reference") as caught:
-            parse_reference(bad)
-        assert repr(bad) in str(caught.value)
-
-    @each_case("bad", [40123, 123, 4.0, None, b"40123", True, ["40123"]])
-    def test_only_text_is_a_reference(self, bad: Any) -> None:
-        with pytest.raises(TypeError, match="must be a string"):
-            parse_reference(bad)
-
-    @settings(max_examples=75)
-    @given(st.text("0123456789 +-_\u0661", max_size=7))
-    def test_text_is_a_reference_or_a_value_error(self, text: str) -> None:
-        try:
-            table, address = parse_reference(text)
-        except ValueError:
-            return
-        assert table == DIGITS[text[0]]
-        assert int(text[1:]) - address == (0 if table == "file" else 1)
-
-    def test_tables_are_those_of_mappings(self) -> None:
-        assert REFERENCE_TABLES == DIGITS
-
-
 # --- names and limits --------------------------------------------------------------------
 
 
@@ -843,29 +347,3 @@ def test_limits_are_the_numbers_that_just_fit(name: str) -> None:
 @each_case("name", [*get_args(BitsType), "string:1"])
 def test_what_is_no_number_has_no_limits(name: str) -> None:
     assert value_type(name).limits is None
-
-
-# --- MAC addresses -------------------------------------------------------------------------
-
-
-def test_a_mac_address_is_text_behind_two_bytes_of_padding() -> None:
-    kind = value_type("eui48")
-    assert kind.decode([0xABCD, 0x0DD7, 0x4CC6, 0x448E]) == "0D:D7:4C:C6:44:8E"
-    for text in ("0D:D7:4C:C6:44:8E", "0d-d7-4c-c6-44-8e"):
-        assert kind.encode(text) == [0, 0x0DD7, 0x4CC6, 0x448E]
-    assert value_type("eui48", order="CDAB").encode("0D:D7:4C:C6:44:8E")[0] == 0x448E
-
-
-@each_case(
-    ("value", "error"),
-    [
-        ("0D:D7:4C:C6:44", ValueError),
-        ("0D:D7:4C:C6:44:8G", ValueError),
-        ("0DD74CC6448E", ValueError),
-        ("0D:D7:4C:C6:44:8E\n", ValueError),
-        (0x0DD74CC6448E, TypeError),
-    ],
-)
-def test_what_is_no_mac_address_is_refused(value: Any, error: type[Exception]) -> None:
-    with pytest.raises(error, match=r"value must be (like 0D:D7:4C:C6:44:8E|a string)"):
-        value_type("eui48").encode(value)

@@ -1,0 +1,187 @@
+"""
+All values that some registers may mean, and references, the 1-based notation of manuals.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from libmodbus_py.protocol.values import (
+    parse_reference,
+    readings,
+)
+from libmodbus_py.protocol.words import REFERENCE_TABLES
+from tests.support.cases import each_case
+from tests.support.values import (
+    NUMBERS,
+    cell,
+    decode,
+    words,
+)
+from tests.support.vectors import REFERENCES, Reference, rows
+
+# As the examples call the tables, and as this package does.
+TABLES = {
+    "coil": "coils",
+    "discrete_input": "discrete_inputs",
+    "input_register": "input_registers",
+    "holding_register": "holding_registers",
+    "file_record": "file",
+}
+DIGITS = {
+    "0": "coils",
+    "1": "discrete_inputs",
+    "3": "input_registers",
+    "4": "holding_registers",
+    "6": "file",
+}
+
+
+class TestReadings:
+    @settings(max_examples=40)
+    @given(st.lists(cell, min_size=1, max_size=6))
+    def test_every_distinct_value_stands_once(self, registers: list[int]) -> None:
+        expected: dict[tuple[str, str], str] = {}
+        for name in [*NUMBERS, f"string:{2 * len(registers)}"]:
+            for order in ("ABCD", "CDAB", "BADC", "DCBA"):
+                try:
+                    value = decode(registers, name, order=order)
+                except ValueError:
+                    continue
+                expected.setdefault((name, repr(value)), order)
+        found = readings(registers)
+        assert {(name, repr(value)): order for name, order, value in found} == expected
+        assert len(found) == len(expected)
+
+    def test_known_registers(self) -> None:
+        found = readings(words("0000 42C8"))
+        assert ("float32", "CDAB", 100.0) in found
+        assert ("uint32", "ABCD", 0x42C8) in found
+        assert found[0] == ("int32", "ABCD", 0x42C8)
+        assert found[0].type == "int32"
+        assert found[0].order == "ABCD"
+        assert found[0].value == 0x42C8
+        assert not [reading for reading in found if reading.type == "bcd32"]
+
+    def test_16_bits_have_two_orders(self) -> None:
+        assert [reading[1:] for reading in readings([0x1234]) if reading.type == "uint16"] == [
+            ("ABCD", 0x1234),
+            ("BADC", 0x3412),
+        ]
+        assert [reading[1:] for reading in readings([0x1212]) if reading.type == "bcd16"] == [
+            ("ABCD", 1212)
+        ]
+
+    @each_case("registers", ["FFFF FFFF", "7FC0 7FC0", "FFFF FFFF FFFF FFFF", "FFFF"])
+    def test_nan_is_not_repeated(self, registers: str) -> None:
+        found = readings(words(registers))
+        assert [reading.order for reading in found if str(reading.value) == "nan"] == ["ABCD"]
+
+    def test_signs_of_zero_are_distinct(self) -> None:
+        kept = [str(value) for name, _, value in readings(words("8000 0000")) if name == "float32"]
+        assert "-0.0" in kept
+
+    def test_4_registers_are_64_bits_or_text(self) -> None:
+        types = {reading.type for reading in readings(words("3132 3334 3536 3738"))}
+        assert types == {"int64", "uint64", "float64", "bcd64", "bits64", "string:8"}
+
+    @each_case("count", [3, 5, 6, 8, 124, 125])
+    def test_other_counts_can_only_be_text(self, count: int) -> None:
+        name = f"string:{2 * count}"
+        assert readings([0x4142] * count) == [
+            (name, "ABCD", "AB" * count),
+            (name, "BADC", "BA" * count),
+        ]
+        assert readings([0xFFFF] * count) == []
+        assert readings([0] * count) == [(name, "ABCD", "")]
+
+    @pytest.mark.parametrize("count", [0, 126, 1000])
+    def test_registers_are_1_to_125(self, count: int) -> None:
+        with pytest.raises(
+            ValueError, match=rf"the number of registers must be in 1\.\.125, not {count}"
+        ):
+            readings([0] * count)
+
+
+class TestParseReference:
+    @each_case("vector", rows(REFERENCES))
+    def test_reference_of_a_worked_example(self, vector: Reference) -> None:
+        parsed = parse_reference(vector.reference)
+        assert parsed == (TABLES[vector.table], vector.address)
+        assert parsed.table == TABLES[vector.table]
+        assert parsed.address == vector.address
+
+    def test_worked_examples_cover_every_table(self) -> None:
+        assert {vector.table for vector in REFERENCES} == set(TABLES)
+
+    @each_case("digit", ["0", "1", "3", "4"])
+    def test_first_and_last_item_of_a_table(self, digit: str) -> None:
+        table = DIGITS[digit]
+        assert parse_reference(f"{digit}0001") == (table, 0)
+        assert parse_reference(f"{digit}9999") == (table, 9998)
+        assert parse_reference(f"{digit}00001") == (table, 0)
+        assert parse_reference(f"{digit}65536") == (table, 65535)
+
+    def test_file_records_count_from_0(self) -> None:
+        assert parse_reference("60000") == ("file", 0)
+        assert parse_reference("600000") == ("file", 0)
+        assert parse_reference("69999") == ("file", 9999)
+        assert parse_reference("609999") == ("file", 9999)
+
+    @each_case(
+        "bad",
+        [
+            "",
+            "4",
+            "4012",
+            "4001234",
+            "40000",  # items count from 1
+            "400000",
+            "000000",
+            "465537",
+            "499999",
+            "610000",
+            "20001",
+            "50001",
+            "70001",
+            "90001",
+            "-40001",
+            "+40001",
+            " 40001",
+            "40001 ",
+            "40001\n",
+            "4 0001",
+            "4_0001",
+            "4x0001",
+            "0x001",
+            "4000.1",
+            "4000\u0661",  # a digit, but of another script
+            "\uff140001",
+        ],
+    )
+    def test_anything_else_is_refused_and_named(self, bad: str) -> None:
+        with pytest.raises(ValueError, match="reference") as caught:
+            parse_reference(bad)
+        assert repr(bad) in str(caught.value)
+
+    @each_case("bad", [40123, 123, 4.0, None, b"40123", True, ["40123"]])
+    def test_only_text_is_a_reference(self, bad: Any) -> None:
+        with pytest.raises(TypeError, match="must be a string"):
+            parse_reference(bad)
+
+    @settings(max_examples=75)
+    @given(st.text("0123456789 +-_\u0661", max_size=7))
+    def test_text_is_a_reference_or_a_value_error(self, text: str) -> None:
+        try:
+            table, address = parse_reference(text)
+        except ValueError:
+            return
+        assert table == DIGITS[text[0]]
+        assert int(text[1:]) - address == (0 if table == "file" else 1)
+
+    def test_tables_are_those_of_mappings(self) -> None:
+        assert REFERENCE_TABLES == DIGITS
