@@ -1,0 +1,483 @@
+"""
+Each row of the table at the head of `line.py`, by bytes and times, and where rows meet.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from libmodbus_py import (
+    FrameError,
+    InvalidResponse,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    pdu,
+)
+from tests.support.cases import each_case
+from tests.support.talk import LINE, Talk, kinds, rtu, tcp, value
+
+WRITE = pdu.WriteRegister(1, 2)
+
+
+# --- the table -------------------------------------------------------------------------
+
+
+def usual(talk: Talk, number: int, unit: int = 1) -> None:
+    """A request whose answer takes 10 ms: HOLD lasts 20 ms then."""
+    batch = talk.ask(number, unit=unit)
+    talk.wait(0.01)
+    talk.come(value(number, unit=unit))
+    assert batch.outcomes == [[number]]
+
+
+def used() -> Talk:
+    """Return a line with units 1 and 2, which have answered well."""
+    talk = Talk(LINE, timeout=1)
+    for unit in (1, 2):
+        usual(talk, 10 + unit, unit)
+    talk.wait(0.1)
+    talk.sent.clear()
+    talk.times.clear()
+    return talk
+
+
+def in_doubt() -> Talk:
+    """Return a line whose unit 1 has not answered a read of register 5, two seconds ago."""
+    talk = used()
+    batch = talk.ask(5)
+    talk.wait(1)
+    assert kinds(batch) == [ModbusTimeoutError]
+    talk.wait(1)
+    return talk
+
+
+def test_idle_and_a_request_asked_at_once_or_after_a_timeout_of_silence() -> None:
+    talk = used()
+    first = talk.ask(5)
+    assert len(talk.sent) == 1
+    talk.wait(1)
+    assert kinds(first) == [ModbusTimeoutError]
+    silent_from = talk.now
+    talk.ask(6)
+    talk.wait_for(2)
+    assert talk.times[1] == pytest.approx(silent_from + 1)
+
+
+@pytest.mark.parametrize("unit", [1, 2])
+def test_a_frame_while_idle_is_dropped_and_counted(unit: int) -> None:
+    talk = used()
+    talk.come(value(7, unit=unit))
+    assert talk.statistics.late_answers == 1
+    batch = talk.ask(6, unit=unit)
+    assert talk.times[-1] == talk.now
+    talk.come(value(6, unit=unit))
+    assert batch.outcomes == [[6]]
+
+
+def test_asked_and_its_answer_is_the_result_at_once() -> None:
+    talk = used()
+    for number in range(20, 40):
+        usual(talk, number)
+
+
+def test_asked_in_doubt_and_its_answer_is_held() -> None:
+    talk = in_doubt()
+    batch = talk.ask(6)
+    talk.wait(0.01)
+    talk.come(value(6))
+    talk.wait(0.019)
+    assert not batch.is_done
+    talk.wait(0.002)
+    assert batch.outcomes == [[6]]
+
+
+def test_asked_and_an_answer_equal_to_a_recent_one_is_held() -> None:
+    talk = used()
+    for number in range(20, 28):  # 8 answers
+        usual(talk, number)
+    for address in (1, 2):
+        batch = talk.ask(address)
+        talk.come(value(20))
+        assert not batch.is_done
+        talk.wait(0.02)
+        assert batch.outcomes == [[20]]
+    # Not if it is equal to the last one to the same request too, nor to one of another unit.
+    batch = talk.ask(1)
+    talk.come(value(20))
+    assert batch.outcomes == [[20]]
+    batch = talk.ask(3, unit=2)
+    talk.come(value(27, unit=2))
+    assert batch.outcomes == [[27]]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "is_held"), [((1,), True), ((1, 7, 9), True), ((1, 7, 9, 8), False)]
+)
+def test_asked_and_one_of_the_last_three_answers_to_another_is_held_however_old(
+    numbers: tuple[int, ...], is_held: bool
+) -> None:
+    talk = used()
+    for number in numbers:
+        batch = talk.ask(1)
+        talk.come(value(number))
+        assert batch.outcomes == [[number]]
+    for number in range(20, 60):
+        usual(talk, number)
+    batch = talk.ask(3)
+    talk.come(value(1))
+    assert batch.is_done is not is_held
+    talk.wait(0.02)
+    assert batch.outcomes == [[1]]
+
+
+def test_asked_and_a_value_that_goes_to_and_fro_is_the_result_at_once() -> None:
+    talk = used()
+    for number in (1, 7, 1, 7, 1):
+        batch = talk.ask(1)
+        talk.come(value(number))
+        assert batch.outcomes == [[number]]
+
+
+@pytest.mark.parametrize("come", [value(5)[:-1] + b"\0", rtu("01 03 04 0005 0006"), b""])
+def test_asked_and_a_failure_leads_to_doubt(come: bytes) -> None:
+    """A damaged answer, one that does not fit, none."""
+    talk = used()
+    batch = talk.ask(5)
+    talk.come(come)
+    while not batch.is_done:
+        talk.wait(0.001)
+    assert isinstance(batch.outcomes[0], ModbusError)
+    failed_at = talk.now
+    batch = talk.ask(6)
+    talk.wait_for(2)
+    assert talk.times[1] == pytest.approx(failed_at + 1, abs=0.001)
+    talk.come(value(6))
+    assert not batch.is_done
+    talk.wait(0.02)
+    assert batch.outcomes == [[6]]
+
+
+def test_asked_and_a_caller_that_left_leads_to_doubt() -> None:
+    talk = used()
+    talk.cancel(talk.ask(5))
+    left_at = talk.now
+    batch = talk.ask(6)
+    talk.wait_for(2)
+    assert talk.times[1] == pytest.approx(left_at + 1)
+    talk.come(value(6))
+    assert not batch.is_done
+    talk.wait(0.02)
+    assert batch.outcomes == [[6]]
+
+
+@pytest.mark.parametrize("is_held", [False, True])
+@pytest.mark.parametrize("frame", [value(7, unit=2), rtu("01 04 02 0007")])
+def test_a_frame_of_another_does_not_end_the_wait(frame: bytes, is_held: bool) -> None:
+    talk = in_doubt() if is_held else used()
+    batch = talk.ask(5)
+    if is_held:
+        talk.come(value(5))
+    talk.come(frame)
+    assert not batch.is_done
+    if is_held:
+        talk.wait(0.02)
+    else:
+        talk.come(value(5))
+    assert batch.outcomes == [[5]]
+    talk.ask(6, unit=2) if frame[0] == 2 else talk.ask(pdu.ReadInputRegisters(6, 1))
+    assert talk.times[-1] == talk.now
+    assert talk.statistics.late_answers == 1
+
+
+def test_hold_and_the_same_answer_begins_again() -> None:
+    talk = in_doubt()
+    batch = talk.ask(6)
+    for _ in range(4):
+        talk.come(value(6))
+        talk.wait(0.015)
+        assert not batch.is_done
+    talk.wait(0.006)
+    assert batch.outcomes == [[6]]
+    assert talk.statistics.late_answers == 3
+
+
+@pytest.mark.parametrize("frame", [value(7), rtu("01 83 02"), value(7)[:-1] + b"\0"])
+def test_hold_and_another_frame_fails_the_request_and_leads_to_doubt(frame: bytes) -> None:
+    talk = in_doubt()
+    batch = talk.ask(6)
+    talk.come(value(6))
+    talk.wait(0.01)
+    talk.come(frame)
+    failed_at = talk.now
+    talk.wait(0.1)
+    assert isinstance(batch.outcomes[0], InvalidResponse | FrameError)
+    assert batch.outcomes[0].received == value(6) + frame
+    talk.ask(8)
+    talk.wait_for(3)
+    assert talk.times[2] >= failed_at + 1
+    talk.come(value(8))
+    assert talk.connection.in_flight
+
+
+def test_hold_of_twice_the_slowest_answer_of_this_length_ends_the_doubt() -> None:
+    talk = used()
+    slow = talk.ask(pdu.ReadHoldingRegisters(5, 2))
+    talk.wait(0.4)
+    talk.come(rtu("01 03 04 0005 0006"))
+    assert slow.outcomes == [[5, 6]]
+    talk.wait(1)  # for a pause as long as twice the slowest tells nothing
+    talk.ask(5)
+    talk.wait(2)
+    batch = talk.ask(6)
+    talk.come(value(6))  # the slowest of this length took 10 ms
+    talk.wait(0.021)
+    assert batch.outcomes == [[6]]
+    usual(talk, 7)
+    talk.ask(8)
+    talk.wait(2)
+    batch = talk.ask(pdu.ReadHoldingRegisters(9, 2))
+    talk.come(rtu("01 03 04 0009 000A"))
+    talk.wait(0.7)
+    assert not batch.is_done
+    talk.wait(0.11)
+    assert batch.outcomes == [[9, 10]]
+
+
+@pytest.mark.parametrize("is_own", [True, False])
+def test_hold_and_the_end_of_its_time(is_own: bool) -> None:
+    """Nothing was answered before: HOLD would last for a timeout."""
+    talk = Talk(LINE, timeout=1, retries=int(is_own))
+    batch = talk.ask(5)
+    talk.wait(2)
+    if not is_own:
+        batch = talk.ask(6)
+    talk.wait(0.1)
+    talk.come(value(6))
+    talk.wait(0.89)
+    assert not batch.is_done
+    talk.wait(0.01)
+    if is_own:
+        assert batch.outcomes == [[6]]  # the answer to either of its frames
+    else:
+        assert kinds(batch) == [ModbusTimeoutError]
+        assert "or an earlier one" in str(batch.outcomes[0])
+        failed_at = talk.now
+        talk.ask(7)
+        talk.wait_for(3)
+        assert talk.times[2] == pytest.approx(failed_at + 1)
+        talk.come(value(7))
+    assert not talk.connection.in_flight  # the silence has ended the doubt
+
+
+def test_hold_without_doubt_and_the_end_of_its_time() -> None:
+    talk = used()
+    slow = talk.ask(20)
+    talk.wait(0.9)
+    talk.come(value(20))
+    assert slow.outcomes == [[20]]
+    batch = talk.ask(21)
+    talk.come(value(20))
+    talk.wait(0.99)
+    assert not batch.is_done
+    talk.wait(0.01)
+    assert batch.outcomes == [[20]]
+
+
+def test_doubt_and_a_frame_of_it_count_the_silence_anew() -> None:
+    talk = used()
+    batch = talk.ask(5)
+    talk.wait(1)
+    assert batch.is_done
+    batch = talk.ask(6)
+    for _ in range(2):
+        talk.wait(0.4)
+        talk.come(value(5))
+    heard_at = talk.now
+    talk.wait_for(2)
+    assert talk.times[1] == pytest.approx(heard_at + 1)
+    assert talk.statistics.late_answers == 2
+
+
+def test_doubt_and_a_late_frame_of_its_unit_count_the_silence_anew() -> None:
+    """The unit still works through earlier requests, which are of other functions, too."""
+    talk = used()
+    talk.ask(pdu.ReadInputRegisters(5, 1))
+    talk.wait(1)
+    talk.ask(5)
+    talk.wait(1)
+    written = talk.ask(WRITE)
+    talk.wait(0.9)
+    talk.come(rtu("01 04 02 00 05"))
+    heard_at = talk.now
+    talk.come(rtu("01 06 00 01 00 02"))
+    assert written.outcomes == [None]
+    talk.ask(6)
+    talk.wait_for(4)
+    assert talk.times[3] == pytest.approx(heard_at + 1)
+
+
+def test_hold_and_a_late_frame_of_its_unit_begin_again() -> None:
+    talk = used()
+    talk.ask(pdu.ReadInputRegisters(5, 1))
+    talk.wait(1)
+    talk.ask(5)
+    talk.wait(2)
+    batch = talk.ask(6)
+    for frame in (value(6), *[rtu("01 04 02 00 05")] * 3):
+        talk.come(frame)
+        talk.wait(0.015)
+        assert not batch.is_done
+    talk.wait(0.006)
+    assert batch.outcomes == [[6]]
+
+
+def test_after_an_equal_answer_to_an_equal_request_that_to_another_one_is_held() -> None:
+    """The second one may have been the first one again; the answers would then be shifted."""
+    talk = used()
+    for _ in range(2):
+        usual(talk, 5)
+    batch = talk.ask(6)
+    talk.come(value(6))
+    assert not batch.is_done
+    talk.wait(0.02)
+    assert batch.outcomes == [[6]]
+    usual(talk, 7)
+
+
+def test_an_answer_is_held_once_in_ten_timeouts() -> None:
+    """Without a pause on the line: it could be shifted by one request, and nothing else tells."""
+    talk, held = used(), 0
+    for number in range(100, 2300):
+        batch = talk.ask(number)
+        talk.wait(0.01)
+        talk.come(value(number))
+        held += not batch.is_done
+        talk.wait(0 if batch.is_done else 0.02)
+        assert batch.outcomes == [[number]]
+    assert held == 2
+
+
+# --- where events fall together --------------------------------------------------------
+
+
+@each_case(("frame", "is_first"), [
+    (value(6), True), (value(6), False), (value(7), True), (value(7), False),
+])  # fmt: skip
+def test_a_frame_exactly_at_the_end_of_hold(frame: bytes, is_first: bool) -> None:
+    """HOLD lasts until its end: what is read before the alarm is in it, what is read later not."""
+    talk = in_doubt()
+    batch = talk.ask(6)
+    talk.come(value(6))
+    talk.now += 0.02
+    if is_first:
+        talk.come(frame)
+        assert batch.is_done == (frame != value(6))
+    talk.wait(0.02)
+    if not is_first:
+        assert batch.outcomes == [[6]]
+        talk.come(frame)
+    assert kinds(batch) == ([[6]] if frame == value(6) or not is_first else [InvalidResponse])
+    assert talk.statistics.late_answers == 1
+    assert talk.is_at_rest
+
+
+def test_a_late_answer_equal_to_one_of_another_unit_is_no_reason_to_hold() -> None:
+    talk = used()
+    usual(talk, 7, unit=2)
+    batch = talk.ask(6)
+    talk.come(value(7))
+    assert batch.outcomes == [[7]]
+
+
+@each_case("by_itself", [True, False])
+def test_doubt_goes_on_over_another_connection(by_itself: bool) -> None:
+    """The unit is behind the server: its late answer may come over the next connection, too."""
+    talk = used()
+    first = talk.ask(5)
+    talk.wait(0.3)
+    talk.lose(by_itself=by_itself)
+    talk.open()
+    assert kinds(first) == [ModbusConnectionError]
+    lost_at, batch = talk.now, talk.ask(6)
+    talk.wait(0.5)
+    talk.come(value(5))
+    talk.wait(0.99)
+    assert len(talk.sent) == 1
+    talk.wait_for(2)
+    assert talk.times[1] == pytest.approx(lost_at + 1.5)
+    talk.come(value(6))
+    assert not batch.is_done
+    talk.wait(0.02)
+    assert batch.outcomes == [[6]]
+
+
+def test_a_connection_that_ends_in_hold_fails_what_is_held() -> None:
+    talk = in_doubt()
+    batch = talk.ask(6)
+    talk.come(value(6))
+    talk.lose()
+    talk.open()
+    assert kinds(batch) == [ModbusConnectionError]
+    talk.come(value(6))
+    talk.wait(5)
+    assert kinds(batch) == [ModbusConnectionError]
+    assert talk.is_at_rest
+
+
+def test_a_caller_that_leaves_in_hold_leaves_doubt() -> None:
+    talk = in_doubt()
+    batch = talk.ask(6)
+    talk.come(value(6))
+    talk.cancel(batch)
+    left_at, other = talk.now, talk.ask(8)
+    talk.wait_for(3)
+    assert talk.times[2] == pytest.approx(left_at + 1)
+    talk.come(value(8))
+    talk.wait(0.02)
+    assert other.outcomes == [[8]]
+
+
+@each_case("timeout", [0.001, 0.5, 86_400])
+def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
+    """In DOUBT, ASKED and HOLD; none of them becomes endless."""
+    talk = used()
+    talk.ask(5)
+    talk.wait(1)
+    batches = [talk.ask(6), talk.ask(7)]
+    talk.timeouts.timeout = timeout
+    talk.matching.wake(talk.now)
+    talk.wait_for(2)
+    talk.come(value(6))
+    talk.wait(max(3, 5 * timeout))
+    talk.come(value(7))
+    talk.wait(max(3, 5 * timeout))
+    assert all(batch.is_done for batch in batches)
+    assert talk.is_at_rest
+
+
+@each_case("url", [LINE, "tcp://192.0.2.1"])
+def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
+    """Requests, answers and frames that nobody awaits, all at one moment."""
+    talk = Talk(url, max_in_flight=None, timeout=1)
+    for number in range(50):
+        batch = talk.ask(number)
+        talk.come(tcp(talk.sent[-1]) if talk.has_ids else value(number))
+        talk.wait(0)
+        assert batch.outcomes == [[number]]
+    late = tcp(talk.sent[0]) if talk.has_ids else value(0)
+    talk.come(late, late)
+    batch = talk.ask(3)
+    talk.wait(0)
+    talk.come(tcp(talk.sent[-1]) if talk.has_ids else value(3))
+    talk.wait(0)
+    assert batch.outcomes == [[3]]
+
+
+@each_case(("come", "late"), [(b"", 0), (value(1), 1), (value(1) + value(1), 2)])
+def test_answers_beside_the_first_are_counted(come: bytes, late: int) -> None:
+    talk = Talk(LINE, timeout=1)
+    batch = talk.ask(1)
+    talk.come(value(1) + come)
+    assert batch.outcomes == [[1]]
+    assert talk.statistics.late_answers == late
