@@ -13,6 +13,7 @@ import contextlib
 import struct
 from collections.abc import Awaitable, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import pytest
@@ -22,7 +23,6 @@ from pymodbus.server import ModbusTcpServer
 
 from libmodbus_py import AsyncClient, Context, Gateway, Route, pdu
 from tests.interop.test_interop_pymodbus_server import in_background, simulated_device
-from tests.support.clients import NATIVE
 from tests.support.interop import HOLDING_REGISTERS, UNIT, holding_register
 from tests.support.peers import FakeServer, mbap
 
@@ -115,64 +115,50 @@ def served(request: pytest.FixtureRequest) -> Iterator[Served]:
         yield running
 
 
-Calls = Callable[[AsyncClient], list[Awaitable[Any]]]
-
-
-def gather(url: str, calls: Calls) -> tuple[list[Any], Any]:
-    """Return the results of calls that are made at once by a new client, and its statistics."""
+def gather(url: str, requests: list[Any]) -> tuple[list[Any], Any]:
+    """Return the results of requests that a new client is given at once, and its statistics."""
 
     async def ask() -> tuple[list[Any], Any]:
         async with AsyncClient(url, unit=UNIT) as plc:
-            return await asyncio.gather(*calls(plc), return_exceptions=True), plc.statistics
+            asked = [plc.execute(each) for each in requests]
+            return await asyncio.gather(*asked, return_exceptions=True), plc.statistics
 
     return asyncio.run(ask())
 
 
-def writes(plc: AsyncClient) -> list[Awaitable[Any]]:
-    return [plc.write_register(REGISTER, value) for value in VALUES]
+def execute_many(url: str, requests: list[Any], *, native: bool) -> tuple[list[Any], Any]:
+    """Return the results of a blocking client, and its statistics."""
+    with Context.from_url(url, unit=UNIT, native=native) as plc:
+        return plc.execute_many(requests, return_exceptions=True), plc.statistics
+
+
+Ask = Callable[[str, list[Any]], tuple[list[Any], Any]]
+
+CLIENTS: dict[str, Ask] = {
+    "asyncio": gather,
+    "native": partial(execute_many, native=True),
+    "python": partial(execute_many, native=False),
+}
 
 
 def reads(plc: AsyncClient) -> list[Awaitable[Any]]:
     return [plc.read_holding_registers(address, 1) for address in ADDRESSES]
 
 
-def mixed(plc: AsyncClient) -> list[Awaitable[Any]]:
-    return [plc.execute(request) for request in MIXED]
-
-
-def execute_many(url: str, requests: list[Any], native: bool) -> tuple[list[Any], Any]:
-    """Return the results of a blocking client, and its statistics."""
-    with Context.from_url(url, unit=UNIT, native=native) as plc:
-        return plc.execute_many(requests, return_exceptions=True), plc.statistics
-
-
 # --- writes, and reads between them ---------------------------------------------------------------
 
 
-def test_gathered_writes_are_carried_out_once_and_in_order(served: Served) -> None:
-    results, statistics = gather(served.url, writes)
+@pytest.mark.parametrize("client", CLIENTS)
+def test_writes_are_carried_out_once_and_in_order(served: Served, client: str) -> None:
+    results, statistics = CLIENTS[client](served.url, WRITES)
     assert results == [None] * COUNT
     assert served.values == VALUES
     assert statistics.requests == COUNT
 
 
-def test_gathered_reads_see_the_writes_before_them(served: Served) -> None:
-    results, _ = gather(served.url, mixed)
-    assert results == MIXED_RESULTS
-    assert served.values == VALUES
-
-
-@NATIVE
-def test_writes_of_a_batch_are_carried_out_once_and_in_order(served: Served, native: bool) -> None:
-    results, statistics = execute_many(served.url, WRITES, native)
-    assert results == [None] * COUNT
-    assert served.values == VALUES
-    assert statistics.requests == COUNT
-
-
-@NATIVE
-def test_reads_of_a_batch_see_the_writes_before_them(served: Served, native: bool) -> None:
-    results, _ = execute_many(served.url, MIXED, native)
+@pytest.mark.parametrize("client", CLIENTS)
+def test_reads_see_the_writes_before_them(served: Served, client: str) -> None:
+    results, _ = CLIENTS[client](served.url, MIXED)
     assert results == MIXED_RESULTS
     assert served.values == VALUES
 
@@ -212,22 +198,13 @@ def test_reads_are_lost_in_the_first_gather_only(served: Served) -> None:
     assert later == [first, first]
 
 
-Ask = Callable[[str], tuple[list[Any], Any]]
-
-CLIENTS: dict[str, Ask] = {
-    "asyncio": lambda url: gather(url, reads),
-    "native": lambda url: execute_many(url, READS, True),
-    "python": lambda url: execute_many(url, READS, False),
-}
-
-
 @pytest.mark.parametrize("second", CLIENTS)
 @pytest.mark.parametrize("first", CLIENTS)
 def test_a_second_client_sends_no_read_twice(served: Served, first: str, second: str) -> None:
-    results, statistics = CLIENTS[first](served.url)
+    results, statistics = CLIENTS[first](served.url, READS)
     assert results == READ
     assert statistics.retries > 0
-    results, statistics = CLIENTS[second](served.url)
+    results, statistics = CLIENTS[second](served.url, READS)
     assert results == READ
     assert statistics.retries == 0
     assert statistics.requests == COUNT
