@@ -417,6 +417,12 @@ class TestLateImports:
         own = ("request", "reads")
         assert kinds == {f"libmodbus_py.protocol.pdu.{name}" for name in own}
 
+    def test_a_list_of_maps_brings_neither_client_nor_scan(self) -> None:
+        found = imported_by("from libmodbus_py.cli.main import main\nmain(['map', 'list'])")
+        assert "libmodbus_py.cli.ask.map" in found
+        unwanted = ("client.blocking", "maps.point", "tools.scan.probe")
+        assert not {f"libmodbus_py.{name}" for name in unwanted} & found
+
     def test_tls_brings_ssl(self) -> None:
         assert "ssl" in imported_by("from libmodbus_py import Security")
 

@@ -11,5 +11,6 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
     units            several units, asked one after the other, and reports of their answers
     shown_watch      the values of read --watch as the live page shows them
     reports          identify, diagnose and raw
-    map              map, with its actions
+    map              the arguments of map
+    map_actions      its actions
 """

@@ -1,47 +1,19 @@
 """
-The command map: check register maps, list those of the package, make a class of one, or a map of a
-device.
+The command map: the arguments of its actions, and the action list.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import sys
-from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import closing
-from pathlib import Path, PurePath
+from functools import partial
 from textwrap import fill
 from typing import Any
 
-from ...client.blocking import Context
-from ...maps.point import Point
-from ...maps.register_map import RegisterMap
-from ...ports.endpoint import parse
-from ...protocol.errors import ExceptionResponse, ModbusError
-from ...protocol.tables import TABLES
-from ...tools.files.map_file import contents_of, load_map, remarks
-from ...tools.files.map_texts import MARK, class_text, csv_text, toml_text
-from ...tools.scan.probe import ON_LINES, ON_NETWORKS
-from ...tools.scan.search import Extent, search
-from ...tools.simulator import example_files
-from ...tools.simulator.example_files import map_file
 from .. import arguments
-from ..arguments import connected, declare, endpoint_of
-from ..main import INTERRUPTED, CommandError
-from ..output import PROGRAM, Status, complain, counted, missing, progress, written_to
+from ..arguments import declare, maps, names_of_maps
+from ..output import complain
 
 __all__ = ["add_command"]
-
-MOST_MISTAKES = 20
-"""Mistakes in a file that are printed, at most."""
-
-# With more cells the file would be too long, so points are ranges instead.
-MOST_CELLS = 4000
-
-Run = Callable[[argparse.Namespace], int]
-
-TEXTS: dict[str, Callable[[Iterable[Point]], str]] = {".toml": toml_text, ".csv": csv_text}
 
 CHECK = "check register maps, and print their points and requests"
 LIST = "list the register maps that come with the package"
@@ -109,6 +81,11 @@ examples:
 {arguments.URLS}"""
 
 
+DEVICE = """
+--device URL
+    read all points of this device, and print those that it refuses
+"""
+
 SEARCH = """
 --search WORD ...
     print those alone whose name or description, which begins with the vendor, has all these words
@@ -116,7 +93,10 @@ SEARCH = """
 
 OF_OUTPUT = "-o --output FILE\n  a new file, .toml or .csv (TOML, printed)"
 
-OF_CLASS_OUTPUT = "-o --output FILE\n  a .py file, new or written by this command before (printed)"
+OF_CLASS_OUTPUT = """
+-o --output FILE
+    a .py file, new or written by this command before (printed)
+"""
 
 
 def add_command(command: argparse.ArgumentParser) -> None:
@@ -124,39 +104,56 @@ def add_command(command: argparse.ArgumentParser) -> None:
     command.epilog = EXAMPLES
     actions = command.add_subparsers(metavar="ACTION", required=True)
 
-    def add(name: str, run: Run, about: str, epilog: str, more: str = "") -> Any:
+    def add(name: str, about: str, epilog: str, more: str = "") -> Any:
         text = f"{fill(about[0].upper() + about[1:] + more, 79)}."
         action = actions.add_parser(name, help=about, description=text, epilog=epilog)
-        action.set_defaults(run=run)
+        action.set_defaults(run=partial(_run, name))
         return action
 
-    check = add("check", _check, CHECK, OF_CHECK)
-    declare(check, f"FILE ...\n  {OF_FILE}", file={"dest": "files", "complete": arguments.maps})
+    check = add("check", CHECK, OF_CHECK)
+    declare(check, f"FILE ...\n  {OF_FILE}", file={"dest": "files", "complete": maps})
     arguments.add_columns(check, rare="")
-    declare(
-        check, "--device URL\n  read all points of this device, and print those that it refuses"
-    )
+    declare(check, DEVICE)
     arguments.add_requests(check)
-    search = {"action": "store", "nargs": "+", "default": [], "complete": arguments.names_of_maps}
-    declare(add("list", _list, LIST, OF_LIST, "; --map takes their names"), SEARCH, search=search)
-    made = add("class", _class, CLASS, OF_CLASS)
-    declare(made, f"FILE\n  {OF_FILE}", file={"complete": arguments.maps})
+    search = {"action": "store", "nargs": "+", "default": [], "complete": names_of_maps}
+    declare(add("list", LIST, OF_LIST, "; --map takes their names"), SEARCH, search=search)
+    made = add("class", CLASS, OF_CLASS)
+    declare(made, f"FILE\n  {OF_FILE}", file={"complete": maps})
     arguments.add_columns(made, rare="")
     declare(made, OF_CLASS_OUTPUT)
-    device = add("from-device", _from_device, FROM_DEVICE, OF_DEVICE, TO_FILL_IN)
+    device = add("from-device", FROM_DEVICE, OF_DEVICE, TO_FILL_IN)
     declare(device, f"{arguments.URL}{OF_OUTPUT}")
-    arguments.add_client_options(
-        device.add_argument_group("requests"),
-        usual=lambda: {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"},
-    )
+    arguments.add_client_options(device.add_argument_group("requests"), usual=_timeouts)
     arguments.add_serial_options(device)
     arguments.add_security_options(device)
-    from_sunspec = add("from-sunspec", _from_sunspec, FROM_SUNSPEC, OF_SUNSPEC)
+    from_sunspec = add("from-sunspec", FROM_SUNSPEC, OF_SUNSPEC)
     arguments.add_client(from_sunspec)
     declare(from_sunspec, OF_OUTPUT)
 
 
+def _run(name: str, options: argparse.Namespace) -> int:
+    if name == "list":
+        return _list(options)
+    from . import map_actions
+
+    run = {
+        "check": map_actions.check,
+        "class": map_actions.class_of,
+        "from-device": map_actions.from_device,
+        "from-sunspec": map_actions.from_sunspec,
+    }
+    return run[name](options)
+
+
+def _timeouts() -> dict[str, str]:
+    from ...tools.scan.probe import ON_LINES, ON_NETWORKS
+
+    return {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"}
+
+
 def _list(options: argparse.Namespace) -> int:
+    from ...tools.simulator import example_files
+
     words = [word.casefold() for word in options.search]
     lines = [f"{name:<12} {about}" for name, about in example_files.maps().items()]
     found = [line for line in lines if all(word in line.casefold() for word in words)]
@@ -165,184 +162,3 @@ def _list(options: argparse.Namespace) -> int:
         return 1
     print("\n".join(found))
     return 0
-
-
-def _check(options: argparse.Namespace) -> int:
-    """
-    Print what each file contains, or its mistakes on stderr, and what a device lacks of it; return
-    2 after a mistake, 1 if the device lacks something.
-    """
-    columns = dict(options.columns)
-    if options.device is None:
-        arguments.refuse_given(options, arguments.OF_CLIENTS, "needs --device")
-        return max([_check_file(file, columns) for file in options.files])
-    options.url = options.device
-    with closing(connected(options)) as context:
-        return max([_check_file(file, columns, context) for file in options.files])
-
-
-def _check_file(file: str, columns: dict[str, str], context: Context | None = None) -> int:
-    try:
-        contents = contents_of(map_file(file), MOST_MISTAKES, columns)
-    except ValueError as error:
-        complain(str(error))
-        return 2
-    for mistake in contents.mistakes:
-        complain(str(mistake))
-    if len(contents.mistakes) == MOST_MISTAKES:
-        complain("and possibly more")
-    if contents.mistakes:
-        return 2
-    points = RegisterMap(contents.points.values())
-    print(f"{file}: {counted(len(points), 'point')}")
-    for line in [*_tables(points), *remarks(contents)]:
-        print(f"  {line}")
-    return 0 if context is None else _check_device(points, context)
-
-
-def _tables(points: RegisterMap) -> Iterator[str]:
-    """Yield a line for each table that has points, followed by its requests."""
-    requests: list[Any] = [*points.plan().requests]
-    for table, rules in TABLES.items():
-        found = [point for point in points.values() if point.table == table]
-        if found:
-            written = sum(point.is_writable for point in found)
-            what = f", {written} of them can be written" if written else ""
-            yield f"{table}: {counted(len(found), 'point')}{what}"
-        function = rules.read(0, 1).function
-        for each in requests:
-            if each.function == function:
-                yield f"  read {each.address} {each.count}"
-
-
-def _check_device(points: RegisterMap, context: Context) -> int:
-    """Print the points that a device refuses; return 1 if there are any."""
-    context.connect()
-    values = context.read_map(points, return_exceptions=True, max_in_flight=1)
-    failed = {name: value for name, value in values.items() if isinstance(value, ModbusError)}
-    device = f"{context.url}, unit {context.unit}"
-    for error in failed.values():
-        if not isinstance(error, ExceptionResponse):
-            raise error
-    if failed and len(failed) == len(values):
-        error = next(iter(failed.values()))
-        complain(f"{device}: all {counted(len(values), 'point')} refused: {error}")
-        return 1
-    print(f"  {device}: {len(values) - len(failed)} of {counted(len(values), 'point')} can be read")
-    sys.stdout.flush()
-    for name, error in failed.items():
-        complain(f"{name} cannot be read: {error}")
-    return 1 if failed else 0
-
-
-def _class(options: argparse.Namespace) -> int:
-    """Write a class for a register map to a file, or print it."""
-    map = load_map(map_file(options.file), columns=dict(options.columns))
-    text = class_text(map, PurePath(options.file).stem)
-    if options.output is None:
-        print(text, end="", flush=True)
-        return 0
-    _check_output(options.output, [".py"], MARK)
-    Path(options.output).write_text(text, encoding="utf-8")
-    print(f"{options.output}: {counted(len(map), 'point')}", file=sys.stderr)
-    return 0
-
-
-def _check_output(output: str, suffixes: Collection[str], mark: str | None = None) -> None:
-    """Refuse a file that cannot be written, or that exists without the mark of its writer."""
-    path = Path(output)
-    if path.suffix.lower() not in suffixes:
-        raise ValueError(f"{output}: it must end with {' or '.join(suffixes)}")
-    if not path.absolute().parent.is_dir():
-        raise ValueError(f"{output}: the folder does not exist")
-    if not os.path.lexists(path):
-        return
-    if mark is None or mark not in path.read_text(encoding="utf-8", errors="replace"):
-        raise ValueError(f"{output} exists, and would be overwritten")
-
-
-# --- maps of devices -----------------------------------------------------------------
-
-
-def _from_device(options: argparse.Namespace) -> int:
-    """Find what a device has, and write a map of it."""
-    if options.output is not None:
-        _check_output(options.output, TEXTS)
-    url = endpoint_of(options).url
-    status = Status()
-    searched = search(url, on_progress=lambda state: status.show(progress(state)))
-    code = 0
-    try:
-        with searched:
-            for _ in searched:
-                pass
-    except KeyboardInterrupt:
-        code = INTERRUPTED
-    finally:
-        status.clear()
-    extents = searched.extents
-    points = _points(extents)
-    if not points:
-        reasons = dict.fromkeys(extent.ended or "no address can be read" for extent in extents)
-        raise CommandError(f"no table can be read: {', '.join(reasons) or 'nothing was asked'}")
-    heading = [
-        f"# Addresses of {parse(url)} that can be read, found by {PROGRAM} map from-device",
-        *(f"# {each.table}: {missing(each)}" for each in extents if missing(each)),
-    ]
-    _write(options.output, heading, points, "; fill in names, types and units")
-    return code
-
-
-def _from_sunspec(options: argparse.Namespace) -> int:
-    """Find the SunSpec models of a device, and write a map of their points."""
-    from ...tools.sunspec import discover
-
-    if options.output is not None:
-        _check_output(options.output, TEXTS)
-    with closing(connected(options)) as context:
-        try:
-            device = discover(context)
-        except ImportError as error:
-            raise CommandError(str(error)) from None
-    for remark in device.notes:
-        complain(remark)
-    heading = [
-        f"# SunSpec models of {endpoint_of(options)}, found by {PROGRAM} map from-sunspec",
-        f"# {', '.join(f'{model.id} {model.name}' for model in device)}",
-        "",
-    ]
-    _write(options.output, heading, [*device.map.values()])
-    return 0
-
-
-def _points(extents: list[Extent]) -> list[Point]:
-    """Return a point for each cell, or for each range if there are very many cells."""
-    found: list[tuple[Any, range]] = [
-        (extent.table, cells) for extent in extents for cells in extent.ranges
-    ]
-    if sum(len(cells) for _, cells in found) <= MOST_CELLS:
-        found = [(table, range(at, at + 1)) for table, cells in found for at in cells]
-    return [
-        Point(f"{_prefix(table)}_{cells.start}", table, cells.start, len(cells), access="read")
-        for table, cells in found
-    ]
-
-
-def _prefix(table: str) -> str:
-    """Return the first part of the names of points, such as "coil" or "holding"."""
-    return table.partition("_")[0].removesuffix("s")
-
-
-def _write(output: str | None, heading: list[str], points: list[Point], more: str = "") -> None:
-    """Write a map to a new file, or print it if there is no name."""
-    text_of = toml_text if output is None else TEXTS[PurePath(output).suffix.lower()]
-    text = "\n".join([*heading, text_of(points)])
-    try:
-        with written_to(output):
-            print(text, end="", flush=True)
-    except OSError:
-        if output is not None:  # the disk is full, and part of a map would look like a whole one
-            Path(output).unlink(missing_ok=True)
-        raise
-    if output is not None:
-        print(f"{output}: {counted(len(points), 'point')}{more}", file=sys.stderr)
