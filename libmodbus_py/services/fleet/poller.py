@@ -13,6 +13,7 @@ import errno
 from collections.abc import Callable, Collection, Generator, Sequence
 from enum import Enum
 from functools import partial
+from itertools import count, repeat
 from typing import Any
 
 from ...client.asynchronous import AsyncClient
@@ -179,7 +180,7 @@ class Poller(LineRequest):
 
     def readings(self, time: float, first: int = 0) -> list[Reading]:
         """Return the readings of the poll that is over, with ids from `first` on; 0 for no ids."""
-        names, units = self.reads.names, self.reads.units
+        names = self.reads.names
         values = [*map(self.values().get, names)]
         doubtful, fell = self._totals.take(values)
         if self._pace is not None:
@@ -191,14 +192,17 @@ class Poller(LineRequest):
             self._pace.done(lost | doubtful)
         for at in doubtful:
             values[at] = self._totals.before(at)
-        reported = [at for at in self._changes.pick(values, self._due) if at not in doubtful]
-        device, labels, readings = self.name, self.config.labels, []
-        for number, at in enumerate(reported, first):
+        reported = self._changes.pick(values, self._due)
+        if doubtful:
+            reported = [at for at in reported if at not in doubtful]
+        device, units, labels, readings = self.name, self.reads.units, self.config.labels, []
+        for at, number in zip(reported, count(first) if first else repeat(0), strict=False):
             value, quality, reason = classified(values[at])
             if at in fell:
                 reason = "Fell"
-            name, unit, key = names[at], units[at], number if first else 0
-            readings.append(Reading(time, device, name, value, unit, quality, reason, key, labels))
+            # As Reading(...), in half the time: a fleet does little else.
+            fields = time, device, names[at], value, units[at], quality, reason, number, labels
+            readings.append(tuple.__new__(Reading, fields))
         return readings
 
     def withdrawn(self, time: float, still_read: Collection[str] = ()) -> list[Reading]:

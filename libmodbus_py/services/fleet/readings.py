@@ -93,10 +93,10 @@ def reason_of(error: Exception) -> str:
 
 def classified(value: Any) -> tuple[Any, Quality, str]:
     """Return value, quality and reason of a reading, for a value or the error in its place."""
+    if isinstance(value, float):
+        return (value, "good", "") if math.isfinite(value) else (None, "bad", _lack(value))
     if isinstance(value, Exception):
         return None, "down" if is_down(value) else "bad", reason_of(value)
-    if isinstance(value, float) and not math.isfinite(value):
-        return None, "bad", _lack(value)
     if isinstance(value, list) and (lacks := [*filter(None, map(_lack, value))]):
         if len(lacks) == len(value):
             return None, "bad", lacks[0]
@@ -132,7 +132,7 @@ class Changes:
     def pick(self, values: Sequence[Any], due: Sequence[int] | None = None) -> Sequence[int]:
         """Return the indexes of values to report, of those that were due; None for all."""
         indexes = range(len(values)) if due is None else due
-        has_errors = any(isinstance(value, Exception) for value in values)
+        has_errors = any(issubclass(kind, Exception) for kind in set(map(type, values)))
         if not (has_errors or self._has_errors or self._is_filtering):
             return indexes
         reported = [at for at in indexes if self._is_reported(at, values[at])]
