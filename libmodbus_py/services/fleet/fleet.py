@@ -6,13 +6,15 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from hashlib import blake2b
+from heapq import heapify, heappop, heappush
+from itertools import count
 from os import PathLike
 from typing import Any, Self
 
 from ...maps.typed import json_value
+from ...ports.waiting_async import Alarm
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import inside, named_arguments
 from .commands import Commands
@@ -111,8 +113,11 @@ class Fleet:
         self._loop: asyncio.AbstractEventLoop | None = None
         # True to poll each device once; the devices that are still to be polled then.
         self._once = False
-        # The devices whose time has come, each with that time.
-        self._due: deque[tuple[Poller, float]] = deque()
+        # A heap: when each device is polled next. A plan is void if `Poller.at` differs, or if the
+        # device was removed.
+        self._plans: list[tuple[float, int, Poller]] = []
+        self._numbers = count()  # of plans: those for the same time keep their order
+        self._alarm = Alarm(self._poll_due)
         self._unpolled: set[str] = set()
         self._is_over = asyncio.Event()
         # Seconds from the time of the event loop to the time of day when the fleet started:
@@ -181,6 +186,8 @@ class Fleet:
         try:
             await self._receivers.stop(self._closing, is_patient=self._is_over.is_set())
         finally:
+            self._alarm.cancel()
+            self._plans.clear()
             self._loop = None
 
     # --- devices ------------------------------------------------------------------------------
@@ -241,6 +248,8 @@ class Fleet:
         urls = {each.connection_key: each.endpoint.url for each in after.values()}
         ended = [key for key, line in self._lines.items() if line.url != urls.get(key)]
         former = {key: self._end_line(key) for key in ended}
+        self._plans = [plan for plan in self._plans if plan[2].name in self._pollers]
+        heapify(self._plans)
         for device in after.values():
             if device.name not in self._pollers:
                 self._begin(device)
@@ -280,10 +289,10 @@ class Fleet:
         if self._once:
             self._unpolled.add(device.name)
             interval = min(interval, len(self._devices) / ONCE_A_SECOND)
-        self._poll_at(poller, first_time(device.name, interval, now, now + self._wall))
+        self._plan(poller, first_time(device.name, interval, now, now + self._wall))
+        self._set_alarm()
 
     def _end(self, poller: Poller) -> None:
-        poller.timer.cancel()
         del self._pollers[poller.name]
         line = self._lines[poller.config.connection_key]
         del line.pollers[poller.name]
@@ -305,31 +314,31 @@ class Fleet:
 
     # --- polls ----------------------------------------------------------------------------------
 
-    def _poll_at(self, poller: Poller, at: float) -> None:
-        assert self._loop is not None
-        if poller.timer:
-            poller.timer.cancel()
-        poller.timer = self._loop.call_at(at, self._is_due, poller, at)
-
-    def _is_due(self, poller: Poller, planned: float) -> None:
-        assert self._loop is not None
-        if not self._due:
-            self._loop.call_soon(self._poll_due)
-        self._due.append((poller, planned))
+    def _plan(self, poller: Poller, at: float) -> None:
+        if at != poller.at:
+            poller.at = at
+            heappush(self._plans, (at, next(self._numbers), poller))
 
     def _poll_due(self) -> None:
-        for _ in range(min(len(self._due), MOST_AT_ONCE)):
-            poller, planned = self._due.popleft()
-            if self._pollers.get(poller.name) is not poller:  # it was removed meanwhile
+        """Begin the polls whose time has come, and set the alarm for the next one."""
+        assert self._loop is not None
+        now = self._loop.time()
+        for _ in range(MOST_AT_ONCE):
+            if not self._plans or self._plans[0][0] > now:
+                break
+            planned, _, poller = heappop(self._plans)
+            if planned != poller.at or self._pollers.get(poller.name) is not poller:
                 continue
-            assert self._loop is not None
             if not self._once:
-                at, missed = next_time(planned, poller.interval, self._loop.time())
+                at, missed = next_time(planned, poller.interval, now)
                 self.statistics.skipped += missed
-                self._poll_at(poller, at)
+                self._plan(poller, at)
             self._lines[poller.config.connection_key].due(poller, planned)
-        if self._due and self._loop is not None:
-            self._loop.call_soon(self._poll_due)
+        self._set_alarm()
+
+    def _set_alarm(self) -> None:
+        if self._plans and self._loop is not None:
+            self._alarm.set(self._plans[0][0], self._loop)
 
     def _polled(self, poller: Poller, before: DeviceState | None) -> None:
         """Report a poll that is over; `before` is None if nothing was sent."""
@@ -363,9 +372,10 @@ class Fleet:
     def _poll_after(self, poller: Poller, pause: float = 0.0) -> None:
         """Poll a device at the first of its times after a pause, and not before."""
         if self._loop is not None and not self._once:
-            planned, now = poller.timer.when(), self._loop.time()
+            planned, now = poller.at, self._loop.time()
             times = (now + pause - planned) // poller.interval + 1
-            self._poll_at(poller, planned + times * poller.interval)
+            self._plan(poller, planned + times * poller.interval)
+            self._set_alarm()
 
     # --- readings ----------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ request is refused, the poll goes on until it is known which points the device r
 from __future__ import annotations
 
 import errno
+import math
 from collections.abc import Callable, Collection, Generator, Sequence
 from enum import Enum
 from functools import partial
@@ -50,9 +51,9 @@ class Poller(LineRequest):
     """
     A device of a fleet: its current poll, its state, and what was reported of it.
 
-    `error` is the first of the last poll; None if all points were read. The fleet sets the `timer`
-    of the next poll, and in seconds since the epoch, 0 at first, when the device last answered and
-    since when it is up or down.
+    `error` is the first of the last poll; None if all points were read. The fleet sets when the
+    next poll begins (`at`), in the time of the event loop; and in seconds since the epoch, 0 at
+    first, when the device last answered and since when it is up or down.
     """
 
     def __init__(self, config: DeviceConfig) -> None:
@@ -60,7 +61,7 @@ class Poller(LineRequest):
         self.config: DeviceConfig = config
         self.name: str = config.name
         self.reads: Reads = config.reads
-        self.timer: Any = None
+        self.at: float = math.inf
         self.answered_at: float = 0.0
         self.rest_until: float = 0.0
         own = self.reads.intervals

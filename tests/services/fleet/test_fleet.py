@@ -5,6 +5,8 @@ Fleets that poll: who shares a connection, who is down, what is skipped, what ch
 from __future__ import annotations
 
 import asyncio
+import gc
+import weakref
 from collections import Counter
 from dataclasses import replace
 
@@ -253,6 +255,19 @@ async def test_replacing_touches_only_what_changed() -> None:
             assert two.requests == []
             assert fleet.statistics.devices == 3
             await until(lambda: fleet.statistics.up == 3)
+
+
+@in_simulated_time
+async def test_devices_that_were_replaced_are_not_kept_until_their_next_poll() -> None:
+    async with Peer() as peer, polling(meter("a", peer.url, interval=86_400.0)) as (fleet, _):
+        former = weakref.ref(fleet.devices["a"])
+        fleet.replace([meter("a", peer.url, interval=86_400.0, unit=2)])
+
+        def is_gone() -> bool:
+            gc.collect()
+            return former() is None
+
+        await until(is_gone)
 
 
 @in_simulated_time
