@@ -93,7 +93,7 @@ class Call:
     state: Phase = Phase.WAITING
     outcome: Any = NOT_ASKED  # the result, or the exception
     on_done: Callable[[Call], object] | None = None  # not of calls of a batch
-    reply: bytes | BaseException | None = None  # the PDU of the answer, or an error
+    reply: bytes | ModbusError | None = None  # the PDU of the answer, or an error
     answerer: int = 0  # the unit that answered
     adu: bytes = b""  # the frame that was sent last
     number: int = 0  # its transaction id

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 from typing import TYPE_CHECKING
 
-from ..protocol.errors import MAX_RECEIVED, FrameError, InvalidResponse
+from ..protocol.errors import MAX_RECEIVED, FrameError, InvalidResponse, ModbusError
 from ..protocol.framing import Frame, Framer, Framing, make_framer, mbap
 from .call import Call, Matching, no_answer
 from .statistics import Statistics
@@ -149,7 +149,7 @@ class Ids(Matching):
             overdue.append(call)
         return overdue
 
-    def _no_answer(self, call: Call) -> Exception:
+    def _no_answer(self, call: Call) -> ModbusError:
         timeout, number, rest = call.timeouts.timeout, call.adu[:2], bytes(self.rest)
         if rest[:2] == number:
             return no_answer(timeout, rest)

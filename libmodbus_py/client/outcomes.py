@@ -63,9 +63,10 @@ class Outcomes:
         reply = call.reply
         if call.is_done:
             self._statistics.note(call.function, "cancelled")
-        elif isinstance(reply, ModbusError):
+        elif not isinstance(reply, bytes):
+            assert reply is not None
             self._fail(reply, call, now)
-        elif isinstance(reply, bytes):
+        else:
             try:
                 outcome = call.request.decode_response(reply)  # type: ignore[union-attr]
             except ModbusError as error:

@@ -94,10 +94,7 @@ class FairQueue(Generic[Each]):
         self._most = most
         # The host, and within it the client, whose turn is next is first.
         self._hosts: dict[Hashable, dict[Hashable, deque[Each]]] = {}
-        self._count = 0
-
-    def __len__(self) -> int:
-        return self._count
+        self.count: int = 0
 
     def __iter__(self) -> Iterator[Each]:
         return (each for host in self._hosts.values() for queue in host.values() for each in queue)
@@ -106,12 +103,12 @@ class FairQueue(Generic[Each]):
         """Add a request; return False if too many wait."""
         clients = self._hosts.get(each.host, {})
         queue = clients.get(each.client, deque())
-        if self._count >= self._most or len(queue) >= self._most_of_client:
+        if self.count >= self._most or len(queue) >= self._most_of_client:
             return False
         queue.append(each)
         self._hosts[each.host] = clients
         clients[each.client] = queue
-        self._count += 1
+        self.count += 1
         return True
 
     def pick(self, may_ask: Callable[[Each], bool]) -> Each | None:
@@ -132,7 +129,7 @@ class FairQueue(Generic[Each]):
         if each not in queue:
             return False
         queue.remove(each)
-        self._count -= 1
+        self.count -= 1
         if not queue:
             del clients[each.client]
             if not clients:
@@ -193,7 +190,7 @@ class SharedLine(ABC, Generic[Each]):
     @property
     def waiting(self) -> int:
         """The number of requests that wait, trials excepted."""
-        return len(self._urgent) + len(self._usual)
+        return self._urgent.count + self._usual.count
 
     def others(self) -> list[Each]:
         """Return the requests that wait, trials excepted."""
@@ -201,7 +198,7 @@ class SharedLine(ABC, Generic[Each]):
 
     def ask(self, each: Each, now: float) -> bool:
         """Send a request now, or when it is its turn; return False if too many wait."""
-        is_next = not (each.is_trial or self.is_closed or self._trials or self.waiting)
+        is_next = not (each.is_trial or self.is_closed or self._trials.count or self.waiting)
         if is_next and not self._is_full() and self._ready_at(each) <= now:
             self._send(each, now)
             return True
@@ -286,7 +283,7 @@ class SharedLine(ABC, Generic[Each]):
     def _pick(self, now: float) -> Each | None:
         """Remove and return the request to send now; None if none may be."""
         self._next_at = math.inf
-        if not (self._trials or self.waiting) or self._is_full():
+        if not (self._trials.count or self.waiting) or self._is_full():
             return None
 
         def may_ask(each: Each) -> bool:

@@ -55,9 +55,9 @@ def test_hosts_and_their_clients_take_turns(given: str, expected: str) -> None:
     queue: FairQueue[LineRequest] = FairQueue()
     asked = requests(given)
     assert all(map(queue.put, asked))
-    assert len(queue) == len(list(queue)) == len(asked)
+    assert queue.count == len(list(queue)) == len(asked)
     assert order(queue) == expected
-    assert (len(queue), list(queue), queue.pick(any_of)) == (0, [], None)
+    assert (queue.count, list(queue), queue.pick(any_of)) == (0, [], None)
 
 
 def test_one_client_fills_its_own_queue_only_and_all_have_a_bound() -> None:
