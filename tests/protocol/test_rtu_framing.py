@@ -19,7 +19,6 @@ from libmodbus_py.protocol.framing import (
 from tests.support.cases import each_case
 from tests.support.framing import (
     ANSWER,
-    CRC_TABLE,
     LONGEST,
     READ,
     REFUSAL,
@@ -36,13 +35,11 @@ from tests.support.framing import (
 
 def accidental(stream: bytes, end: int) -> bool:
     """Return True if bytes that begin before `end` have a valid CRC, by a chance of 1 in 65536."""
-    for start in range(end):
-        crc = 0xFFFF
-        for at, byte in enumerate(stream[start : start + 256], start=1):
-            crc = crc >> 8 ^ CRC_TABLE[(crc ^ byte) & 0xFF]
-            if crc == 0 and at >= 4:
-                return True
-    return False
+    return any(
+        crc16(stream[start:stop]) == 0
+        for start in range(end)
+        for stop in range(start + 4, min(start + 256, len(stream)) + 1)
+    )
 
 
 # Requests and responses of known functions that do not say how long they are.

@@ -1,4 +1,4 @@
-"""Frames built apart from the package, and framers fed with their bytes."""
+"""Frames of units and bodies, as `talk` computes them, and framers fed with their bytes."""
 
 from __future__ import annotations
 
@@ -6,12 +6,8 @@ import contextlib
 from collections.abc import Callable, Iterator
 
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.protocol.framing import (
-    AsciiFramer,
-    Frame,
-    RtuFramer,
-    TcpFramer,
-)
+from libmodbus_py.protocol.framing import AsciiFramer, Frame, RtuFramer, TcpFramer
+from tests.support import talk
 from tests.support.cases import each_case
 
 AnyFramer = TcpFramer | RtuFramer | AsciiFramer
@@ -68,28 +64,12 @@ def taken_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
     return fed_in_bytes(framer, data) + framer.silence()
 
 
-def _shifted(crc: int) -> int:
-    for _ in range(8):
-        crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
-    return crc
-
-
-CRC_TABLE = [_shifted(byte) for byte in range(256)]
-
-
 def rtu(unit: int, body: bytes) -> bytes:
-    """An RTU frame, built apart from the package."""
-    crc = 0xFFFF
-    for byte in bytes([unit]) + body:
-        crc = _shifted(crc ^ byte)
-    return bytes([unit]) + body + bytes([crc & 0xFF, crc >> 8])
+    return talk.rtu((bytes([unit]) + body).hex())
 
 
 def ascii_frame(unit: int, body: bytes, end: bytes = b"\r\n") -> bytes:
-    """An ASCII frame, built apart from the package."""
-    data = bytes([unit]) + body
-    check = (0x100 - sum(data) % 0x100) % 0x100
-    return b":" + data.hex().upper().encode() + b"%02X" % check + end
+    return talk.ascii_frame((bytes([unit]) + body).hex(), end)
 
 
 def mbap(transaction: int, protocol: int, length: int, unit: int, body: bytes) -> bytes:
