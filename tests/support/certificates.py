@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from cryptography import x509
@@ -35,6 +36,7 @@ __all__ = [
     "expired",
     "foreign_authority",
     "intermediate",
+    "lasting_papers",
     "not_yet_valid",
     "revocation_list",
     "rsa_key",
@@ -219,6 +221,18 @@ class Papers:
         """A URL with all that it needs."""
         files = self.files(identity)
         return f"{scheme_and_host}?cert={files.cert}&key={files.key}&ca={self.ca}"
+
+
+@cache
+def _lasting_folder() -> TemporaryDirectory[str]:
+    """Return a folder that exists until the process ends."""
+    return TemporaryDirectory(prefix="papers")
+
+
+@cache
+def lasting_papers() -> Papers:
+    """Return the papers that all tests of this process may share."""
+    return Papers(Path(_lasting_folder().name))
 
 
 @contextmanager

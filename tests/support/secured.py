@@ -6,24 +6,16 @@ from __future__ import annotations
 
 import contextlib
 import ssl
-import tempfile
 from functools import cache
-from pathlib import Path
 
-from .certificates import Papers, client, server
+from .certificates import client, lasting_papers, server
 
 __all__ = ["Sealing", "with_certificates"]
 
 
 @cache
-def _directory() -> tempfile.TemporaryDirectory[str]:
-    """Return a directory that exists until the process ends."""
-    return tempfile.TemporaryDirectory(prefix="papers")
-
-
-@cache
 def _context() -> ssl.SSLContext:
-    papers = Papers(Path(_directory().name))
+    papers = lasting_papers()
     files = papers.files(server())
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(files.cert, files.key)
@@ -34,7 +26,7 @@ def _context() -> ssl.SSLContext:
 
 @cache
 def _query() -> str:
-    return Papers(Path(_directory().name) / "client").url("", client())
+    return lasting_papers().url("", client())
 
 
 def with_certificates(url: str) -> str:

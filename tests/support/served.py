@@ -4,12 +4,9 @@ A server on a stage, and the requests that tests of its limits send there.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from functools import cache
-from pathlib import Path
 from typing import Any, Self
 
 from libmodbus_py import Access, Device, Fault, Gateway, Mapping, Route, Server, framing
@@ -18,7 +15,7 @@ from libmodbus_py.server.limits import Limits
 from tests.simulation.stage import Stage, Talker
 from tests.support import certificates
 from tests.support.attacks import READ_MOST, READ_ONE, adu
-from tests.support.certificates import Papers
+from tests.support.certificates import lasting_papers
 from tests.support.tls import VERSIONS, TlsClient, context
 
 __all__ = [
@@ -62,17 +59,6 @@ OTHER = "10.255.0.2"
 ROUND_TRIP = 0.001
 
 
-@cache
-def _directory() -> tempfile.TemporaryDirectory[str]:
-    """Return a directory that exists until the process ends."""
-    return tempfile.TemporaryDirectory(prefix="served")
-
-
-@cache
-def _papers() -> Papers:
-    return Papers(Path(_directory().name))
-
-
 class SealedTalker:
     """
     A client over TLS, with the face of a `Talker`; a server that closes must say goodbye.
@@ -81,7 +67,7 @@ class SealedTalker:
     """
 
     def __init__(self, stage: Stage, port: int, source: str | None) -> None:
-        told = context(_papers(), certificates.client(), VERSIONS["1.2"])
+        told = context(lasting_papers(), certificates.client(), VERSIONS["1.2"])
         self._client = TlsClient(port, told, source=source or "", stage=stage)
         self._talker: Talker = self._client.socket
         self._client.handshake()
@@ -153,7 +139,7 @@ def served(
     url = f"{scheme}://10.0.0.1:0"
     security = None
     if kind == "tls":
-        url, security = "tls://127.0.0.1:0", _papers().server()
+        url, security = "tls://127.0.0.1:0", lasting_papers().server()
     server = Server({17: device}, faults, Limits(**limits), security=security)
     with server.background(url) as running:
         yield Served(stage, server, running.urls[0])
