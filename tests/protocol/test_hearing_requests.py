@@ -49,15 +49,6 @@ def crc_of(data: bytes) -> int:
     return int.from_bytes(rtu(data.hex())[-2:], "little")
 
 
-def led_to(before: bytes, state: int) -> bytes:
-    """Two bytes that bring the CRC of `before` to a state (serial line, 6.2.2)."""
-    for number in range(0x10000):
-        added = number.to_bytes(2, "little")
-        if crc_of(before + added) == state:
-            return added
-    raise AssertionError("a CRC of 16 bits takes every state")
-
-
 # Requests to unit 2, and answers of it, in which a whole write to unit 1 stands.
 AROUND = {
     "an answer to a read": (rtu("02 03 0000 0008"), with_data("02 03 10", WRITE, WRITE)),
