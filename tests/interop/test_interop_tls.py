@@ -22,7 +22,7 @@ from tests.support.certificates import Papers
 from tests.support.clients import KINDS, Connect, connecting
 from tests.support.interop import UNIT, exchanges
 from tests.support.peers import mbap
-from tests.support.tls_peers import context_of
+from tests.support.secured import context_of
 
 LONG = 20.0
 

@@ -7,21 +7,36 @@ from __future__ import annotations
 import contextlib
 import ssl
 from functools import cache
+from typing import Any
 
-from .certificates import client, lasting_papers, server
+from libmodbus_py.tools.certificates import Identity
 
-__all__ = ["Sealing", "with_certificates"]
+from .certificates import Papers, client, lasting_papers, server
+
+__all__ = ["VERSIONS", "Sealing", "context_of", "with_certificates"]
+
+VERSIONS = {"1.2": ssl.TLSVersion.TLSv1_2, "1.3": ssl.TLSVersion.TLSv1_3}
 
 
-@cache
-def _context() -> ssl.SSLContext:
-    papers = lasting_papers()
-    files = papers.files(server())
+def context_of(
+    papers: Papers, identity: Identity, version: str | None = None, **options: Any
+) -> ssl.SSLContext:
+    """Make a server's context; options are attributes of it."""
+    files = papers.files(identity)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(files.cert, files.key)
     context.load_verify_locations(papers.ca)
     context.verify_mode = ssl.CERT_REQUIRED
+    if version is not None:
+        context.minimum_version = context.maximum_version = VERSIONS[version]
+    for name, value in options.items():
+        setattr(context, name, value)
     return context
+
+
+@cache
+def _context() -> ssl.SSLContext:
+    return context_of(lasting_papers(), server())
 
 
 @cache

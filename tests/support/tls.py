@@ -23,6 +23,7 @@ from tests.simulation.stage import Stage, Talker
 from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, adu, connect
 from tests.support.certificates import Files, Papers
+from tests.support.secured import VERSIONS
 
 __all__ = [
     "VERSIONS",
@@ -38,8 +39,6 @@ __all__ = [
     "talking",
     "wait_until",
 ]
-
-VERSIONS = {"1.2": ssl.TLSVersion.TLSv1_2, "1.3": ssl.TLSVersion.TLSv1_3}
 
 
 @contextlib.contextmanager

@@ -20,36 +20,11 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
 
-from libmodbus_py.tools.certificates import Identity
-from tests.support.certificates import Papers
 from tests.support.peers import Answer, echo
 
-# fmt: off
-__all__ = [
-    "HANDSHAKE", "VERSIONS", "Peer", "Relay", "Script", "Sealed", "TlsServer", "context_of",
-    "raw",
-]
-# fmt: on
-
-VERSIONS = {"1.2": ssl.TLSVersion.TLSv1_2, "1.3": ssl.TLSVersion.TLSv1_3}
+__all__ = ["HANDSHAKE", "Peer", "Relay", "Script", "Sealed", "TlsServer", "raw"]
 
 HANDSHAKE, APPLICATION_DATA = 22, 23
-
-
-def context_of(
-    papers: Papers, identity: Identity, version: str | None = None, **options: Any
-) -> ssl.SSLContext:
-    """Make a server's context; options are attributes of it."""
-    files = papers.files(identity)
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.load_cert_chain(files.cert, files.key)
-    context.load_verify_locations(papers.ca)
-    context.verify_mode = ssl.CERT_REQUIRED
-    if version is not None:
-        context.minimum_version = context.maximum_version = VERSIONS[version]
-    for name, value in options.items():
-        setattr(context, name, value)
-    return context
 
 
 class Peer:
@@ -250,11 +225,6 @@ class Sealed:
         body = struct.pack(">IIB", 7200, 1, 1) + b"\x01" + size.to_bytes(2, "big") + bytes(size)
         body += b"\0\0"
         return b"\x04" + len(body).to_bytes(3, "big") + body
-
-
-def request_of(address: int) -> bytes:
-    """Nothing but the PDU of a read of one register there."""
-    return b"\x03" + address.to_bytes(2, "big") + b"\0\x01"
 
 
 class Relay:

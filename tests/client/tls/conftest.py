@@ -14,8 +14,9 @@ from libmodbus_py.tools.certificates import Identity
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.clients import Connect, connecting
+from tests.support.secured import context_of
 from tests.support.tls_clients import LONG, Serving, Talking
-from tests.support.tls_peers import Peer, Script, TlsServer, context_of
+from tests.support.tls_peers import Peer, Script, TlsServer
 
 
 @pytest.fixture(params=["python", "asyncio"])

@@ -14,8 +14,9 @@ from libmodbus_py.security.security import GivenContext
 from tests.support import certificates
 from tests.support.certificates import Papers, expired
 from tests.support.clients import Connect
+from tests.support.secured import context_of
 from tests.support.tls import context
-from tests.support.tls_peers import TlsServer, context_of
+from tests.support.tls_peers import TlsServer
 
 
 def unverified(papers: Papers) -> ssl.SSLContext:

@@ -30,8 +30,9 @@ from tests.support.certificates import Papers, secured
 from tests.support.clients import Connect
 from tests.support.peers import dead, until
 from tests.support.scripted import run as run_in_loop
+from tests.support.secured import context_of
 from tests.support.tls_clients import LONG, SOON, Serving, descriptors
-from tests.support.tls_peers import Peer, Relay, context_of, raw
+from tests.support.tls_peers import Peer, Relay, raw
 
 
 def trickles(sock: socket.socket) -> None:

@@ -15,8 +15,9 @@ from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.clients import Connect
 from tests.support.peers import until
+from tests.support.secured import context_of
 from tests.support.tls_clients import LONG, Talking
-from tests.support.tls_peers import Peer, Relay, Script, TlsServer, context_of
+from tests.support.tls_peers import Peer, Relay, Script, TlsServer
 
 
 def once(peer: Peer) -> None:

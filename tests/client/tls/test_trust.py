@@ -33,8 +33,9 @@ from tests.support.certificates import (
 from tests.support.clients import Connect
 from tests.support.names import resolve
 from tests.support.peers import until
+from tests.support.secured import context_of
 from tests.support.tls_clients import LONG, Serving
-from tests.support.tls_peers import Peer, Relay, TlsServer, context_of, raw
+from tests.support.tls_peers import Peer, Relay, TlsServer, raw
 
 
 def ask(connect: Connect, url: str, security: Any, until: threading.Event | None = None) -> Any:
