@@ -20,18 +20,9 @@ from libmodbus_py.listen import listen
 from libmodbus_py.page import live_page
 from libmodbus_py.ports.hosts import listen_on
 from tests.support.cases import each_case
+from tests.support.names import resolve
 
 HERE = ["127.1.2.3", "127.1.2.4"]
-
-
-def resolve_all(monkeypatch: pytest.MonkeyPatch, name: str, *addresses: str) -> None:
-    look_up = socket.getaddrinfo
-
-    def getaddrinfo(host: str, *arguments: object, **options: object) -> list[object]:
-        hosts = addresses if host == name else (host,)
-        return [each for at in hosts for each in look_up(at, *arguments, **options)]  # type: ignore[call-overload]
-
-    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
 
 
 @pytest.fixture
@@ -69,7 +60,7 @@ def test_every_address_of_a_name_takes_connections(
     port: int,
     listening: Callable[[int], AbstractContextManager[None]],
 ) -> None:
-    resolve_all(monkeypatch, "plc.example", *HERE)
+    resolve(monkeypatch, "plc.example", *HERE)
     with listening(port):
         for each in HERE:
             with socket.create_connection((each, port), 20) as made:
@@ -77,7 +68,7 @@ def test_every_address_of_a_name_takes_connections(
 
 
 def test_a_page_answers_on_every_address(monkeypatch: pytest.MonkeyPatch, port: int) -> None:
-    resolve_all(monkeypatch, "plc.example", *HERE)
+    resolve(monkeypatch, "plc.example", *HERE)
     with live_page(Server(Device(Mapping(1))), host="plc.example", port=port) as page:
         for each in HERE:
             with urllib.request.urlopen(page.url.replace("plc.example", each), timeout=20) as got:
@@ -125,7 +116,7 @@ def only_here(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_an_address_of_another_machine_is_left_out_beside_others(
     monkeypatch: pytest.MonkeyPatch, port: int
 ) -> None:
-    resolve_all(monkeypatch, "plc.example", "192.0.2.1", HERE[0])
+    resolve(monkeypatch, "plc.example", "192.0.2.1", HERE[0])
     (made,) = listen_on("plc.example", port)
     with made:
         assert made.getsockname() == (HERE[0], port)
@@ -133,7 +124,7 @@ def test_an_address_of_another_machine_is_left_out_beside_others(
 
 @pytest.mark.usefixtures("only_here")
 def test_no_address_of_this_machine_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    resolve_all(monkeypatch, "plc.example", "192.0.2.1", "192.0.2.2")
+    resolve(monkeypatch, "plc.example", "192.0.2.1", "192.0.2.2")
     with pytest.raises(OSError, match="assign") as caught:
         listen_on("plc.example", 0)
     assert caught.value.errno == errno.EADDRNOTAVAIL
@@ -142,7 +133,7 @@ def test_no_address_of_this_machine_is_an_error(monkeypatch: pytest.MonkeyPatch)
 def test_a_port_that_is_taken_on_one_address_is_free_on_the_others_again(
     monkeypatch: pytest.MonkeyPatch, port: int
 ) -> None:
-    resolve_all(monkeypatch, "plc.example", *HERE)
+    resolve(monkeypatch, "plc.example", *HERE)
     with socket.create_server((HERE[1], port)):
         with pytest.raises(OSError, match="in use"):
             listen_on("plc.example", port)

@@ -35,6 +35,7 @@ from libmodbus_py.ports.waiting import (
 from libmodbus_py.ports.waiting_async import Alarm, run_async
 from tests.simulation.network import Network
 from tests.support.cases import each_case
+from tests.support.names import resolve
 from tests.support.peers import dead, until
 
 Drive = Callable[[Steps[Any]], Any]
@@ -118,15 +119,7 @@ def resolving(host: str, seconds: float = 5) -> Steps[Any]:
 @pytest.fixture
 def named(monkeypatch: pytest.MonkeyPatch) -> str:
     """A name of this machine, which need not have /etc/hosts."""
-    look_up = socket.getaddrinfo
-
-    def getaddrinfo(
-        host: str, port: int, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0
-    ) -> Any:
-        known = "127.0.0.1" if host == "this-machine" and not flags else host
-        return look_up(known, port, family, type, proto, flags)
-
-    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
+    resolve(monkeypatch, "this-machine", "127.0.0.1")
     return "this-machine"
 
 

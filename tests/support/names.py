@@ -12,11 +12,15 @@ import pytest
 __all__ = ["resolve"]
 
 
-def resolve(monkeypatch: pytest.MonkeyPatch, name: str, address: str = "127.0.0.1") -> None:
-    """Let a host name stand for an address, until the test ends."""
+def resolve(monkeypatch: pytest.MonkeyPatch, name: str, *addresses: str) -> None:
+    """Let a host name stand for addresses, or for 127.0.0.1, until the test ends."""
     look_up = socket.getaddrinfo
 
-    def getaddrinfo(host: Any, *arguments: Any, **options: Any) -> list[Any]:
-        return look_up(address if host == name else host, *arguments, **options)
+    def getaddrinfo(
+        host: Any, port: Any, family: int = 0, type: int = 0, proto: int = 0, flags: int = 0
+    ) -> list[Any]:
+        is_name = host == name and not flags & socket.AI_NUMERICHOST
+        known = (addresses or ("127.0.0.1",)) if is_name else (host,)
+        return [each for at in known for each in look_up(at, port, family, type, proto, flags)]
 
     monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
