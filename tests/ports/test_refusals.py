@@ -59,6 +59,14 @@ def failing(number: int, text: str = "") -> Iterator[None]:
     assert caught.value.errno == number
 
 
+@contextmanager
+def refusing(owner: Any, name: str, number: int) -> Iterator[None]:
+    """Check that the block fails in the words of the system, whose function refuses meanwhile."""
+    with pytest.MonkeyPatch.context() as patch, failing(number):
+        patch.setattr(owner, name, raising(number))
+        yield
+
+
 def is_free(path: str) -> bool:
     """Return True if no program has a port open or locked."""
     made = SerialPort(path)
@@ -132,13 +140,9 @@ class TestSettings:
         assert is_free(wire.client)
 
     @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EINTR])
-    def test_a_lock_that_cannot_be_had_is_told(
-        self, number: int, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        with monkeypatch.context() as patch:
-            patch.setattr(fcntl, "flock", raising(number))
-            with failing(number):
-                SerialPort(wire.client).open()
+    def test_a_lock_that_cannot_be_had_is_told(self, number: int, wire: SerialWire) -> None:
+        with refusing(fcntl, "flock", number):
+            SerialPort(wire.client).open()
         assert is_free(wire.client)
 
 
@@ -190,14 +194,14 @@ class TestOddBaudrates:
 
 
 class TestBytes:
-    @pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO])
-    def test_a_read_that_fails_is_a_lost_connection(
-        self, number: int, port: SerialPort, monkeypatch: pytest.MonkeyPatch
+    @pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO, errno.ENODEV])
+    def test_a_read_or_send_that_fails_is_a_lost_connection(
+        self, number: int, port: SerialPort
     ) -> None:
-        with monkeypatch.context() as patch:
-            patch.setattr(os, "read", raising(number))
-            with failing(number):
-                port.receive()
+        with refusing(os, "read", number):
+            port.receive()
+        with refusing(os, "write", number):
+            port.send([b"request"], 0.0)
 
     def test_a_read_that_would_wait_is_nothing(
         self, port: SerialPort, monkeypatch: pytest.MonkeyPatch
@@ -218,15 +222,6 @@ class TestBytes:
         port._poll = Poll()  # type: ignore[assignment]
         with failing(errno.EIO, "the port is gone"):
             port.receive()
-
-    @pytest.mark.parametrize("number", [errno.EIO, errno.ENODEV])
-    def test_a_send_that_fails_is_a_lost_connection(
-        self, number: int, port: SerialPort, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        with monkeypatch.context() as patch:
-            patch.setattr(os, "write", raising(number))
-            with failing(number):
-                port.send([b"request"], 0.0)
 
     def test_a_port_that_takes_nothing_now_loses_the_frame(
         self, port: SerialPort, monkeypatch: pytest.MonkeyPatch
