@@ -1,10 +1,11 @@
 """
-Times of devices whose clocks show the local time of a zone.
+Points whose devices show the local time of a zone; the times themselves stand in
+tests/protocol/test_times.py.
 """
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Any
 from zoneinfo import ZoneInfo
 
@@ -32,49 +33,11 @@ def wall(*fields: int) -> list[int]:
     return [high << 8 | low for high, low in zip(data[::2], data[1::2], strict=True)]
 
 
-# Local time of Berlin -> UTC. In 2024 summer time lasted from 31 March, 1:00 UTC to 27 October,
-# 1:00 UTC (Directive 2000/84/EC).
-SHOWN = [
-    ((2024, 1, 15, 12, 0, 0), datetime(2024, 1, 15, 11, tzinfo=UTC)),
-    ((2024, 7, 15, 12, 0, 0), datetime(2024, 7, 15, 10, tzinfo=UTC)),
-    ((2024, 3, 31, 1, 59, 59), datetime(2024, 3, 31, 0, 59, 59, tzinfo=UTC)),
-    ((2024, 3, 31, 3, 0, 0), datetime(2024, 3, 31, 1, tzinfo=UTC)),
-    # Twice there is such a time; it is the first one.
-    ((2024, 10, 27, 2, 30, 0), datetime(2024, 10, 27, 0, 30, tzinfo=UTC)),
-    ((2024, 10, 27, 3, 0, 0), datetime(2024, 10, 27, 2, tzinfo=UTC)),
-]
-
-
-@each_case(("shown", "moment"), SHOWN)
-def test_a_clock_shows_local_time(shown: tuple[int, ...], moment: datetime) -> None:
-    point = clock()
-    found = point.decode(wall(*shown))
-    assert (found, found.utcoffset()) == (moment, timedelta(0))
-    assert point.encode(moment) == wall(*shown)
-    assert point.encode(moment.astimezone(ZoneInfo("Asia/Tokyo"))) == wall(*shown)
-
-
 def test_a_time_that_clocks_leave_out_is_no_value() -> None:
     point = clock()
     assert point.judge(wall(2024, 3, 31, 2, 30, 0)) == Judged(None, "bad", "InvalidTime")
     plain = Point("clock", "holding_registers", 0, type="date48")
     assert plain.decode(wall(2024, 3, 31, 2, 30, 0)) == datetime(2024, 3, 31, 2, 30, tzinfo=UTC)
-
-
-def iec870(hour: int, minute: int, *, summer: bool) -> list[int]:
-    """Return 27 October 2024 as CP56Time2a; bit 7 of the hour's byte is SU (IEC 60870-5-4)."""
-    return [24, 10 << 8 | 7 << 5 | 27, (hour | 0x80 * summer) << 8 | minute, 0]
-
-
-@each_case(
-    ("cells", "hour"),
-    [(iec870(2, 30, summer=True), 0), (iec870(2, 30, summer=False), 1)],
-)
-def test_iec870_tells_which_of_two_times_it_is(cells: list[int], hour: int) -> None:
-    point = clock("iec870")
-    moment = datetime(2024, 10, 27, hour, 30, tzinfo=UTC)
-    assert point.decode(cells) == moment
-    assert point.encode(moment) == cells
 
 
 MOMENTS = st.datetimes(datetime(2000, 1, 3), datetime(2090, 1, 1), timezones=st.just(UTC))
