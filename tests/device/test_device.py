@@ -53,10 +53,6 @@ class TestWorkedExamples:
 
 
 class TestExceptions:
-    def test_function_0_is_illegal(self) -> None:
-        assert new_device().answer(b"\0") == b"\x80\1"
-        assert new_device().answer(b"\0\0\0\0\1") == b"\x80\1"
-
     def test_unknown_functions_are_illegal(self) -> None:
         device = new_device()
         for code in set(range(128)) - set(pdu.REQUESTS):

@@ -45,23 +45,6 @@ class TestFiles:
         assert list(device.files[1]) == [1, 9, 0, 0, 0, 0, 0, 0, 0, 0]
         assert list(device.files[2]) == [0, 0, 0, 3, 0, 0, 0, 0, 0, 0]
 
-    def test_answers_end_with_245_bytes(self) -> None:
-        device = Device(Mapping(), files={1: range(10_000)})
-        answer = device.answer(self.read((1, 0, 121)))
-        assert len(answer) == 2 + 244
-        assert answer[1:4] == bytes([244, 243, 6])
-        assert device.answer(self.read((1, 0, 122))) == b"\x94\3"
-        assert len(device.answer(self.read((1, 0, 60), (1, 0, 60)))) == 2 + 244
-        assert device.answer(self.read((1, 0, 60), (1, 0, 61))) == b"\x94\3"
-        assert len(device.answer(self.read(*[(1, 0, 1)] * 35))) == 2 + 140
-
-    def test_largest_write_arrives(self) -> None:
-        device = Device(Mapping(), files={1: [0] * 200})
-        request = self.write((1, 50, list(range(1, 123))))
-        assert len(request) == 253
-        assert device.answer(request) == request
-        assert list(device.files[1])[49:173] == [0, *range(1, 123), 0]
-
     def test_record_file_is_indexed_by_record(self) -> None:
         file = RecordFile({9: 1, 12: 2})
         file[9] = 65535

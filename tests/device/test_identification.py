@@ -93,30 +93,6 @@ class TestIdentification:
         for number in set(range(256)) - set(IDENTITY_NUMBERS):
             assert device.answer(page(4, number)) == b"\xab\2"
 
-    def test_unknown_object_starts_a_stream_over(self) -> None:
-        device = Device(Mapping(), identification=IDENTITY)
-        for code, known in ((1, (0, 1, 2)), (2, (0, 1, 2, 3, 6)), (3, IDENTITY_NUMBERS)):
-            first = device.answer(page(code))
-            for number in set(range(256)) - set(known):
-                assert device.answer(page(code, number)) == first
-            for number in known[1:]:
-                assert device.answer(page(code, number))[7] == number
-
-    @each_case("code", [0, 5, 6, 127, 128, 255])
-    def test_other_codes_are_illegal_values(self, code: int) -> None:
-        for number in (0, 77):
-            assert new_device().answer(page(code, number)) == b"\xab\3"
-
-    def test_other_interfaces_are_illegal_functions(self) -> None:
-        device = Device(Mapping(), canopen=lambda data: data)
-        for mei_type in set(range(256)) - {13, 14}:
-            for tail in (b"", b"\1\0", bytes(100)):
-                assert device.answer(bytes([0x2B, mei_type]) + tail) == b"\xab\1"
-
-    def test_length_of_a_request_is_checked(self) -> None:
-        for body in (b"\x2b", b"\x2b\x0e", page(1)[:3], page(1) + b"\0", page(0)[:3]):
-            assert new_device().answer(body) == b"\xab\3"
-
     @each_case(
         ("identification", "error"),
         [
