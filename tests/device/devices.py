@@ -39,13 +39,9 @@ def new_device() -> Device:
 
 def contents(device: Device) -> dict[str, Any]:
     """Everything a client could change."""
-    mapping = device.mapping
-    return {
-        "coils": mapping.coils[:],
-        "discrete_inputs": mapping.discrete_inputs[:],
-        "holding_registers": mapping.holding_registers[:],
-        "input_registers": mapping.input_registers[:],
-    } | {f"file {number}": list(file) for number, file in device.files.items()}
+    names = ("coils", "discrete_inputs", "holding_registers", "input_registers")
+    tables = {name: list(getattr(device.mapping, name)) for name in names}
+    return tables | {f"file {number}": list(file) for number, file in device.files.items()}
 
 
 def words(*values: int) -> bytes:

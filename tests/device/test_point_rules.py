@@ -11,6 +11,7 @@ import pytest
 
 from libmodbus_py import Access, Allow, Device, Mapping, Point, RegisterMap, Rules, pdu
 from libmodbus_py.serve import Caller
+from tests.device.devices import contents
 from tests.support.cases import each_case
 
 MAP = RegisterMap(
@@ -86,11 +87,6 @@ REQUESTS: list[tuple[pdu.Request[Any], int]] = [
 
 def plant() -> Device:
     return Device.of_map(MAP, {"setpoint": 20, "ratio": 0.5})
-
-
-def contents(device: Device) -> list[list[int]]:
-    mapping = device.mapping
-    return [list(mapping.holding_registers[:]), list(mapping.coils[:])]
 
 
 @each_case(("request_", "code"), REQUESTS)

@@ -23,6 +23,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py import Device, Mapping, Point, RegisterMap
+from tests.device.devices import contents
 from tests.support.cases import each_case
 
 
@@ -34,18 +35,6 @@ def plant() -> Device:
         input_registers={7: [1, 2]},
     )
     return Device(mapping, files={4: {3: 1, 4: 2, 9: 3}, 65535: [0] * 10_000})
-
-
-def contents(device: Device) -> list[list[int]]:
-    mapping = device.mapping
-    tables = (
-        mapping.coils,
-        mapping.discrete_inputs,
-        mapping.holding_registers,
-        mapping.input_registers,
-        *device.files.values(),
-    )
-    return [list(map(int, table)) for table in tables]
 
 
 def test_values_come_back(tmp_path: Path) -> None:
