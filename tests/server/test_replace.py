@@ -9,8 +9,7 @@ import gc
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -30,12 +29,9 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.server import udp
-from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import Stage
-from tests.support.certificates import Papers, secured
 from tests.support.peers import until
-
-SCHEMES = ["tcp", "rtu+tcp", "ascii+tcp", "tls", "udp", "rtu", "ascii"]
+from tests.support.transports import TRANSPORTS, serving
 
 
 def holding(value: int) -> Device:
@@ -43,27 +39,19 @@ def holding(value: int) -> Device:
 
 
 @contextmanager
-def connected(scheme: str, server: Server, tmp_path: Path, **options: Any) -> Iterator[Context]:
+def connected(transport: str, server: Server) -> Iterator[Context]:
     """A client of unit 1."""
-    with ExitStack() as stack:
-        if scheme == "tls":
-            url = stack.enter_context(secured(server, Papers(tmp_path)))
-        elif scheme in ("rtu", "ascii"):
-            wire = stack.enter_context(SerialWire())
-            stack.enter_context(server.background(f"{scheme}://{wire.server}?baudrate=115200"))
-            url = f"{scheme}://{wire.client}?baudrate=115200"
-        else:
-            url = stack.enter_context(server.background(f"{scheme}://127.0.0.1:0")).urls[0]
-        client = Context.from_url(url, unit=1, native=False, **{"timeout": 2, **options})
-        yield stack.enter_context(client)
+    with (
+        serving(transport, server) as url,
+        Context.from_url(url, unit=1, native=False, timeout=2) as client,
+    ):
+        yield client
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
-def test_a_connection_sees_other_devices_and_faults_come_and_go(
-    scheme: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_a_connection_sees_other_devices_and_faults_come_and_go(transport: str) -> None:
     server = Server({1: holding(1)})
-    with connected(scheme, server, tmp_path) as client:
+    with connected(transport, server) as client:
         assert client.read_holding_registers(0, 1) == [1]
         server.replace({1: holding(2), 2: holding(3)})
         until(lambda: client.read_holding_registers(0, 1) == [2])
@@ -75,7 +63,7 @@ def test_a_connection_sees_other_devices_and_faults_come_and_go(
         until(lambda: not refuses(client))
         assert client.read_holding_registers(0, 1) == [4]
         assert client.for_unit(9).read_holding_registers(0, 1) == [4]
-        if scheme not in ("udp", "rtu", "ascii"):
+        if transport not in ("udp", "rtu+udp", "rtu", "ascii"):
             assert server.statistics.accepted == 1
 
 
@@ -165,10 +153,10 @@ def test_a_broadcast_goes_to_the_new_devices(stage: Stage) -> None:
             client.for_unit(2).read_holding_registers(0, 1)
 
 
-@pytest.mark.parametrize("scheme", ["rtu", "rtu+tcp"])
-def test_notes_about_a_line_stay_with_their_unit(scheme: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("transport", ["rtu", "rtu+tcp"])
+def test_notes_about_a_line_stay_with_their_unit(transport: str) -> None:
     server = Server({1: holding(1)})
-    with connected(scheme, server, tmp_path) as client:
+    with connected(transport, server) as client:
         count = client.diagnostics
         for _ in range(3):
             client.read_holding_registers(0, 1)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,11 @@ import pytest
 from fuzz.checks import REQUEST_OBJECTS, examples
 from libmodbus_py import Allow, Context, Device, Fault, IllegalFunction, Mapping, Rules, Server, pdu
 from libmodbus_py.serve import Asked
-from libmodbus_py.tools.testing.wires import SerialWire
+from tests.support import transports
 from tests.support.attacks import PATIENCE, adu
 from tests.support.certificates import Papers, client
 from tests.support.tls import TlsClient, context, serving
+from tests.support.transports import TRANSPORTS
 
 
 def guarded(authorize: Any) -> Device:
@@ -33,18 +34,8 @@ def guarded(authorize: Any) -> Device:
     )
 
 
-@pytest.fixture(params=["tcp", "udp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"])
-def line(request: pytest.FixtureRequest) -> Iterator[tuple[str, str]]:
-    """The URLs of a server, and of its client."""
-    scheme = request.param
-    if "tcp" in scheme or scheme == "udp":
-        yield f"{scheme}://127.0.0.1:0", ""
-    else:
-        with SerialWire() as wire:
-            yield tuple(f"{scheme}://{end}?baudrate=115200" for end in (wire.server, wire.client))
-
-
-def test_nothing_is_executed(line: tuple[str, str]) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_nothing_is_executed(transport: str) -> None:
     seen: list[Asked] = []
 
     def authorize(asked: Asked) -> bool:
@@ -53,13 +44,13 @@ def test_nothing_is_executed(line: tuple[str, str]) -> None:
 
     device = guarded(authorize)
     server = Server({17: device})
-    with server.background(line[0]) as running, Context.from_url(line[1] or running.urls[0]) as at:
-        plc = at.for_unit(17)
+    with transports.serving(transport, server) as url, Context.from_url(url, unit=17) as plc:
         for request in REQUEST_OBJECTS:
             with pytest.raises(IllegalFunction):
                 plc.execute(request)
     assert [asked.function for asked in seen] == [each.function for each in REQUEST_OBJECTS]
-    assert {(asked.unit, asked.role) for asked in seen} == {(17, None)}
+    role = "Operator" if transport == "tls" else None
+    assert {(asked.unit, asked.role) for asked in seen} == {(17, role)}
     assert all(asked.peer for asked in seen)
     assert server.statistics.unauthorized == server.statistics.refused == len(seen)
     assert not any(device.mapping.holding_registers)
