@@ -14,10 +14,10 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import tls as server_tls
 from tests.simulation.stage import Stage, Talker
 from tests.support import certificates
-from tests.support.attacks import ANSWER_ONE, READ_ONE, adu
 from tests.support.certificates import Papers
 from tests.support.tls import (
-    VERSIONS,
+    ONE,
+    VERSION,
     TlsClient,
     closed,
     connected,
@@ -29,23 +29,13 @@ from tests.support.tls import (
     serving,
 )
 
-ONE = adu(READ_ONE)
-ONE_ANSWER = adu(ANSWER_ONE)
-
-VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
-
-
-@pytest.fixture
-def device() -> Device:
-    return Device(Mapping(10, 10, 1000, 1000))
-
 
 @pytest.mark.parametrize("how", ["connects only", "greets only", "trickles"])
 def test_a_handshake_must_end_in_time(
-    stage: Stage, papers: Papers, device: Device, how: str, caplog: pytest.LogCaptureFixture
+    stage: Stage, papers: Papers, how: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     first, limits = hello(papers), Limits(handshake_timeout=100)
-    with nothing_loud(caplog), serving(papers, device, limits=limits) as (server, port):
+    with nothing_loud(caplog), serving(papers, limits=limits) as (server, port):
         begun = stage.now
         slow = stage.talk(port)
         if how == "greets only":
@@ -66,13 +56,13 @@ def test_a_handshake_must_end_in_time(
 
 @VERSION
 def test_a_slow_handshake_is_not_hurried(
-    stage: Stage, papers: Papers, device: Device, version: ssl.TLSVersion
+    stage: Stage, papers: Papers, version: ssl.TLSVersion
 ) -> None:
     """The time of a frame begins when the handshake is over."""
     limits = Limits(handshake_timeout=1000, frame_timeout=0.2)
     told = context(papers, certificates.client(), version)
     with (
-        serving(papers, device, limits=limits) as (server, port),
+        serving(papers, limits=limits) as (server, port),
         TlsClient(port, told, stage=stage) as client,
     ):
         first = client.hello()
@@ -80,16 +70,16 @@ def test_a_slow_handshake_is_not_hurried(
             client.socket.sendall(first[start : start + 40])
             stage.pass_time(10)
         client.handshake()
-        assert client.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+        assert client.is_answered()
         assert server.statistics.closed_slow == 0
 
 
 def test_the_oldest_half_open_one_makes_room(
-    stage: Stage, papers: Papers, device: Device, monkeypatch: pytest.MonkeyPatch
+    stage: Stage, papers: Papers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server_tls, "HALF_OPEN", 5)
     first = hello(papers)
-    with serving(papers, device) as (server, port), contextlib.ExitStack() as stack:
+    with serving(papers) as (server, port), contextlib.ExitStack() as stack:
         waiting = []
         for _ in range(8):
             waiting.append(stack.enter_context(stage.talk(port)))
@@ -139,14 +129,14 @@ def test_who_has_asked_too_much_does_not_stop_the_line(stage: Stage, papers: Pap
 
 
 def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(
-    stage: Stage, papers: Papers, device: Device
+    stage: Stage, papers: Papers
 ) -> None:
     """By their client, by the sweep, and to make room."""
     first = hello(papers)
     limits = Limits(handshake_timeout=0.2, max_connections=40)
-    with serving(papers, device, limits=limits) as (server, port):
+    with serving(papers, limits=limits) as (server, port):
         with connected(stage, papers, port) as innocent:
-            assert innocent.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+            assert innocent.is_answered()
             for _ in range(5):
                 with contextlib.ExitStack() as stack:
                     for number in range(60):
@@ -156,19 +146,19 @@ def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(
                             if number % 7 == 0:
                                 reset(each)
                     stage.pass_time(0.4)
-                assert innocent.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+                assert innocent.is_answered()
             assert stage.until(lambda: server.statistics.connections == 1)
         assert is_served(papers, port, stage)
         assert server.statistics.closed_for_others > 0
 
 
 def test_an_address_that_has_asked_too_much_does_not_hold_up_the_handshakes_of_others(
-    stage: Stage, papers: Papers, device: Device
+    stage: Stage, papers: Papers
 ) -> None:
     limits, first = Limits(requests_per_second=1), hello(papers)
     told = context(papers, certificates.client())
     with (
-        serving(papers, device, limits=limits) as (server, port),
+        serving(papers, limits=limits) as (server, port),
         TlsClient(port, told, source="127.0.0.2", stage=stage).handshake() as greedy,
         contextlib.ExitStack() as stack,
     ):

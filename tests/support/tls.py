@@ -16,7 +16,7 @@ from typing import Any, Self
 
 import pytest
 
-from libmodbus_py import Device, Server
+from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.certificates import Identity
 from tests.simulation.stage import Stage, Talker
@@ -26,6 +26,9 @@ from tests.support.certificates import Files, Papers
 from tests.support.secured import VERSIONS
 
 __all__ = [
+    "ONE",
+    "ONE_ANSWER",
+    "VERSION",
     "VERSIONS",
     "TlsClient",
     "closed",
@@ -40,15 +43,20 @@ __all__ = [
     "wait_until",
 ]
 
+VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
+
+ONE = adu(READ_ONE)
+ONE_ANSWER = adu(ANSWER_ONE)
+
 
 @contextlib.contextmanager
 def serving(
-    papers: Papers, device: Device, *, listen: str = "tls://127.0.0.1:0", **options: Any
+    papers: Papers, device: Device | None = None, **options: Any
 ) -> Iterator[tuple[Server, int]]:
-    """Serve; give the server and its port."""
+    """Serve a device whose items are 0, unless one is given; give the server and its port."""
     options.setdefault("security", papers.server())
-    server = Server(device, **options)
-    with server.background(listen) as running:
+    server = Server(device or Device(Mapping(10, 10, 1000, 1000)), **options)
+    with server.background("tls://127.0.0.1:0") as running:
         yield server, parse(running.urls[0]).port
 
 
@@ -164,6 +172,10 @@ class TlsClient:
         self.send(request)
         return self.receive(size)
 
+    def is_answered(self) -> bool:
+        """Return True if a read of one register is answered as `serving` answers it."""
+        return self.ask(ONE, len(ONE_ANSWER)) == ONE_ANSWER
+
     def _until(self, act: Callable[[], Any]) -> Any:
         while True:
             try:
@@ -195,7 +207,7 @@ def connected(
 def talking(
     stage: Stage,
     papers: Papers,
-    device: Device,
+    device: Device | None = None,
     version: ssl.TLSVersion | None = None,
     **options: Any,
 ) -> Iterator[tuple[Server, TlsClient]]:
@@ -217,9 +229,9 @@ def hello(papers: Papers) -> bytes:
 
 
 def is_served(papers: Papers, port: int, stage: Stage | None = None) -> bool:
-    told, answer = context(papers, certificates.client()), adu(ANSWER_ONE)
+    told = context(papers, certificates.client())
     with TlsClient(port, told, stage=stage).handshake() as client:
-        return client.ask(adu(READ_ONE), len(answer)) == answer
+        return client.is_answered()
 
 
 @contextlib.contextmanager
