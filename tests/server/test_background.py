@@ -172,8 +172,7 @@ def test_the_collector_does_not_wait_for_a_forgotten_server() -> None:
     server = Server(Device(Mapping(holding_registers=1), before_read=hook))
     circle: list[Any] = [server.background("tcp://127.0.0.1:0")]
     circle.append(circle)
-    port = int(circle[0].__enter__().urls[0].rpartition(":")[2])
-    with connect(port) as client:
+    with connect(circle[0].__enter__().urls[0]) as client:
         client.sendall(adu(READ_ONE))
         assert is_blocked.wait(PATIENCE)
         del circle
@@ -243,14 +242,10 @@ END = adu(bytes.fromhex("03 0063 0001"))
 
 def ask_end(url: str) -> None:
     """Ask on a connection of its own, which is closed without an answer."""
-    port = int(url.rpartition(":")[2])
-    if url.startswith("udp"):
-        with socket.socket(type=socket.SOCK_DGRAM) as client:
-            client.sendto(END, ("127.0.0.1", port))
-        return
-    with connect(port) as client:
+    with connect(url) as client:
         client.sendall(END)
-        assert receive(client, 1) == b""
+        if client.type == socket.SOCK_STREAM:
+            assert receive(client, 1) == b""
 
 
 @pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
@@ -267,7 +262,7 @@ def test_what_ends_the_program_is_raised_where_the_block_is_left(
 
 def end(running: Running, scheme: str) -> None:
     url = next(url for url in running.urls if url.startswith(scheme))
-    with connect(int(running.urls[0].rpartition(":")[2])) as other:
+    with connect(running.urls[0]) as other:
         ask_end(url)
         assert receive(other, 1) == b""  # it is closed, too
 
@@ -312,7 +307,7 @@ def test_what_one_asked_before_the_end_is_answered() -> None:
     def ask() -> None:
         with (
             server.background("tcp://127.0.0.1:0") as running,
-            connect(int(running.urls[0].rpartition(":")[2])) as client,
+            connect(running.urls[0]) as client,
         ):
             client.sendall(framer.encode(read) + framer.encode(end))
             received.append(receive(client, 100))
@@ -336,7 +331,7 @@ def test_a_hook_may_leave_the_block() -> None:
 
     server = Server(Device(Mapping(holding_registers=1), before_read=leave))
     background = server.background("tcp://127.0.0.1:0")
-    with background as running, connect(int(running.urls[0].rpartition(":")[2])) as client:
+    with background as running, connect(running.urls[0]) as client:
         client.sendall(adu(READ_ONE))
         assert receive(client, 11) == adu(bytes.fromhex("03 02 0000"))
         assert receive(client, 1) == b""
@@ -358,8 +353,7 @@ def test_who_was_read_in_the_same_turn_is_answered(error: BaseException) -> None
 
     server = Server(Device(Mapping(holding_registers=100), before_read=hook))
     with ending_with(error), server.background("tcp://127.0.0.1:0") as running:
-        port = int(running.urls[0].rpartition(":")[2])
-        clients = [connect(port) for _ in range(8)]
+        clients = [connect(running.urls[0]) for _ in range(8)]
         blocker = clients.pop()
         blocker.sendall(adu(READ_ONE))
         assert is_blocked.wait(PATIENCE)

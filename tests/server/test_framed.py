@@ -22,13 +22,16 @@ from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.sessions import ByChunk, Singles
 from libmodbus_py.server.units import TcpUnits, Units
-from tests.server.raw_requests import READ, READ_ANSWER, adu, connect, receive
 from tests.simulation.network import Network
 from tests.simulation.stage import Stage
+from tests.support.attacks import adu, ask, connect, receive
 from tests.support.talk import rtu
 
 ASKED, ANSWER = bytes.fromhex("03 0000 0001"), bytes.fromhex("03 02 0007")
 REFUSAL = b"\x83\x02"
+
+# What the fixture `device` is asked, and answers.
+READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
 
 class Channel:
@@ -238,9 +241,8 @@ def test_an_illegal_request_does_not_cost_its_neighbours_their_answers(port: int
     answers.append(READ_ANSWER)
     requests, answers = requests * 60, answers * 60
     with connect(port) as connection:
-        connection.sendall(b"".join(adu(body, number) for number, body in enumerate(requests)))
-        expected = b"".join(adu(body, number) for number, body in enumerate(answers))
-        assert receive(connection, len(expected)) == expected
+        asked = b"".join(adu(body, number) for number, body in enumerate(requests))
+        ask(connection, asked, b"".join(adu(body, number) for number, body in enumerate(answers)))
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])

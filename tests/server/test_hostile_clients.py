@@ -11,8 +11,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import Context, Device, Server, TcpContext, framing
-from tests.server.raw_requests import READ, READ_ANSWER, adu, connect, receive
 from tests.simulation.stage import Stage
+from tests.support.attacks import adu, ask, connect
+
+READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
 LYING = [
     b"\x10\x00\x64\x00\x02\xff\x00\x01\x00\x02",  # byte count beyond the data
@@ -59,16 +61,14 @@ def contents(device: Device) -> tuple[list[int], list[bool]]:
 
 def test_another_protocol_is_skipped_and_the_next_request_answered(port: int) -> None:
     with connect(port) as connection:
-        connection.sendall(adu(READ, 1, protocol=7) + adu(READ, 2))
-        assert receive(connection, 13) == adu(READ_ANSWER, 2)
+        ask(connection, adu(READ, 1, protocol=7) + adu(READ, 2), adu(READ_ANSWER, 2))
 
 
 @pytest.mark.parametrize("length", [0, 1, 255, 65535])
 def test_a_length_that_cannot_be_closes_the_connection(port: int, length: int) -> None:
     with connect(port) as liar, TcpContext("127.0.0.1", port, unit=17) as innocent:
         innocent.connect()
-        liar.sendall(adu(READ, 1) + adu(READ, 2, length=length))
-        assert receive(liar, 13) == adu(READ_ANSWER, 1)
+        ask(liar, adu(READ, 1) + adu(READ, 2, length=length), adu(READ_ANSWER, 1))
         assert liar.recv(1) == b""
         assert innocent.read_holding_registers(100, 1) == [1000]
 
@@ -77,8 +77,8 @@ def test_who_is_closed_is_not_reset_although_more_had_come(port: int) -> None:
     """A reset could take the answers that were sent before from the client."""
     for _ in range(5):
         with connect(port) as liar:
-            liar.sendall(adu(READ, 1) + adu(READ, 2, length=65535) + bytes(5000))
-            assert receive(liar, 13) == adu(READ_ANSWER, 1)
+            flood = adu(READ, 1) + adu(READ, 2, length=65535) + bytes(5000)
+            ask(liar, flood, adu(READ_ANSWER, 1))
             assert liar.recv(1) == b""
 
 

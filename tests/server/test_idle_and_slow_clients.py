@@ -167,7 +167,7 @@ def test_clients_of_the_system_are_closed_in_time(sent: bytes) -> None:
     server = Server({17: Device(Mapping(holding_registers=1))}, limits=limits)
     with (
         server.background("tcp://127.0.0.1:0") as running,
-        connect(int(running.urls[0].rpartition(":")[2])) as client,
+        connect(running.urls[0]) as client,
     ):
         client.sendall(sent)
         assert client.recv(1) == b""

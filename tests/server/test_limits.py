@@ -22,6 +22,7 @@ from libmodbus_py.cli.main import main
 from libmodbus_py.server.limits import Limits, ServerStatistics
 from tests.simulation.sockets import MemoryListener
 from tests.simulation.stage import LineEnd, Stage
+from tests.support import attacks
 from tests.support.attacks import ServerProcess, connect, descriptor_limit, receive
 from tests.support.peers import until
 from tests.support.served import (
@@ -284,8 +285,7 @@ def test_serve_has_an_option_for_each_limit(capsys: pytest.CaptureFixture[str]) 
 
 
 def ask_system(connection: socket.socket) -> None:
-    connection.sendall(adu(READ_ONE))
-    assert receive(connection, ONE_ANSWER) == adu(ANSWER_ONE)
+    attacks.ask(connection, adu(READ_ONE), adu(ANSWER_ONE))
 
 
 def is_closed(connection: socket.socket) -> bool:

@@ -5,8 +5,6 @@ device for one of them must not be felt by the others.
 
 from __future__ import annotations
 
-import socket
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -15,7 +13,8 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.limits import Limits
-from tests.support.attacks import connect
+from tests.support.attacks import ask, connect
+from tests.support.peers import until
 from tests.support.talk import ascii_frame, rtu
 
 LISTEN_ONLY = "11 08 0004 0000"
@@ -31,19 +30,11 @@ FRAMES = {"rtu+tcp": rtu, "ascii+tcp": ascii_frame}
 
 
 @contextmanager
-def served(scheme: str, devices: Any = None, **limits: Any) -> Iterator[tuple[Server, int]]:
+def served(scheme: str, devices: Any = None, **limits: Any) -> Iterator[tuple[Server, str]]:
     one = {17: Device(Mapping(holding_registers={0: [7]}))}
     server = Server(one if devices is None else devices, limits=Limits(**limits))
     with server.background(f"{scheme}://127.0.0.1:0") as running:
-        yield server, int(running.urls[0].rpartition(":")[2])
-
-
-def ask(connection: socket.socket, request: bytes, answer: bytes) -> None:
-    connection.sendall(request)
-    received = b""
-    while len(received) < len(answer) and (piece := connection.recv(300)):
-        received += piece
-    assert received == answer
+        yield server, running.urls[0]
 
 
 @pytest.mark.parametrize("all_units", [False, True])
@@ -52,16 +43,15 @@ def test_a_client_mutes_the_device_for_itself_only(scheme: str, all_units: bool)
     frame = FRAMES[scheme]
     devices = Device(Mapping(holding_registers={0: [7]})) if all_units else None
     with (
-        served(scheme, devices) as (server, port),
-        connect(port) as mute,
-        connect(port) as other,
+        served(scheme, devices) as (server, url),
+        connect(url) as mute,
+        connect(url) as other,
     ):
         ask(other, frame(READ), frame(ANSWER))
         mute.sendall(frame(LISTEN_ONLY) + frame(READ))
-        while server.statistics.requests < 3:
-            time.sleep(0.005)
+        until(lambda: server.statistics.requests == 3)
         ask(other, frame(READ), frame(ANSWER))
-        with connect(port) as newcomer:
+        with connect(url) as newcomer:
             ask(newcomer, frame(READ), frame(ANSWER))
         # It got no answer, and is told none of the restart either (08/01).
         ask(mute, frame(RESTART) + frame(READ), frame(ANSWER))
@@ -69,7 +59,7 @@ def test_a_client_mutes_the_device_for_itself_only(scheme: str, all_units: bool)
 
 def test_broadcasts_of_a_muted_connection_are_not_executed() -> None:
     devices = {unit: Device(Mapping(holding_registers={0: [7]})) for unit in (17, 18)}
-    with served("rtu+tcp", devices) as (_, port), connect(port) as mute, connect(port) as other:
+    with served("rtu+tcp", devices) as (_, url), connect(url) as mute, connect(url) as other:
         mute.sendall(rtu(LISTEN_ONLY) + rtu(BROADCAST))
         ask(mute, rtu("12 03 0000 0001"), rtu("12 03 02 0063"))
         ask(other, rtu(READ), rtu(ANSWER))
@@ -79,20 +69,20 @@ def test_broadcasts_of_a_muted_connection_are_not_executed() -> None:
 
 def test_a_delimiter_is_of_the_connection_that_asked_for_it() -> None:
     with (
-        served("ascii+tcp") as (_, port),
-        connect(port) as odd,
-        connect(port) as other,
+        served("ascii+tcp") as (_, url),
+        connect(url) as odd,
+        connect(url) as other,
     ):
         ask(odd, ascii_frame(SEMICOLON), ascii_frame(SEMICOLON))
         ask(odd, ascii_frame(READ, b"\r;"), ascii_frame(ANSWER, b"\r;"))
         ask(other, ascii_frame(READ), ascii_frame(ANSWER))
-        with connect(port) as newcomer:
+        with connect(url) as newcomer:
             ask(newcomer, ascii_frame(READ), ascii_frame(ANSWER))
         ask(odd, ascii_frame(READ, b"\r;"), ascii_frame(ANSWER, b"\r;"))
 
 
 def test_counters_are_of_the_line_that_all_connections_share() -> None:
-    with served("rtu+tcp") as (_, port), connect(port) as first, connect(port) as second:
+    with served("rtu+tcp") as (_, url), connect(url) as first, connect(url) as second:
         ask(first, rtu(READ), rtu(ANSWER))
         ask(second, rtu(MESSAGES), rtu("11 08 000B 0002"))
         ask(first, rtu(MESSAGES), rtu("11 08 000B 0003"))

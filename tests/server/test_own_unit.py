@@ -8,7 +8,6 @@ so. Application protocol V1.1b3, 6.8 (sub-function 11) and 6.10: messages.
 from __future__ import annotations
 
 import socket
-import struct
 from collections.abc import Iterator
 from typing import Any
 
@@ -27,6 +26,7 @@ from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.tools.faults.server import Faults
 from tests.simulation.stage import Stage
+from tests.support.attacks import READ_ONE, adu, ask, connect
 
 MESSAGES = pdu.SubFunction.BUS_MESSAGE_COUNT
 both = pytest.mark.parametrize("scheme", ["tcp", "udp"])
@@ -37,27 +37,21 @@ def holding(value: int, **hooks: Any) -> Device:
     return Device(Mapping(holding_registers={0: [value, 0, 0, 0]}), **hooks)
 
 
-def adu(body: bytes, number: int, unit: int) -> bytes:
-    return struct.pack(">HHHB", number, 0, 1 + len(body), unit) + body
-
-
 def answers(server: Server, scheme: str, units: list[int]) -> list[int | bytes | None]:
     """
     The register that each of these units gives; or its exception; None for silence.
 
     Asked at once, so that TCP answers them by the chunk, and then one by one.
     """
-    with server.background(f"{scheme}://127.0.0.1:0") as running:
-        port = int(running.urls[0].rpartition(":")[2])
-        kind = socket.SOCK_STREAM if scheme == "tcp" else socket.SOCK_DGRAM
-        with socket.socket(socket.AF_INET, kind) as peer:
-            peer.settimeout(20)
-            peer.connect(("127.0.0.1", port))
-            frames = [adu(b"\3\0\0\0\1", at, unit) for at, unit in enumerate(units)]
-            # Unit 1 always answers, and so tells that nothing more comes.
-            frames.append(adu(b"\3\0\0\0\1", 999, 1))
-            together = asked(peer, [b"".join(frames)] if scheme == "tcp" else frames)
-            assert together == asked(peer, frames)
+    frames = [adu(READ_ONE, at, unit) for at, unit in enumerate(units)]
+    # Unit 1 always answers, and so tells that nothing more comes.
+    frames.append(adu(READ_ONE, 999, 1))
+    with (
+        server.background(f"{scheme}://127.0.0.1:0") as running,
+        connect(running.urls[0]) as peer,
+    ):
+        together = asked(peer, [b"".join(frames)] if scheme == "tcp" else frames)
+        assert together == asked(peer, frames)
     return [together.get(at) for at in range(len(units))]
 
 
@@ -216,16 +210,12 @@ def test_messages_of_other_units_are_not_heard(scheme: str) -> None:
 @both
 def test_a_message_that_cannot_be_answered_is_one(scheme: str) -> None:
     """Function codes from 128 on; on lines, too."""
-    device = holding(7)
-    with Server(device).background(f"{scheme}://127.0.0.1:0") as running:
-        port = int(running.urls[0].rpartition(":")[2])
-        kind = socket.SOCK_STREAM if scheme == "tcp" else socket.SOCK_DGRAM
-        with socket.socket(socket.AF_INET, kind) as peer:
-            peer.settimeout(20)
-            peer.connect(("127.0.0.1", port))
-            peer.sendall(adu(b"\x83\2", 1, 1))
-            peer.sendall(adu(b"\x08\0\x0b\0\0", 2, 1))
-            assert peer.recv(100) == adu(b"\x08\0\x0b\0\2", 2, 1)
+    with (
+        Server(holding(7)).background(f"{scheme}://127.0.0.1:0") as running,
+        connect(running.urls[0]) as peer,
+    ):
+        peer.sendall(adu(b"\x83\2", 1))
+        ask(peer, adu(b"\x08\0\x0b\0\0", 2), adu(b"\x08\0\x0b\0\2", 2))
 
 
 # --- which units are answered -------------------------------------------------------------

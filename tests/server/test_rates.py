@@ -101,7 +101,7 @@ def test_a_rate_holds_on_connections_of_the_system() -> None:
     )
     with (
         server.background("tcp://127.0.0.1:0") as running,
-        connect(int(running.urls[0].rpartition(":")[2])) as client,
+        connect(running.urls[0]) as client,
     ):
         client.sendall(b"".join(adu(READ_ONE, number) for number in range(300)))
         expected = b"".join(adu(ANSWER_ONE, number) for number in range(300))

@@ -188,7 +188,7 @@ def test_hosts_of_ipv6(allow: str, allowed: bool) -> None:
     server = Server(Device(Mapping(holding_registers=1)), limits=Limits(allow=[allow]))
     with (
         server.background("tcp://[::1]:0") as running,
-        connect(int(running.urls[0].rpartition(":")[2]), "::1") as connection,
+        connect(running.urls[0]) as connection,
     ):
         if allowed:
             connection.sendall(adu(READ_ONE))

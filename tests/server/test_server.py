@@ -14,25 +14,24 @@ from contextlib import contextmanager
 import pytest
 
 from libmodbus_py import Device, Gateway, Mapping, ModbusConnectionError, Route, Server, TcpContext
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server.limits import ServerStatistics
-from tests.server.raw_requests import READ, READ_ANSWER, adu, connect
 from tests.simulation.stage import LineEnd, Stage
+from tests.support.attacks import adu, connect
 from tests.support.talk import ascii_frame, rtu
 
-
-def port_of(url: str) -> int:
-    return int(url.rpartition(":")[2])
+READ, ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
 
 def test_stops_whatever_clients_do(device: Device) -> None:
     with Server(device).background("tcp://127.0.0.1:0", "rtu+tcp://127.0.0.1:0") as running:
-        clients = [connect(port_of(url)) for url in running.urls for _ in range(20)]
+        clients = [connect(url) for url in running.urls for _ in range(20)]
         for number, client in enumerate(clients):
             client.sendall(adu(READ)[: number % 12])
     for client in clients:
         client.close()
     with pytest.raises(ConnectionRefusedError):
-        connect(port_of(running.urls[0]))
+        connect(running.urls[0])
 
 
 def test_a_port_that_is_taken_is_a_clear_error(device: Device) -> None:
@@ -83,13 +82,13 @@ def test_serving_in_asyncio(device: Device) -> None:
                 "tcp://127.0.0.1",
                 "tcp://[::1]",
             ]
-            reader, writer = await asyncio.open_connection("127.0.0.1", port_of(running.urls[0]))
+            reader, writer = await asyncio.open_connection("127.0.0.1", parse(running.urls[0]).port)
             writer.write(adu(READ))
             answer = await reader.readexactly(13)
             writer.close()
             return answer
 
-    assert asyncio.run(main()) == adu(READ_ANSWER)
+    assert asyncio.run(main()) == adu(ANSWER)
 
 
 def test_updates_under_the_mapping_lock_are_seen_whole(port: int, mapping: Mapping) -> None:

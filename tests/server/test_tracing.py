@@ -36,9 +36,10 @@ from libmodbus_py import (
 )
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import Stage
-from tests.support.attacks import connect
+from tests.support.attacks import ask, connect
 from tests.support.cases import each_case
 from tests.support.certificates import Papers, secured
+from tests.support.peers import until
 from tests.support.talk import ascii_frame, rtu
 
 READ = bytes.fromhex("0001 0000 0006 11 03 0000 0002")
@@ -49,25 +50,6 @@ def made_device(**options: Any) -> Device:
     return Device(Mapping(holding_registers={0: [7, 8]}), **options)
 
 
-def port_of(url: str) -> int:
-    return int(url.rpartition(":")[2])
-
-
-def until(true: Callable[[], object], seconds: float = 10) -> None:
-    end = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.005)
-
-
-def ask(connection: socket.socket, request: bytes, answer: bytes) -> None:
-    connection.sendall(request)
-    received = b""
-    while len(received) < len(answer) and (piece := connection.recv(4096)):
-        received += piece
-    assert received == answer
-
-
 @contextmanager
 def connected(
     told: Callable[[Traced], object] | None, url: str = "tcp://127.0.0.1:0", **options: Any
@@ -76,7 +58,7 @@ def connected(
     units = options.pop("units", None) or {17: made_device()}
     with (
         Server(units, trace=told, **options).background(url) as running,
-        connect(port_of(running.urls[0])) as one,
+        connect(running.urls[0]) as one,
     ):
         yield one, running.urls[0]
 
@@ -99,15 +81,8 @@ def test_what_passes_is_told_as_it_is_on_the_wire(scheme: str) -> None:
     frame = FRAMED[scheme]
     request, answer = frame("11 03 0000 0002"), frame("11 03 04 0007 0008")
     beyond, refused = frame("11 03 FFFF 0001"), frame("11 83 02")
-    kind = socket.SOCK_DGRAM if scheme == "udp" else socket.SOCK_STREAM
-    server = Server({17: made_device()}, trace=told.append)
     before = time.time()
-    with (
-        server.background(f"{scheme}://127.0.0.1:0") as running,
-        socket.socket(socket.AF_INET, kind) as connection,
-    ):
-        connection.settimeout(10)
-        connection.connect(("127.0.0.1", port_of(running.urls[0])))
+    with connected(told.append, f"{scheme}://127.0.0.1:0") as (connection, url):
         here = "{}:{}".format(*connection.getsockname())
         ask(connection, request, answer)
         ask(connection, beyond, refused)
@@ -119,7 +94,7 @@ def test_what_passes_is_told_as_it_is_on_the_wire(scheme: str) -> None:
         ("sent", refused),
     ]
     assert [(each.unit, each.function) for each in told] == [(17, 3)] * 3 + [(17, 0x83)]
-    assert {(each.endpoint, each.peer) for each in told} == {(running.urls[0], here)}
+    assert {(each.endpoint, each.peer) for each in told} == {(url, here)}
     assert all(one.time <= other.time for one, other in pairwise(told))
     assert before <= told[0].time <= time.time()
 
@@ -150,15 +125,12 @@ def test_of_tls_it_shows_what_is_inside(tmp_path: Path) -> None:
 @pytest.mark.parametrize("faults", [{}, {17: [Fault("delay", seconds=0.001, every=10**6)]}])
 def test_requests_that_come_together_are_told_one_by_one(faults: dict[int, list[Fault]]) -> None:
     told: list[Traced] = []
-    server = Server({17: made_device()}, faults, trace=told.append)
-    with server.background("tcp://127.0.0.1:0") as running:
-        with connect(port_of(running.urls[0])) as one:
-            ask(one, READ * 40, ANSWER * 40)
-        with connect(port_of(running.urls[0])) as slow:
-            for at in range(len(READ)):
-                slow.sendall(READ[at : at + 1])
-                time.sleep(0.001)
-            ask(slow, b"", ANSWER)
+    with connected(told.append, faults=faults) as (one, url), connect(url) as slow:
+        ask(one, READ * 40, ANSWER * 40)
+        for at in range(len(READ)):
+            slow.sendall(READ[at : at + 1])
+            time.sleep(0.001)
+        ask(slow, b"", ANSWER)
     assert sorted(said(told)) == sorted([("received", READ), ("sent", ANSWER)] * 41)
 
 
@@ -229,13 +201,10 @@ def test_an_answer_that_is_kept_back_is_told_when_it_is_sent(stage: Stage) -> No
 )
 def test_what_is_no_frame_is_told_too(scheme: str, noise: bytes) -> None:
     told: list[Traced] = []
-    kind = socket.SOCK_DGRAM if scheme == "udp" else socket.SOCK_STREAM
-    server = Server({17: made_device()}, trace=told.append)
-    with server.background(f"{scheme}://127.0.0.1:0") as running:
-        with socket.socket(socket.AF_INET, kind) as connection:
-            connection.connect(("127.0.0.1", port_of(running.urls[0])))
-            connection.sendall(noise)
-            until(lambda: scheme == "udp" or server.statistics.accepted == 1)
+    with connected(told.append, f"{scheme}://127.0.0.1:0") as (connection, _):
+        connection.sendall(noise)
+        if scheme != "udp":
+            connection.shutdown(socket.SHUT_WR)
         until(lambda: told)
     assert [(each.adu, each.unit, each.function) for each in told] == [(noise, None, None)]
 
@@ -269,7 +238,7 @@ def test_a_gateway_tells_what_its_clients_say() -> None:
         gateway = Gateway([Route(behind.urls[0], "17", 5)], trace=told.append)
         with (
             gateway.background("tcp://127.0.0.1:0") as running,
-            connect(port_of(running.urls[0])) as one,
+            connect(running.urls[0]) as one,
         ):
             ask(one, READ, ANSWER)
     assert said(told) == [("received", READ), ("sent", ANSWER)]
@@ -281,7 +250,7 @@ def test_the_logger_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
         ask(one, READ, ANSWER)
         assert not [each for each in caplog.records if each.name == "libmodbus_py.wire"]
         caplog.set_level(logging.DEBUG, "libmodbus_py.wire")
-        with connect(port_of(url)) as another:
+        with connect(url) as another:
             here = "{}:{}".format(*another.getsockname())
             ask(another, READ, ANSWER)
     lines = [each.getMessage() for each in caplog.records if each.name == "libmodbus_py.wire"]
@@ -298,7 +267,7 @@ def test_others_come_and_go() -> None:
     with (
         server.tracing(first.append),
         server.background("tcp://127.0.0.1:0") as running,
-        connect(port_of(running.urls[0])) as one,
+        connect(running.urls[0]) as one,
     ):
         ask(one, READ, ANSWER)
         with server.tracing(second.append):
@@ -320,9 +289,9 @@ def test_one_that_fails_costs_no_answer_and_is_logged_once(
     def broken(traced: Traced) -> None:
         raise error
 
-    with Server({17: made_device()}, trace=broken).background("tcp://127.0.0.1:0") as running:
+    with connected(broken) as (_, url):
         for _ in range(3):
-            with connect(port_of(running.urls[0])) as one:
+            with connect(url) as one:
                 ask(one, READ * 5, ANSWER * 5)
     assert [each.getMessage().endswith("this is logged once") for each in caplog.records] == [True]
 
@@ -366,7 +335,7 @@ def test_one_that_closes_the_server_is_obeyed(scheme: str) -> None:
     background: AbstractContextManager[Any]
     background = Server({17: made_device()}, trace=closing).background(f"{scheme}://127.0.0.1:0")
     running = stack.enter_context(background)
-    with connect(port_of(running.urls[0])) as one:
+    with connect(running.urls[0]) as one:
         one.sendall(FRAMED[scheme]("11 03 0000 0002"))
         while one.recv(100):
             pass

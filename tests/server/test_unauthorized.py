@@ -5,7 +5,6 @@ What a role may not do, over every transport: exception 1, counted, and nothing 
 from __future__ import annotations
 
 import contextlib
-import socket
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -18,7 +17,7 @@ from fuzz.checks import REQUEST_OBJECTS, examples
 from libmodbus_py import Allow, Context, Device, Fault, IllegalFunction, Mapping, Rules, Server, pdu
 from libmodbus_py.serve import Asked
 from tests.support import transports
-from tests.support.attacks import PATIENCE, adu
+from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, adu, connect, receive
 from tests.support.certificates import Papers, client
 from tests.support.tls import TlsClient, context, serving
 from tests.support.transports import TRANSPORTS
@@ -57,47 +56,26 @@ def test_nothing_is_executed(transport: str) -> None:
     assert not any(device.mapping.coils)
 
 
-def frames(unit: int) -> list[bytes]:
-    return [
-        number.to_bytes(2, "big")
-        + b"\0\0"
-        + (1 + len(data)).to_bytes(2, "big")
-        + bytes([unit])
-        + data
-        for number, data in enumerate(examples("pdu"))
-        if data[0] < 0x80
-    ]
-
-
 @pytest.mark.parametrize("many", [1, 8])
 def test_neither_alone_nor_in_a_chunk(many: int) -> None:
     """The server answers chunks, and what comes alone, in C where it can."""
-    requests = frames(1)
+    asked = [(number, pdu) for number, pdu in enumerate(examples("pdu")) if pdu[0] < 0x80]
+    # Between requests to a device that C answers.
+    other, other_answer = adu(READ_ONE, 0x99, 2), adu(ANSWER_ONE, 0x99, 2)
     plain, closed = Device(Mapping(65536, 65536, 65536, 65536)), guarded(lambda asked: False)
     server = Server({1: closed, 2: plain})
     with server.background("tcp://127.0.0.1:0") as running, ExitStack() as stack:
-        port = int(running.urls[0].rpartition(":")[2])
-        connect = socket.create_connection
-        peers = [stack.enter_context(connect(("127.0.0.1", port), 10)) for _ in range(3)]
-        for at in range(0, len(requests), many):
-            chunk = requests[at : at + many]
+        peers = [stack.enter_context(connect(running.urls[0])) for _ in range(3)]
+        for at in range(0, len(asked), many):
+            chunk = asked[at : at + many]
+            requests = [adu(pdu, number, 1) for number, pdu in chunk]
+            refusals = [adu(bytes([pdu[0] | 0x80, 1]), number, 1) for number, pdu in chunk]
+            expected = b"".join([other_answer, *refusals, other_answer])
             for peer in peers:
-                # Between requests to a device that C answers.
-                other = b"\0\x99\0\0\0\6\2\3\0\0\0\1"
-                peer.sendall(other + b"".join(chunk) + other)
+                peer.sendall(b"".join([other, *requests, other]))
             for peer in peers:
-                expected = b"\0\x99\0\0\0\5\2\3\2\0\0"
-                for request in chunk:
-                    code = bytes([request[7] | 0x80, 1])
-                    expected += request[:2] + b"\0\0\0\3\1" + code
-                expected += b"\0\x99\0\0\0\5\2\3\2\0\0"
-                answer = b""
-                while len(answer) < len(expected):
-                    part = peer.recv(4096)
-                    assert part
-                    answer += part
-                assert answer == expected
-    assert server.statistics.unauthorized == 3 * len(requests)
+                assert receive(peer, len(expected)) == expected
+    assert server.statistics.unauthorized == 3 * len(asked)
     assert not any(closed.mapping.holding_registers)
 
 

@@ -27,6 +27,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Self
 
+from libmodbus_py.ports.endpoint import parse
 from tests.support import certificates
 from tests.support.certificates import Papers
 
@@ -38,13 +39,30 @@ READ_MOST = bytes.fromhex("03 0000 007d")
 PATIENCE = 25.0
 
 
-def adu(pdu: bytes, transaction: int = 1, unit: int = UNIT) -> bytes:
-    return struct.pack(">HHHB", transaction, 0, 1 + len(pdu), unit) + pdu
+def adu(pdu: bytes, transaction: int = 1, unit: int = UNIT, **changed: int) -> bytes:
+    """Return a request or an answer over TCP, with fields of the header changed."""
+    header = {"transaction": transaction, "protocol": 0, "length": 1 + len(pdu), "unit": unit}
+    return struct.pack(">HHHB", *(header | changed).values()) + pdu
 
 
-def connect(port: int, host: str = "127.0.0.1", source: str = "") -> socket.socket:
-    connection = socket.create_connection((host, port), PATIENCE, (source, 0))
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+def connect(target: str | int, source: str = "") -> socket.socket:
+    """
+    Connect to a URL, or to a port of 127.0.0.1; over UDP, be ready to send datagrams there.
+
+    Args:
+        source: the address that the connection comes from.
+    """
+    endpoint = parse(f"tcp://127.0.0.1:{target}" if isinstance(target, int) else target)
+    place = (endpoint.host, endpoint.port)
+    if endpoint.transport == "udp":
+        family = socket.AF_INET6 if ":" in endpoint.host else socket.AF_INET
+        connection = socket.socket(family, socket.SOCK_DGRAM)
+        connection.settimeout(PATIENCE)
+        connection.bind((source, 0))
+        connection.connect(place)
+    else:
+        connection = socket.create_connection(place, PATIENCE, (source, 0))
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return connection
 
 
@@ -54,6 +72,12 @@ def receive(connection: socket.socket, size: int) -> bytes:
     while len(data) < size and (piece := connection.recv(size - len(data))):
         data += piece
     return bytes(data)
+
+
+def ask(connection: socket.socket, request: bytes, answer: bytes) -> None:
+    """Send a request, and check its answer."""
+    connection.sendall(request)
+    assert receive(connection, len(answer)) == answer
 
 
 @contextlib.contextmanager
