@@ -4,15 +4,17 @@ Servers on a line with other units: what these ask and answer is neither carried
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from typing import Any
+from contextlib import contextmanager
 
 import pytest
 
-from libmodbus_py import Context, Device, Gateway, Mapping, Route, Server
+from libmodbus_py import Context, Gateway, Route
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS
 from tests.simulation.stage import LineEnd, Stage
+from tests.support.framing import NO_REQUESTS
+from tests.support.served import unit_one
 from tests.support.talk import ascii_frame, rtu
 from tests.support.urls import url_for
 
@@ -40,9 +42,8 @@ LINES = {
 """Scheme -> what makes its frames, and the rules of its transport."""
 
 each_line = pytest.mark.parametrize("scheme", LINES)
-each_stream = pytest.mark.parametrize(
-    "scheme", [each for each, (_, rules) in LINES.items() if not rules.is_datagram]
-)
+STREAMS = [each for each, (_, rules) in LINES.items() if not rules.is_datagram]
+each_stream = pytest.mark.parametrize("scheme", STREAMS)
 
 
 def place_on(scheme: str) -> str:
@@ -50,15 +51,22 @@ def place_on(scheme: str) -> str:
     return url_for(scheme, "10.0.0.1:1502", line="/dev/line?baudrate=115200")
 
 
+def pieces(data: bytes, count: int) -> list[bytes]:
+    size = -(-len(data) // count)
+    return [data[at : at + size] for at in range(0, len(data), size)]
+
+
 @contextmanager
 def saying(stage: Stage, url: str) -> Iterator[Callable[..., bytes]]:
-    """Yield what writes something at once, and returns what is answered."""
+    """Yield what writes something, in so many pieces, and returns what is answered."""
     if "/dev/line" in url:
         master = LineEnd(stage.line("/dev/line"))
 
-        def say(*data: bytes) -> bytes:
+        def say(data: bytes, count: int = 1) -> bytes:
             master.heard = b""
-            master.write(b"".join(data))
+            for piece in pieces(data, count):
+                master.write(piece)
+                stage.pass_time(0.001)
             stage.pass_time(2)
             return master.heard
 
@@ -66,8 +74,10 @@ def saying(stage: Stage, url: str) -> Iterator[Callable[..., bytes]]:
         return
     with stage.talk(url) as client:
 
-        def send(*data: bytes) -> bytes:
-            client.sendall(b"".join(data))
+        def send(data: bytes, count: int = 1) -> bytes:
+            for piece in pieces(data, count):
+                client.sendall(piece)
+                stage.pass_time(0.001)
             stage.pass_time(2)
             heard = b""
             while client.has_input():
@@ -84,16 +94,6 @@ def damaged(frame: bytes) -> bytes:
     return frame[:-3] + (b"1" if frame[-3:-2] == b"0" else b"0") + frame[-2:]
 
 
-@contextmanager
-def served(stage: Stage, *urls: str) -> Iterator[tuple[Server, Mapping, list[Any]]]:
-    mapping = Mapping(holding_registers=4)
-    writes: list[Any] = []
-    device = Device(mapping, before_write=writes.append)
-    server = Server({1: device})
-    with server.background(*urls or (LINE,)):
-        yield server, mapping, writes
-
-
 @pytest.mark.parametrize(
     "scheme",
     [each for each, (made, rules) in LINES.items() if made is rtu and not rules.is_serial],
@@ -101,7 +101,7 @@ def served(stage: Stage, *urls: str) -> Iterator[tuple[Server, Mapping, list[Any
 def test_answers_of_others_in_one_connection_count_no_error(stage: Stage, scheme: str) -> None:
     """As a serial device server passes them on that hears its own line."""
     url = place_on(scheme)
-    with served(stage, url) as (server, _mapping, writes), saying(stage, url) as say:
+    with unit_one(url) as (server, writes), saying(stage, url) as say:
         for request, answer in TRAFFIC:
             assert say(request) == b""
             assert say(answer) == b""
@@ -112,7 +112,7 @@ def test_answers_of_others_in_one_connection_count_no_error(stage: Stage, scheme
 
 @pytest.mark.parametrize("pause", [0.0, 0.002, 0.03])
 def test_a_clean_line_with_other_units_counts_no_error(stage: Stage, pause: float) -> None:
-    with served(stage) as (server, _mapping, writes):
+    with unit_one(LINE) as (server, writes):
         master, other = LineEnd(stage.line("/dev/line")), LineEnd(stage.line("/dev/line"))
         for request, answer in TRAFFIC:
             master.heard = b""
@@ -132,24 +132,32 @@ def test_a_clean_line_with_other_units_counts_no_error(stage: Stage, pause: floa
             assert master.heard == rtu(f"01 08 00{counter:02X} {count:04X}")
 
 
-@each_line
-@pytest.mark.parametrize("unit", [0, 1, 2])
-@pytest.mark.parametrize("body", ["80", "80 01", "83 02", "FF", "FF 0B"])
-def test_a_good_frame_that_is_no_request_is_no_damage(
-    stage: Stage, scheme: str, unit: int, body: str
+@pytest.mark.parametrize("is_gateway", [False, True])
+@pytest.mark.parametrize(
+    ("scheme", "count"), [*((each, 1) for each in LINES), *((each, 3) for each in STREAMS)]
+)
+def test_a_good_frame_that_is_no_request_is_neither_answered_nor_damage(
+    stage: Stage, scheme: str, count: int, is_gateway: bool
 ) -> None:
-    """A function of 80h or more, with a right CRC, is of another unit or of nobody's."""
+    """In one piece or in three; with a right CRC it is of another unit, or of no unit."""
     made, url = LINES[scheme][0], place_on(scheme)
-    with (
-        served(stage, url) as (server, _mapping, writes),
-        saying(stage, url) as say,
-    ):
-        for _ in range(3):
-            assert say(made(f"{unit:02X} {body}")) == b""
-            assert say(made("01 03 0001 0001")) == made("01 03 02 0000")
+    with unit_one(url, is_gateway=is_gateway) as (server, writes), saying(stage, url) as say:
+        for body, unit in itertools.product(NO_REQUESTS, (0, 1, 2)):
+            assert say(made(f"{unit:02X} {body}"), count) == b"", (body, unit)
+            assert say(made("01 03 0001 0001")) == made("01 03 02 0000"), (body, unit)
         assert server.statistics.bad_frames == 0
         assert writes == []
         assert say(made("01 08 000C 0000")) == made("01 08 000C 0000")
+
+
+@each_line
+def test_a_gateway_passes_on_no_frame_that_is_no_request(stage: Stage, scheme: str) -> None:
+    made, url = LINES[scheme][0], place_on(scheme)
+    with unit_one(url, is_gateway=True) as (gateway, _), saying(stage, url) as say:
+        for body, unit in itertools.product([*NO_REQUESTS, "03 0001 0001"], (0, 1, 2)):
+            say(made(f"{unit:02X} {body}"))
+        units = [each for line in gateway.traffic.lines.values() for each in line.units.values()]
+        assert [each.requests for each in units] == [1]
 
 
 @each_stream
@@ -157,30 +165,22 @@ def test_a_good_frame_that_is_no_request_is_no_damage(
 def test_damage_with_such_a_function_is_counted(stage: Stage, scheme: str, unit: int) -> None:
     """A function of 80h or more and a wrong CRC."""
     made, url = LINES[scheme][0], place_on(scheme)
-    with (
-        served(stage, url) as (server, _mapping, _writes),
-        saying(stage, url) as say,
-    ):
+    with unit_one(url) as (server, _), saying(stage, url) as say:
         assert say(damaged(made(f"{unit:02X} 80"))) == b""
         assert say(made("01 03 0001 0001")) == made("01 03 02 0000")
         assert server.statistics.bad_frames == 1
 
 
 def test_a_gateway_hears_others_too(stage: Stage) -> None:
-    """It is a unit on a line here, and another line is behind it."""
-    mapping = Mapping(holding_registers=4)
-    gateway = Gateway([Route("rtu:///dev/back?baudrate=115200", units="1")])
-    with (
-        Server({1: Device(mapping)}).background("rtu:///dev/back?baudrate=115200"),
-        gateway.background(LINE),
-    ):
+    """It is a unit on a line here."""
+    with unit_one(LINE, is_gateway=True) as (gateway, writes):
         master, other = LineEnd(stage.line("/dev/line")), LineEnd(stage.line("/dev/line"))
         for request, answer in TRAFFIC:
             for end, data in ((master, request), (other, answer)):
                 end.write(data)
                 stage.pass_time(0.03)
         assert gateway.statistics.bad_frames == 0
-        assert list(mapping.holding_registers) == [0] * 4
+        assert writes == []
         master.heard = b""
         master.write(READ)
         stage.pass_time(0.5)
@@ -190,10 +190,9 @@ def test_a_gateway_hears_others_too(stage: Stage) -> None:
 @pytest.mark.parametrize("head", ["08 0000", "2B 0D", "41"])
 def test_a_frame_in_a_request_is_not_written_through_a_gateway(stage: Stage, head: str) -> None:
     """Nothing but reads and loopbacks may pass; the units behind are on one line."""
-    mapping = Mapping(holding_registers=4)
     route = Route("rtu:///dev/line?baudrate=115200&timeout=0.1", read_only=True)
     with (
-        served(stage) as (server, _, writes),
+        unit_one(LINE) as (server, writes),
         Gateway([route]).background("tcp://10.0.0.1:0") as running,
         Context.from_url(running.urls[0], unit=2, timeout=5) as context,
     ):
@@ -206,17 +205,13 @@ def test_a_frame_in_a_request_is_not_written_through_a_gateway(stage: Stage, hea
         assert context.for_unit(1).read_holding_registers(1, 1) == [0]
         assert writes == []
         assert server.statistics.bad_frames == 0
-        assert list(mapping.holding_registers) == [0] * 4
 
 
 @each_line
 def test_a_loopback_that_holds_a_write_comes_back_whole(stage: Stage, scheme: str) -> None:
     made, url = LINES[scheme][0], place_on(scheme)
     write = made("01 06 0001 0003")
-    with (
-        served(stage, url) as (server, _, writes),
-        saying(stage, url) as say,
-    ):
+    with unit_one(url) as (server, writes), saying(stage, url) as say:
         for data in (b"\1\2", write * 2, write * 10):
             frame = made("01 08 0000" + data.hex())
             assert say(frame) == frame
@@ -232,15 +227,9 @@ def test_only_the_last_of_the_requests_that_wait_is_answered(
     """All came before the server could look: whoever sent another one has given up the first."""
     frame, url = LINES[scheme][0], place_on(scheme)
     requests = [frame(f"01 06 0001 {number:04X}") for number in (5, 6, 7)]
-    answer = frame("01 06 0001 0007")
-    behind = ("tcp://10.0.0.2:502",) if is_gateway else (url,)
-    with served(stage, *behind) as (_, mapping, _writes), ExitStack() as stack:
-        if is_gateway:
-            gateway = Gateway([Route("tcp://10.0.0.2:502", units="1")])
-            stack.enter_context(gateway.background(url))
-        say = stack.enter_context(saying(stage, url))
-        assert say(*requests) == answer
-        assert mapping.holding_registers[1] == 7
+    with unit_one(url, is_gateway=is_gateway) as (_, writes), saying(stage, url) as say:
+        assert say(b"".join(requests)) == frame("01 06 0001 0007")
+        assert writes[-1].values == (7,)
 
 
 @each_stream
@@ -249,6 +238,6 @@ def test_a_request_to_another_unit_takes_back_the_answer_that_waits(
 ) -> None:
     frame, url = LINES[scheme][0], place_on(scheme)
     mine, other = frame("01 03 0001 0001"), frame("02 03 0000 0001")
-    with served(stage, url), saying(stage, url) as say:
-        assert say(mine, other) == b""
-        assert say(mine, other, mine) == frame("01 03 02 0000")
+    with unit_one(url), saying(stage, url) as say:
+        assert say(mine + other) == b""
+        assert say(mine + other + mine) == frame("01 03 02 0000")

@@ -10,6 +10,12 @@ from libmodbus_py.protocol.framing import AsciiFramer, Frame, RtuFramer, TcpFram
 from tests.support import talk
 from tests.support.cases import each_case
 
+NO_REQUESTS = [
+    "80", "80 01", "83 02", "FF", "FF 0B", "80 01 02", "83 02 00", "81 00 00 00 00", "AB 0E 01",
+    "FF" + "00" * 20, "90" + "A5" * 120, "83" + "11" * 252,
+]  # fmt: skip
+"""Bodies with a function that no request has, and data of any length."""
+
 AnyFramer = TcpFramer | RtuFramer | AsciiFramer
 
 

@@ -17,8 +17,8 @@ import pytest
 from libmodbus_py import pdu
 from libmodbus_py.listen import Separator, Transaction
 from libmodbus_py.tools.listener.transaction import Heard, Kind
-from tests.server.test_server import BODIES
 from tests.support.cases import each_case
+from tests.support.framing import NO_REQUESTS
 from tests.support.talk import ascii_frame, rtu
 from tests.support.vectors import exchanges
 
@@ -128,7 +128,7 @@ def test_a_good_frame_that_nobody_sends_is_no_damage(framing: str) -> None:
     """It is an exception to something that was not asked, or invalid, whatever ends it."""
     make = MAKE[framing]
     ask, answer = make("02 03 0000 0001"), make("02 03 02 0001")
-    for body in ["00", "00 01 02 03", *BODIES]:
+    for body in ["00", "00 01 02 03", *NO_REQUESTS]:
         frames = [ask, answer, make(f"02 {body}"), ask, answer]
         found = kinds([(at / 10, frame) for at, frame in enumerate(frames)], framing)
         assert found[0] == found[-1] == "answered", body
