@@ -10,105 +10,82 @@ import gc
 import socket
 import struct
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Fault, Gateway, Mapping, Route, Server, framing
+from libmodbus_py import Device, Fault, Mapping, Server, framing
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS
 from libmodbus_py.server import limits
 from libmodbus_py.server import udp as source_module
 from libmodbus_py.server.limits import Address, Allowance, Limits, ServerStatistics
 from libmodbus_py.server.udp import Sources
 from tests.simulation.stage import Stage, Talker
-from tests.support import vectors
-from tests.support.attacks import PATIENCE, READ_MOST, adu
+from tests.support import attacks, vectors
+from tests.support.attacks import UNIT, adu, connect
 from tests.support.cases import each_case
 from tests.support.peers import until
+from tests.support.served import (
+    ANSWER_MOST,
+    ANSWER_ONE,
+    NEVER,
+    OTHER,
+    READ_MOST,
+    READ_ONE,
+    ask,
+    served,
+    unit_one,
+)
 from tests.support.talk import ascii_frame, rtu, tcp
 
-UNIT = 17
-READ = bytes.fromhex("03 0064 0002")
-ANSWER = bytes.fromhex("03 04 03e8 03e9")
+READ, ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
 OTHER_MACHINES = ("192.0.2.1", "2001:db8::1", "::ffff:192.0.2.1")
-HOSTS = {"127.0.0.1": socket.AF_INET, "::1": socket.AF_INET6}
 
 
-@contextlib.contextmanager
-def served(
-    device: Device, host: str = "127.0.0.1", faults: Any = None, **limits: Any
-) -> Iterator[tuple[Server, int]]:
-    """A server, and its port."""
-    server = Server({UNIT: device}, faults, Limits(**limits))
-    url = f"udp://[{host}]:0" if ":" in host else f"udp://{host}:0"
-    with server.background(url) as running:
-        yield server, int(running.urls[0].rpartition(":")[2])
-
-
-@contextlib.contextmanager
-def client_of(port: int, host: str = "127.0.0.1", source: str = "") -> Iterator[socket.socket]:
-    with socket.socket(HOSTS[host], socket.SOCK_DGRAM) as client:
-        client.settimeout(PATIENCE)
-        if source:
-            client.bind((source, 0))
-        client.connect((host, port))
-        yield client
-
-
-def talker(stage: Stage, port: int, host: str = "127.0.0.1", source: str = "") -> Talker:
-    url = f"udp://[{host}]:{port}" if ":" in host else f"udp://{host}:{port}"
-    return stage.talk(url, source or host)
-
-
-def ask(client: socket.socket | Talker, pdu: bytes, transaction: int = 1) -> bytes:
-    client.send(adu(pdu, transaction))
-    return client.recv(1000)
-
-
-@pytest.mark.parametrize("host", HOSTS)
-def test_answers_have_the_transaction_of_their_request(host: str, device: Device) -> None:
-    with served(device, host) as (server, port), client_of(port, host) as client:
+@pytest.mark.parametrize("url", ["udp://127.0.0.1:0", "udp://[::1]:0"])
+def test_answers_go_to_who_asked_with_the_transaction_of_the_request(
+    url: str, device: Device
+) -> None:
+    other, other_answer = bytes.fromhex("03 0066 0002"), bytes.fromhex("03 04 03ea 03eb")
+    server = Server({UNIT: device})
+    with (
+        server.background(url) as running,
+        connect(running.urls[0]) as first,
+        connect(running.urls[0]) as second,
+    ):
         for transaction in (0, 1, 0x1234, 0xFFFF):
-            assert ask(client, READ, transaction) == adu(ANSWER, transaction)
+            attacks.ask(first, adu(READ, transaction), adu(ANSWER, transaction))
         # All under way at once; loopback keeps the order.
         for transaction in range(50):
-            client.send(adu(READ, transaction))
-        answers = [client.recv(1000) for _ in range(50)]
+            first.send(adu(READ, transaction))
+        answers = [first.recv(1000) for _ in range(50)]
         assert answers == [adu(ANSWER, transaction) for transaction in range(50)]
-        assert server.statistics.requests == 54
-        assert server.statistics.connections == server.statistics.accepted == 0
-
-
-@pytest.mark.parametrize("host", HOSTS)
-def test_answers_go_to_who_asked(host: str, device: Device) -> None:
-    """With the same transaction, at the same time, for other values."""
-    other = bytes.fromhex("03 0066 0002")
-    other_answer = bytes.fromhex("03 04 03ea 03eb")
-    with (
-        served(device, host) as (_, port),
-        client_of(port, host) as first,
-        client_of(port, host) as second,
-    ):
+        # With the same transaction, at the same time, for other values.
         for _ in range(100):
             first.send(adu(READ))
             second.send(adu(other))
             assert second.recv(1000) == adu(other_answer)
             assert first.recv(1000) == adu(ANSWER)
+        assert server.statistics.requests == 254
+        assert server.statistics.connections == server.statistics.accepted == 0
+
+
+def answer(client: Talker, pdu: bytes, transaction: int = 1) -> bytes:
+    client.send(adu(pdu, transaction))
+    return client.recv(1000)
 
 
 WORKED = [vector.values[0] for vector in vectors.rows(vectors.REQUESTS)]
 
-LONGEST = bytes.fromhex("10 0064 007b f6") + bytes(246)
+LONGEST = bytes.fromhex("10 0000 007b f6") + bytes(246)
 
 
-def test_the_longest_request_and_the_longest_answer(stage: Stage, device: Device) -> None:
-    with served(device) as (_, port), talker(stage, port) as client:
-        assert ask(client, LONGEST) == adu(LONGEST[:5])
-        assert (
-            ask(client, bytes.fromhex("03 0064 007d"))[:9] == adu(bytes([3, 250]) + bytes(250))[:9]
-        )
+def test_the_longest_request_and_the_longest_answer(stage: Stage) -> None:
+    with served(stage, scheme="udp") as server, server.connect() as client:
+        assert answer(client, LONGEST) == adu(LONGEST[:5])
+        assert answer(client, READ_MOST) == adu(ANSWER_MOST)
 
 
 @pytest.mark.parametrize("faulty", [False, True])
@@ -135,43 +112,35 @@ def test_worked_requests_are_answered_as_on_tcp(
 # --- limits ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("host", "allow"), [("127.0.0.1", "127.0.0.2/32"), ("::1", "2001:db8::/32")]
-)
-def test_hosts_outside_are_not_answered(
-    stage: Stage, host: str, allow: str, device: Device
-) -> None:
-    with (
-        served(device, host, allow=[allow]) as (server, port),
-        talker(stage, port, host) as client,
-    ):
-        client.send(adu(READ))
-        assert stage.until(lambda: server.statistics.disallowed == 1)
+@pytest.mark.parametrize("allow", ["10.255.0.2/32", "2001:db8::/32"])
+def test_hosts_outside_are_not_answered(stage: Stage, allow: str) -> None:
+    with served(stage, scheme="udp", allow=[allow]) as server, server.connect() as client:
+        client.send(adu(READ_ONE))
         stage.pass_time(60)
         assert not client.has_input()
-        assert server.statistics.requests == 0
+        assert server.counts(disallowed=1, requests=0)
 
 
-def test_too_many_requests_are_dropped_for_one_address_only(stage: Stage, device: Device) -> None:
+def test_too_many_requests_are_dropped_for_one_address_only(stage: Stage) -> None:
     with (
-        served(device, requests_per_second=5) as (server, port),
-        talker(stage, port) as eager,
-        talker(stage, port, source="127.0.0.2") as other,
+        served(stage, scheme="udp", requests_per_second=5) as server,
+        server.connect() as eager,
+        server.connect(OTHER) as other,
     ):
         begun = stage.now
         for transaction in range(200):
-            eager.send(adu(READ, transaction))
+            eager.send(adu(READ_ONE, transaction))
         assert stage.until(lambda: server.statistics.requests + server.statistics.throttled == 200)
         # Five are free, and the one that overdraws is answered.
         assert stage.now - begun < 0.01
         assert server.statistics.requests == 6
-        assert ask(other, READ, 500) == adu(ANSWER, 500)
+        ask(other, 500)
         answers = [eager.recv(1000) for _ in range(6)]
-        assert answers == [adu(ANSWER, transaction) for transaction in range(6)]
-        eager.send(adu(READ, 599))
+        assert answers == [adu(ANSWER_ONE, transaction) for transaction in range(6)]
+        eager.send(adu(READ_ONE, 599))
         stage.pass_time(0.21)  # after a fifth of a second it may ask again
         assert not eager.has_input()
-        assert ask(eager, READ, 600) == adu(ANSWER, 600)
+        ask(eager, 600)
 
 
 # --- sources that are forged -------------------------------------------------------------
@@ -202,9 +171,9 @@ def forging() -> None:
 def test_a_server_does_not_answer_itself_for_ever(stage: Stage, pdu: bytes, device: Device) -> None:
     server = Server({UNIT: device})
     with server.background("udp://127.0.0.1:0", "udp://127.0.0.1:0") as running:
-        first, second = (int(url.rpartition(":")[2]) for url in running.urls)
+        first, second = (("127.0.0.1", parse(url).port) for url in running.urls)
         for source, target in ((first, first), (first, second), (second, first)):
-            stage.send_datagram(adu(pdu), ("127.0.0.1", source), ("127.0.0.1", target))
+            stage.send_datagram(adu(pdu), source, target)
         assert stage.until(lambda: server.statistics.reflected == 3)
         requests = server.statistics.requests
         stage.pass_time(3600)
@@ -218,22 +187,19 @@ def test_a_server_of_the_system_does_not_answer_itself_for_ever(
     """The real copy, at all addresses."""
     server = Server({UNIT: device})
     with server.background("udp://0.0.0.0:0", "udp://0.0.0.0:0") as running:
-        first, second = (int(url.rpartition(":")[2]) for url in running.urls)
+        first, second = (("127.0.0.1", parse(url).port) for url in running.urls)
         for source, target in ((first, first), (first, second), (second, first)):
-            forge(("127.0.0.1", source), ("127.0.0.1", target), adu(WRITE))
+            forge(source, target, adu(WRITE))
         until(lambda: server.statistics.reflected == 3)
-        with client_of(first) as client:
-            assert ask(client, READ)[:8] == adu(ANSWER)[:8]
+        with connect(f"udp://127.0.0.1:{first[1]}") as client:
+            client.send(adu(READ))
+            assert client.recv(1000)[:8] == adu(ANSWER)[:8]
         assert server.statistics.requests <= 1 + 3 * 13
 
 
 def test_two_servers_do_not_answer_each_other_for_ever(stage: Stage) -> None:
-    servers = [Server(Device(Mapping(holding_registers=200))) for _ in range(2)]
-    with contextlib.ExitStack() as stack:
-        places = []
-        for server in servers:
-            running = stack.enter_context(server.background("udp://127.0.0.1:0"))
-            places.append(("127.0.0.1", int(running.urls[0].rpartition(":")[2])))
+    with served(stage, scheme="udp") as one, served(stage, scheme="udp") as other:
+        servers, places = (one, other), (one.place, other.place)
         for transaction in range(10):
             for source, target in (places, places[::-1]):
                 stage.send_datagram(adu(WRITE, transaction), source, target)
@@ -246,53 +212,46 @@ def test_two_servers_do_not_answer_each_other_for_ever(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("pdu", [WRITE, QUERY, MASK], ids=["write", "query", "mask"])
-def test_an_answer_that_comes_back_is_not_answered_for_ever(
-    stage: Stage, pdu: bytes, device: Device
-) -> None:
-    with served(device) as (server, port), talker(stage, port) as client:
+def test_an_answer_that_comes_back_is_not_answered_for_ever(stage: Stage, pdu: bytes) -> None:
+    with served(stage, scheme="udp") as server, server.connect() as client:
         client.settimeout(500)
         datagram = adu(pdu)
         with contextlib.suppress(TimeoutError):
             for _ in range(1000):
                 client.send(datagram)
                 datagram = client.recv(1000)
-        assert server.statistics.requests == 12  # one, and ten in a second, and who overdraws
-        assert server.statistics.reflected == 1
-        assert ask(client, pdu, 2) == adu(pdu, 2)
+        # One, and ten in a second, and who overdraws.
+        assert server.counts(requests=12, reflected=1)
+        assert answer(client, pdu, 2) == adu(pdu, 2)
 
 
-def test_clients_that_write_or_ask_again_are_answered(stage: Stage, device: Device) -> None:
-    with served(device) as (server, port), talker(stage, port) as client:
+def test_clients_that_write_or_ask_again_are_answered(stage: Stage) -> None:
+    with served(stage, scheme="udp") as server, server.connect() as client:
         for transaction in range(300):
-            assert ask(client, WRITE, transaction) == adu(WRITE, transaction)
+            assert answer(client, WRITE, transaction) == adu(WRITE, transaction)
         for _ in range(300):  # some never count
-            ask(client, READ, 0)
+            ask(client, 0)
         for _ in range(4):
-            assert ask(client, WRITE, 9) == adu(WRITE, 9)
-        assert server.statistics.requests == 604
-        assert server.statistics.reflected == 0
+            assert answer(client, WRITE, 9) == adu(WRITE, 9)
+        assert server.counts(requests=604, reflected=0)
 
 
 @pytest.mark.parametrize("source", [502, 802, None], ids=str)
 def test_a_client_may_send_from_the_ports_of_modbus_and_of_the_server(
-    stage: Stage, source: int | None, device: Device
+    stage: Stage, source: int | None
 ) -> None:
-    with served(device) as (server, port):
+    with served(stage, scheme="udp") as server:
         for transaction in range(30):
-            datagram = adu(WRITE, transaction)
-            stage.send_datagram(datagram, ("127.0.0.9", source or port), ("127.0.0.1", port))
-        assert stage.until(lambda: server.statistics.requests == 30)
-        assert server.statistics.reflected == 0
+            place = ("10.0.0.9", source or server.place[1])
+            stage.send_datagram(adu(WRITE, transaction), place, server.place)
+        assert server.counts(requests=30, reflected=0)
 
 
-def test_a_client_that_repeats_one_write_quickly_is_dropped_once_in_a_while(
-    stage: Stage, device: Device
-) -> None:
-    with served(device) as (server, port), talker(stage, port) as client:
+def test_a_client_that_repeats_one_write_quickly_is_dropped_once_in_a_while(stage: Stage) -> None:
+    with served(stage, scheme="udp") as server, server.connect() as client:
         for _ in range(48):
             client.send(adu(WRITE))
-        assert stage.until(lambda: server.statistics.requests + server.statistics.reflected == 48)
-        assert server.statistics.reflected == 3
+        assert server.counts(requests=45, reflected=3)
 
 
 @each_case(
@@ -351,63 +310,62 @@ def test_however_many_sources_are_forged_little_is_remembered(
 # --- faults ------------------------------------------------------------------------------
 
 
-def test_a_late_answer_does_not_hold_up_the_others(stage: Stage, device: Device) -> None:
+def test_a_late_answer_does_not_hold_up_the_others(stage: Stage) -> None:
     faults = {UNIT: [Fault("delay", seconds=300, every=2)]}
     with (
-        served(device, faults=faults) as (_, port),
-        talker(stage, port) as client,
-        talker(stage, port) as other,
+        served(stage, scheme="udp", faults=faults) as server,
+        server.connect() as client,
+        server.connect() as other,
     ):
-        assert ask(client, READ, 1) == adu(ANSWER, 1)
+        ask(client, 1)
         begun = stage.now
-        client.send(adu(READ, 2))
-        assert ask(other, READ, 3) == adu(ANSWER, 3)
+        client.send(adu(READ_ONE, 2))
+        ask(other, 3)
         assert stage.now - begun < 0.01
-        assert client.recv(1000) == adu(ANSWER, 2)
+        assert client.recv(1000) == adu(ANSWER_ONE, 2)
         assert stage.now - begun == pytest.approx(300, abs=0.01)
 
 
 @pytest.mark.parametrize(
-    ("fault", "answer"),
+    ("fault", "expected"),
     [
         (Fault("exception", code=6), adu(b"\x83\x06", 7)),
-        (Fault("wrong_transaction"), adu(ANSWER, 6)),
-        (Fault("wrong_unit"), adu(ANSWER, 7, UNIT + 1)),
-        (Fault("truncate", length=9), adu(ANSWER, 7)[:9]),
-        (Fault("wrong_check"), adu(ANSWER, 7)[:4] + b"\0\0" + adu(ANSWER, 7)[6:]),
+        (Fault("wrong_transaction"), adu(ANSWER_ONE, 6)),
+        (Fault("wrong_unit"), adu(ANSWER_ONE, 7, UNIT + 1)),
+        (Fault("truncate", length=9), adu(ANSWER_ONE, 7)[:9]),
+        (Fault("wrong_check"), adu(ANSWER_ONE, 7, length=0)),
     ],
     ids=lambda value: value.kind if isinstance(value, Fault) else "",
 )
-def test_wrong_answers(stage: Stage, fault: Fault, answer: bytes, device: Device) -> None:
-    with served(device, faults={None: [fault]}) as (_, port), talker(stage, port) as client:
+def test_wrong_answers(stage: Stage, fault: Fault, expected: bytes) -> None:
+    faults = {None: [fault]}
+    with served(stage, scheme="udp", faults=faults) as server, server.connect() as client:
         for _ in range(3):
-            assert ask(client, READ, 7) == answer
+            assert answer(client, READ_ONE, 7) == expected
 
 
-def test_an_answer_still_kept_back_does_not_keep_the_server(stage: Stage, device: Device) -> None:
+def test_an_answer_still_kept_back_does_not_keep_the_server(stage: Stage) -> None:
     faults = {None: [Fault("delay", seconds=600)]}
-    with served(device, faults=faults) as (server, port), talker(stage, port) as client:
+    with served(stage, scheme="udp", faults=faults) as server, server.connect() as client:
         client.send(adu(READ_MOST))
-        assert stage.until(lambda: server.statistics.requests == 1)
+        assert server.counts(requests=1)
         begun = stage.now
     assert stage.now - begun < 0.01
 
 
 def test_no_more_than_so_many_answers_are_kept_back(
-    stage: Stage, device: Device, monkeypatch: pytest.MonkeyPatch
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Requests that arrive meanwhile are lost."""
     monkeypatch.setattr(source_module, "REMEMBERED_MAX", 100)
     faults = {None: [Fault("delay", seconds=600)]}
-    with served(device, faults=faults) as (server, port), talker(stage, port) as client:
+    with served(stage, scheme="udp", faults=faults) as server, server.connect() as client:
         for number in range(120):
-            client.send(adu(READ, number))
-        stage.pass_time(1)
-        assert server.statistics.requests == 100
+            client.send(adu(READ_ONE, number))
+        assert server.counts(requests=100)
         stage.pass_time(600)
-        client.send(adu(READ, 2000))
-        stage.pass_time(1)
-        assert server.statistics.requests == 101
+        client.send(adu(READ_ONE, 2000))
+        assert server.counts(requests=101)
 
 
 # --- datagrams that are no frame -----------------------------------------------------------------
@@ -429,21 +387,6 @@ DATAGRAMS: dict[str, Callable[[str], bytes]] = {
 # Requests to the unit that answers and to another, a broadcast, and answers of another unit.
 BODIES = ["01 03 0000 0001", "02 03 0000 0001", "00 06 0001 0003", "02 10 0000 0001 02 0007"]
 ANSWERS = ["02 80 02", "02 83 02", "02 03 02 0007", "02 11 02 07 FF"]
-
-
-@contextmanager
-def serving(url: str, who: str) -> Iterator[ServerStatistics]:
-    """Serve unit 1 from a device, from one with faults, or through a gateway."""
-    faults = {1: [Fault("no_answer", function=100)]} if who == "faulty" else None
-    server = Server({1: Device(Mapping(holding_registers=4))}, faults)
-    if who != "gateway":
-        with server.background(url):
-            yield server.statistics
-        return
-    back = "rtu:///dev/back?baudrate=115200"
-    gateway = Gateway([Route(back, units="1")])
-    with server.background(back), gateway.background(url):
-        yield gateway.statistics
 
 
 NO_MBAP = [
@@ -474,11 +417,18 @@ def damaged(scheme: str) -> Iterator[bytes]:
     yield b"\xff"
 
 
-@pytest.mark.parametrize("who", ["plain", "faulty", "gateway"])
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"faults": {1: [NEVER]}}, {"is_gateway": True}],
+    ids=["plain", "faulty", "gateway"],
+)
 @pytest.mark.parametrize("scheme", DATAGRAMS)
-def test_a_datagram_that_is_no_frame_is_counted_once(stage: Stage, scheme: str, who: str) -> None:
+def test_a_datagram_that_is_no_frame_is_counted_once(
+    stage: Stage, scheme: str, settings: dict[str, Any]
+) -> None:
     url, made = f"{scheme}://10.0.0.1:1502", DATAGRAMS[scheme]
-    with serving(url, who) as statistics, stage.talk(url) as client:
+    with unit_one(url, **settings) as (server, _), stage.talk(url) as client:
+        statistics = server.statistics
         for count, datagram in enumerate(damaged(scheme), 1):
             client.sendall(datagram)
             stage.pass_time(0.01)

@@ -67,7 +67,9 @@ def connect(target: str | int, source: str = "") -> socket.socket:
 
 
 def receive(connection: socket.socket, size: int) -> bytes:
-    """Return `size` bytes, fewer if the connection is closed before."""
+    """Return `size` bytes, fewer if the connection is closed before; of datagrams a whole one."""
+    if connection.type == socket.SOCK_DGRAM:
+        return connection.recv(65_536)
     data = bytearray()
     while len(data) < size and (piece := connection.recv(size - len(data))):
         data += piece

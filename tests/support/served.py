@@ -101,12 +101,13 @@ class Served:
 
     Attributes:
         statistics: what it counts.
-        url: where it listens.
+        url: where it listens; `place` the same as a host and a port.
     """
 
     def __init__(self, stage: Stage, server: Server, url: str) -> None:
         self.statistics = server.statistics
         self.url = url
+        self.place = (parse(url).host, parse(url).port)
         self._stage = stage
 
     def connect(self, source: str | None = None) -> Any:
@@ -131,11 +132,11 @@ class Served:
 
 @contextmanager
 def served(
-    stage: Stage, kind: str = "plain", scheme: str = "tcp", **limits: Any
+    stage: Stage, kind: str = "plain", scheme: str = "tcp", *, faults: Any = None, **limits: Any
 ) -> Iterator[Served]:
     mapping = Mapping(holding_registers=125)
     device = Device(mapping, before_read=(lambda access: None) if kind == "hooked" else None)
-    faults = {None: [NEVER]} if kind == "faulty" else None
+    faults = {None: [NEVER]} if kind == "faulty" else faults
     url = f"{scheme}://10.0.0.1:0"
     security = None
     if kind == "tls":
