@@ -214,8 +214,7 @@ def test_nothing_is_sent_over_a_connection_that_is_out_of_step() -> None:
     talk.come(bytes.fromhex("0001 0000 0000"))
     assert kinds(first) == [FrameError]
     assert len(talk.sent) == 1
-    talk.leave_broken()
-    talk.open()
+    talk.replace_broken()
     talk.come(tcp(talk.sent[-1]))
     assert second.outcomes == [[2]]
 

@@ -91,8 +91,7 @@ def test_after_three_timeouts_in_a_row_the_next_request_goes_over_a_new_connecti
         talk.wait(1)
     batch = talk.ask(7)
     assert len(talk.sent) == 3
-    talk.leave_broken()
-    talk.open()
+    talk.replace_broken()
     talk.come(answer(talk))
     assert batch.outcomes == [[7]]
     assert talk.statistics.lost == 1

@@ -136,8 +136,7 @@ def test_a_length_that_cannot_be_fails_all_and_breaks_the_connection(length: int
     assert batches[1].outcomes[0].asked == "ReadHoldingRegisters(address=2, count=1)"
     waiting = talk.ask(3)
     assert len(talk.sent) == 2
-    talk.leave_broken()
-    talk.open()
+    talk.replace_broken()
     talk.come(tcp(talk.sent[2]))
     assert waiting.outcomes == [[3]]
 
@@ -152,8 +151,7 @@ def test_half_an_answer_is_shown_and_the_next_request_goes_over_a_new_connection
     assert batch.outcomes[0].received == half
     second = talk.ask(2)
     assert talk.connection.broken is not None
-    talk.leave_broken()
-    talk.open()
+    talk.replace_broken()
     talk.come(tcp(talk.sent[1]))
     assert second.outcomes == [[2]]
 
@@ -179,8 +177,7 @@ def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
     talk.come(frame * 2)
     assert talk.connection.is_flooded
     assert isinstance(talk.connection.broken, ModbusConnectionError)
-    talk.leave_broken()
-    talk.open()
+    talk.replace_broken()
     assert not talk.connection.is_flooded
     talk.ask(1)
     assert len(talk.sent) == 1

@@ -25,8 +25,7 @@ def learnt(*unit: int) -> Talk:
         batch = talk.ask(1, unit=each)
         talk.come(value(1, unit=each))
         assert batch.outcomes == [[1]]
-    talk.sent.clear()
-    talk.times.clear()
+    talk.forget()
     return talk
 
 

@@ -37,8 +37,7 @@ def used() -> Talk:
     for unit in (1, 2):
         usual(talk, 10 + unit, unit)
     talk.wait(0.1)
-    talk.sent.clear()
-    talk.times.clear()
+    talk.forget()
     return talk
 
 
@@ -396,8 +395,7 @@ def test_doubt_goes_on_over_another_connection(by_itself: bool) -> None:
     talk = used()
     first = talk.ask(5)
     talk.wait(0.3)
-    talk.lose(by_itself=by_itself)
-    talk.open()
+    talk.reconnect(by_itself=by_itself)
     assert kinds(first) == [ModbusConnectionError]
     lost_at, batch = talk.now, talk.ask(6)
     talk.wait(0.5)
@@ -416,8 +414,7 @@ def test_a_connection_that_ends_in_hold_fails_what_is_held() -> None:
     talk = in_doubt()
     batch = talk.ask(6)
     talk.come(value(6))
-    talk.lose()
-    talk.open()
+    talk.reconnect()
     assert kinds(batch) == [ModbusConnectionError]
     talk.come(value(6))
     talk.wait(5)

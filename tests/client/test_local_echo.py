@@ -150,8 +150,7 @@ def test_an_echo_that_ends_is_noticed() -> None:
 
 def test_a_new_connection_may_be_without_an_echo() -> None:
     talk = echoing("rtu+tcp://192.0.2.1")
-    talk.lose()
-    talk.open()
+    talk.reconnect()
     batch = talk.ask(WRITE)
     talk.come(talk.sent[-1])
     assert batch.outcomes == [None]
@@ -161,8 +160,7 @@ def test_half_an_echo_is_not_taken_over_to_a_new_connection() -> None:
     talk = echoing("rtu+tcp://192.0.2.1")
     talk.ask(6)
     talk.come(talk.sent[-1][:5])
-    talk.lose()
-    talk.open()
+    talk.reconnect()
     batch = talk.ask(7)
     talk.wait_for(3)  # until the answer that the unit owes would be over
     talk.come(value(7)[:4])

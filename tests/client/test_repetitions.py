@@ -81,8 +81,7 @@ def test_an_older_write_is_never_sent_after_a_newer_one(url: str, trouble: str) 
     elif trouble == "silence":
         talk.wait(1)
     else:
-        talk.lose()
-        talk.open()
+        talk.reconnect()
     talk.wait_for(2)
     assert values(talk) == [1, 1]
     talk.come(talk.sent[-1])
@@ -106,8 +105,7 @@ def test_with_a_given_number_an_older_write_fails_once_a_newer_one_was_sent(trou
     elif trouble == "silence":
         talk.wait(1)
     else:
-        talk.lose()
-        talk.open()
+        talk.reconnect()
     talk.wait(5)
     assert isinstance(older.outcomes[0], ModbusError)
     assert values(talk) == [1, 2]
@@ -150,8 +148,7 @@ def test_repetitions_come_to_an_end(url: str, trouble: str) -> None:
     for count in (1, 2):
         talk.wait_for(count)
         if trouble == "loss":
-            talk.lose()
-            talk.open()
+            talk.reconnect()
         elif trouble == "invalid":
             talk.come(reply(talk, "04 02 0005"))
             if url != TCP:  # there the answer may still come

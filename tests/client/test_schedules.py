@@ -52,15 +52,13 @@ def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
             if "rtu" in url:
                 talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
         elif event == "lose":
-            talk.lose()
-            talk.open()
+            talk.reconnect()
         elif event.endswith("wait"):
             talk.wait(choice / 100 if event == "wait" else 4)
         elif talk.sent:
             happen(talk, event, choice)
         if talk.connection.broken is not None:
-            talk.leave_broken()
-            talk.open()
+            talk.replace_broken()
     settle_down(talk)
     for batch, numbers in asked:
         assert batch.is_done
@@ -72,8 +70,7 @@ def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
     count = len(talk.sent)
     last = talk.ask(77, unit=3, timeout=10)
     if talk.connection.broken is not None:
-        talk.leave_broken()
-        talk.open()
+        talk.replace_broken()
     talk.wait_for(count + 1)
     talk.come(answer(talk))
     talk.wait(1)
@@ -115,6 +112,5 @@ def settle_down(talk: Talk) -> None:
             return
         talk.wait(1)
         if talk.connection.broken is not None:
-            talk.leave_broken()
-            talk.open()
+            talk.replace_broken()
     raise AssertionError("somebody waits for ever")

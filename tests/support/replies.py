@@ -8,7 +8,7 @@ import pytest
 
 from .talk import LINE, TCP, Talk, rtu, tcp, value
 
-__all__ = ["BOTH", "addresses", "answer", "refusal", "reply"]
+__all__ = ["BOTH", "addresses", "answer", "answer_all", "exchange", "refusal", "reply"]
 
 BOTH = pytest.mark.parametrize("url", [TCP, LINE])
 
@@ -19,6 +19,29 @@ def answer(talk: Talk, at: int = -1) -> bytes:
     if talk.has_ids:
         return tcp(adu)
     return value(int.from_bytes(adu[2:4], "big"), unit=adu[0])
+
+
+def answer_all(talk: Talk) -> None:
+    """Answer the last request, and what is sent then, until nothing is left."""
+    while not talk.is_at_rest:
+        talk.come(answer(talk))
+
+
+def exchange(
+    talk: Talk, address: int, result: int | None = None, unit: int = 1, after: float = 0.0
+) -> None:
+    """
+    Ask for a register, and check that what is answered is the result at once.
+
+    Args:
+        result: what is answered; by default the address.
+        after: how many seconds the answer takes.
+    """
+    number = address if result is None else result
+    batch = talk.ask(address, unit=unit)
+    talk.wait(after)
+    talk.come(reply(talk, f"03 02 {number:04X}"))
+    assert batch.outcomes == [[number]]
 
 
 def reply(talk: Talk, body: str, at: int = -1) -> bytes:

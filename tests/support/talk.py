@@ -75,6 +75,21 @@ class Talk:
         assert self.connection.broken is not None
         self.lose(self.connection.broken, by_itself=False)
 
+    def replace_broken(self) -> None:
+        """Leave a connection that wants another one, and open that."""
+        self.leave_broken()
+        self.open()
+
+    def reconnect(self, *, by_itself: bool = True) -> None:
+        """Lose the connection, and open another one."""
+        self.lose(by_itself=by_itself)
+        self.open()
+
+    def forget(self) -> None:
+        """Let `sent` and `times` begin with the next request."""
+        self.sent.clear()
+        self.times.clear()
+
     def ask(self, *requests: Any, unit: int = 1, limit: int = 1, **options: Any) -> Batch:
         """Send requests; a number stands for a read of the register at this address."""
         batch = self.batch(*requests, unit=unit, limit=limit, **options)
