@@ -10,6 +10,7 @@ import pytest
 
 from libmodbus_py import FrameError, ModbusTimeoutError, pdu
 from libmodbus_py.ports.trace import Traced
+from tests.support.replies import exchange
 from tests.support.talk import LINE, Talk, kinds, little_kept, value
 
 
@@ -22,9 +23,7 @@ def learnt(*unit: int) -> Talk:
     """Return a line whose units have answered at once: HOLD is as short as can be."""
     talk = Talk(LINE, timeout=1)
     for each in unit:
-        batch = talk.ask(1, unit=each)
-        talk.come(value(1, unit=each))
-        assert batch.outcomes == [[1]]
+        exchange(talk, 1, unit=each)
     talk.forget()
     return talk
 
@@ -42,8 +41,7 @@ def test_a_dead_unit_costs_its_timeout_once() -> None:
     failed(talk, unit=9)
     for number in range(10):
         for unit in (1, 2):
-            talk.ask(number, unit=unit)
-            talk.come(value(number, unit=unit))
+            exchange(talk, number, unit=unit)
     assert talk.now == 1
     assert talk.statistics.responses == 20
 
@@ -147,10 +145,7 @@ def test_only_the_unit_that_owes_an_answer_is_left_alone() -> None:
     assert talk.matching.ready_at(7) == talk.matching.ready_at(7, 3) == 0.2
     assert talk.matching.ready_at(7, 4) == talk.matching.ready_at(8) == 0.0
     assert talk.matching.ready_at(0) == 0.0  # a broadcast has no answer
-    batch = talk.ask(2, unit=8)
-    assert len(talk.sent) == 2
-    talk.come(value(2, unit=8))
-    assert batch.outcomes == [[2]]
+    exchange(talk, 2, unit=8)
 
 
 def test_an_answer_is_a_sign_of_life_on_lines_over_networks() -> None:
@@ -200,10 +195,7 @@ def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(left: str)
     talk.come(value(2))
     talk.wait(1)  # what unit 1 owes is another request, so this answer is not believed
     assert kinds(batch) == [ModbusTimeoutError]
-    batch = talk.ask(2)
-    talk.wait(1)
-    talk.come(value(2))
-    assert batch.outcomes == [[2]]
+    exchange(talk, 2, after=1)
 
 
 # --- floods ----------------------------------------------------------------------------------
@@ -254,11 +246,8 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
         for _ in range(100):
             talk.come(bytes(0x1000))
     assert talk.connection.broken is None  # a port is not opened anew for that
-    batch = talk.ask(1)
-    talk.wait(0.03)  # the line must have been quiet for a moment
+    exchange(talk, 1, after=0.03)  # the line must have been quiet for a moment
     assert not talk.connection.is_flooded
-    talk.come(value(1))
-    assert batch.outcomes == [[1]]
 
 
 @pytest.mark.parametrize(

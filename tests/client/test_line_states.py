@@ -14,8 +14,10 @@ from libmodbus_py import (
     ModbusTimeoutError,
     pdu,
 )
+from libmodbus_py.client.call import Batch
 from tests.support.cases import each_case
-from tests.support.talk import LINE, Talk, kinds, rtu, tcp, value
+from tests.support.replies import answer, exchange
+from tests.support.talk import LINE, TCP, Talk, kinds, rtu, value
 
 WRITE = pdu.WriteRegister(1, 2)
 
@@ -25,9 +27,15 @@ WRITE = pdu.WriteRegister(1, 2)
 
 def usual(talk: Talk, number: int, unit: int = 1) -> None:
     """A request whose answer takes 10 ms: HOLD lasts 20 ms then."""
-    batch = talk.ask(number, unit=unit)
-    talk.wait(0.01)
-    talk.come(value(number, unit=unit))
+    exchange(talk, number, unit=unit, after=0.01)
+
+
+def hold(talk: Talk, batch: Batch, number: int, seconds: float = 0.02) -> None:
+    """Answer a request, and check that its result is held for so long."""
+    talk.come(value(number))
+    talk.wait(seconds - 0.001)
+    assert not batch.is_done
+    talk.wait(0.002)
     assert batch.outcomes == [[number]]
 
 
@@ -68,10 +76,8 @@ def test_a_frame_while_idle_is_dropped_and_counted(unit: int) -> None:
     talk = used()
     talk.come(value(7, unit=unit))
     assert talk.statistics.late_answers == 1
-    batch = talk.ask(6, unit=unit)
+    exchange(talk, 6, unit=unit)
     assert talk.times[-1] == talk.now
-    talk.come(value(6, unit=unit))
-    assert batch.outcomes == [[6]]
 
 
 def test_asked_and_its_answer_is_the_result_at_once() -> None:
@@ -84,11 +90,7 @@ def test_asked_in_doubt_and_its_answer_is_held() -> None:
     talk = in_doubt()
     batch = talk.ask(6)
     talk.wait(0.01)
-    talk.come(value(6))
-    talk.wait(0.019)
-    assert not batch.is_done
-    talk.wait(0.002)
-    assert batch.outcomes == [[6]]
+    hold(talk, batch, 6)
 
 
 def test_asked_and_an_answer_equal_to_a_recent_one_is_held() -> None:
@@ -102,12 +104,8 @@ def test_asked_and_an_answer_equal_to_a_recent_one_is_held() -> None:
         talk.wait(0.02)
         assert batch.outcomes == [[20]]
     # Not if it is equal to the last one to the same request too, nor to one of another unit.
-    batch = talk.ask(1)
-    talk.come(value(20))
-    assert batch.outcomes == [[20]]
-    batch = talk.ask(3, unit=2)
-    talk.come(value(27, unit=2))
-    assert batch.outcomes == [[27]]
+    exchange(talk, 1, 20)
+    exchange(talk, 3, 27, unit=2)
 
 
 @pytest.mark.parametrize(
@@ -118,9 +116,7 @@ def test_asked_and_one_of_the_last_three_answers_to_another_is_held_however_old(
 ) -> None:
     talk = used()
     for number in numbers:
-        batch = talk.ask(1)
-        talk.come(value(number))
-        assert batch.outcomes == [[number]]
+        exchange(talk, 1, number)
     for number in range(20, 60):
         usual(talk, number)
     batch = talk.ask(3)
@@ -133,9 +129,7 @@ def test_asked_and_one_of_the_last_three_answers_to_another_is_held_however_old(
 def test_asked_and_a_value_that_goes_to_and_fro_is_the_result_at_once() -> None:
     talk = used()
     for number in (1, 7, 1, 7, 1):
-        batch = talk.ask(1)
-        talk.come(value(number))
-        assert batch.outcomes == [[number]]
+        exchange(talk, 1, number)
 
 
 @pytest.mark.parametrize("come", [value(5)[:-1] + b"\0", rtu("01 03 04 0005 0006"), b""])
@@ -151,10 +145,7 @@ def test_asked_and_a_failure_leads_to_doubt(come: bytes) -> None:
     batch = talk.ask(6)
     talk.wait_for(2)
     assert talk.times[1] == pytest.approx(failed_at + 1, abs=0.001)
-    talk.come(value(6))
-    assert not batch.is_done
-    talk.wait(0.02)
-    assert batch.outcomes == [[6]]
+    hold(talk, batch, 6)
 
 
 def test_asked_and_a_caller_that_left_leads_to_doubt() -> None:
@@ -164,10 +155,7 @@ def test_asked_and_a_caller_that_left_leads_to_doubt() -> None:
     batch = talk.ask(6)
     talk.wait_for(2)
     assert talk.times[1] == pytest.approx(left_at + 1)
-    talk.come(value(6))
-    assert not batch.is_done
-    talk.wait(0.02)
-    assert batch.outcomes == [[6]]
+    hold(talk, batch, 6)
 
 
 @pytest.mark.parametrize("is_held", [False, True])
@@ -228,10 +216,7 @@ def test_hold_of_twice_the_slowest_answer_of_this_length_ends_the_doubt() -> Non
     talk.wait(1)  # for a pause as long as twice the slowest tells nothing
     talk.ask(5)
     talk.wait(2)
-    batch = talk.ask(6)
-    talk.come(value(6))  # the slowest of this length took 10 ms
-    talk.wait(0.021)
-    assert batch.outcomes == [[6]]
+    hold(talk, talk.ask(6), 6)  # the slowest of this length took 10 ms
     usual(talk, 7)
     talk.ask(8)
     talk.wait(2)
@@ -271,16 +256,8 @@ def test_hold_and_the_end_of_its_time(is_own: bool) -> None:
 
 def test_hold_without_doubt_and_the_end_of_its_time() -> None:
     talk = used()
-    slow = talk.ask(20)
-    talk.wait(0.9)
-    talk.come(value(20))
-    assert slow.outcomes == [[20]]
-    batch = talk.ask(21)
-    talk.come(value(20))
-    talk.wait(0.99)
-    assert not batch.is_done
-    talk.wait(0.01)
-    assert batch.outcomes == [[20]]
+    exchange(talk, 20, after=0.9)
+    hold(talk, talk.ask(21), 20, seconds=1)
 
 
 def test_doubt_and_a_frame_of_it_count_the_silence_anew() -> None:
@@ -336,11 +313,7 @@ def test_after_an_equal_answer_to_an_equal_request_that_to_another_one_is_held()
     talk = used()
     for _ in range(2):
         usual(talk, 5)
-    batch = talk.ask(6)
-    talk.come(value(6))
-    assert not batch.is_done
-    talk.wait(0.02)
-    assert batch.outcomes == [[6]]
+    hold(talk, talk.ask(6), 6)
     usual(talk, 7)
 
 
@@ -384,9 +357,7 @@ def test_a_frame_exactly_at_the_end_of_hold(frame: bytes, is_first: bool) -> Non
 def test_a_late_answer_equal_to_one_of_another_unit_is_no_reason_to_hold() -> None:
     talk = used()
     usual(talk, 7, unit=2)
-    batch = talk.ask(6)
-    talk.come(value(7))
-    assert batch.outcomes == [[7]]
+    exchange(talk, 6, 7)
 
 
 @each_case("by_itself", [True, False])
@@ -404,10 +375,7 @@ def test_doubt_goes_on_over_another_connection(by_itself: bool) -> None:
     assert len(talk.sent) == 1
     talk.wait_for(2)
     assert talk.times[1] == pytest.approx(lost_at + 1.5)
-    talk.come(value(6))
-    assert not batch.is_done
-    talk.wait(0.02)
-    assert batch.outcomes == [[6]]
+    hold(talk, batch, 6)
 
 
 def test_a_connection_that_ends_in_hold_fails_what_is_held() -> None:
@@ -430,9 +398,7 @@ def test_a_caller_that_leaves_in_hold_leaves_doubt() -> None:
     left_at, other = talk.now, talk.ask(8)
     talk.wait_for(3)
     assert talk.times[2] == pytest.approx(left_at + 1)
-    talk.come(value(8))
-    talk.wait(0.02)
-    assert other.outcomes == [[8]]
+    hold(talk, other, 8)
 
 
 @each_case("timeout", [0.001, 0.5, 86_400])
@@ -453,22 +419,15 @@ def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
     assert talk.is_at_rest
 
 
-@each_case("url", [LINE, "tcp://192.0.2.1"])
+@each_case("url", [LINE, TCP])
 def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
     """Requests, answers and frames that nobody awaits, all at one moment."""
     talk = Talk(url, max_in_flight=None, timeout=1)
     for number in range(50):
-        batch = talk.ask(number)
-        talk.come(tcp(talk.sent[-1]) if talk.has_ids else value(number))
+        exchange(talk, number)
         talk.wait(0)
-        assert batch.outcomes == [[number]]
-    late = tcp(talk.sent[0]) if talk.has_ids else value(0)
-    talk.come(late, late)
-    batch = talk.ask(3)
-    talk.wait(0)
-    talk.come(tcp(talk.sent[-1]) if talk.has_ids else value(3))
-    talk.wait(0)
-    assert batch.outcomes == [[3]]
+    talk.come(answer(talk, 0), answer(talk, 0))
+    exchange(talk, 3)
 
 
 @each_case(("come", "late"), [(b"", 0), (value(1), 1), (value(1) + value(1), 2)])

@@ -13,6 +13,7 @@ from libmodbus_py import IllegalDataAddress, InvalidResponse, ModbusError, Modbu
 from tests.support.cases import each_case
 from tests.support.clients import EVERYWHERE, World, read
 from tests.support.peers import OnRequest, Write, answer
+from tests.support.replies import exchange
 from tests.support.talk import ASCII, LINE, Talk, ascii_frame, kinds, rtu, value
 
 # A request that is a possible answer: 3 bytes of coils.
@@ -87,9 +88,9 @@ def test_the_first_answer_that_is_equal_to_its_request_is_none() -> None:
 
 def test_a_value_that_is_equal_to_its_request_is_taken_where_no_echo_is() -> None:
     talk = Talk(LINE, timeout=1)
-    for request, come in ((1, value(1)), (COILS, rtu_of(COILS))):
-        batch = talk.ask(request)
-        talk.come(come)
+    exchange(talk, 1)
+    batch = talk.ask(COILS)
+    talk.come(rtu_of(COILS))
     assert len(batch.outcomes[0]) == 24
 
 
@@ -140,9 +141,7 @@ def echoing(url: str = LINE) -> Talk:
 def test_an_echo_that_ends_is_noticed() -> None:
     talk = echoing()
     for number in range(5):
-        batch = talk.ask(number)
-        talk.come(value(number))
-        assert batch.outcomes == [[number]]
+        exchange(talk, number)
     batch = talk.ask(WRITE)
     talk.come(talk.sent[-1])
     assert batch.outcomes == [None]

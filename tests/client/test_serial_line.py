@@ -32,7 +32,8 @@ from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.clients import ALL, Connect, asking, read
 from tests.support.peers import FakeUnit, answer
-from tests.support.talk import ASCII, LINE, Talk, ascii_frame, kinds, rtu, value
+from tests.support.replies import exchange
+from tests.support.talk import ASCII, LINE, Talk, ascii_frame, kinds, rtu
 
 ANSWER = framing.RtuFramer("server").encode(framing.Frame(1, b"\x03\x02\x00\x07"))
 
@@ -268,9 +269,7 @@ def test_an_rtu_line_has_no_delimiter() -> None:
     talk = Talk(LINE)
     talk.ask(pdu.Diagnostics(3, b"#\0"))
     talk.come(rtu("01 08 0003 2300"))
-    batch = talk.ask(1)
-    talk.come(value(1))
-    assert batch.outcomes == [[1]]
+    exchange(talk, 1)
 
 
 def test_a_damaged_answer_ends_the_wait_at_once() -> None:
