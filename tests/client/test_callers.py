@@ -24,7 +24,7 @@ from libmodbus_py.client.call import NOT_ASKED, Batch, Timeouts, raised
 from libmodbus_py.client.reconnecting import State
 from libmodbus_py.ports.trace import Traced
 from tests.support.cases import each_case
-from tests.support.replies import BOTH, answer, refusal
+from tests.support.replies import BOTH, answer, exchange, refusal
 from tests.support.talk import ASCII, LINE, TCP, Talk, ascii_frame, kinds, tcp
 
 
@@ -165,16 +165,6 @@ def test_requests_that_were_not_sent_are_no_sign_of_a_dead_device() -> None:
     assert batch.outcomes == [[5]]
 
 
-@BOTH
-def test_nobody_has_a_connection_made_for_their_repetitions(url: str) -> None:
-    talk = Talk(url, busy_retries=1)
-    batch = talk.ask(1)
-    talk.come(refusal(talk, 6))
-    assert talk.connection.is_wanted
-    talk.cancel(batch)
-    assert talk.is_at_rest
-
-
 def test_who_only_waits_for_a_connection_is_told_why_there_is_none() -> None:
     talk = Talk(is_open=False)
     joining, left = talk.join(), talk.join()
@@ -206,17 +196,6 @@ def test_a_batch_that_failed_while_it_waited_can_be_left() -> None:
     talk.come(tcp(talk.sent[0]))
     talk.cancel(batch)
     assert talk.is_at_rest
-
-
-def test_nothing_is_sent_over_a_connection_that_is_out_of_step() -> None:
-    talk = Talk(max_in_flight=1)
-    first, second = talk.ask(1), talk.ask(2)
-    talk.come(bytes.fromhex("0001 0000 0000"))
-    assert kinds(first) == [FrameError]
-    assert len(talk.sent) == 1
-    talk.replace_broken()
-    talk.come(tcp(talk.sent[-1]))
-    assert second.outcomes == [[2]]
 
 
 def test_only_one_request_of_a_batch_fails_at_once_where_a_line_does_not_fall_silent() -> None:
@@ -296,9 +275,7 @@ def test_nothing_is_left_of_what_was_interrupted(url: str) -> None:
     talk.wait(5)
     assert len(talk.sent) == sent
     assert not any(each.is_done for each in (busy, everyone, asked, waiting))
-    batch = talk.ask(7)
-    talk.come(answer(talk))
-    assert batch.outcomes == [[7]]
+    exchange(talk, 7)
 
 
 def test_an_attempt_that_was_interrupted_is_given_up() -> None:

@@ -13,6 +13,7 @@ from libmodbus_py import InvalidResponse, pdu
 from libmodbus_py.client.answers import REMEMBERED, Answers
 from tests.support.clients import World, read
 from tests.support.peers import Write, answer
+from tests.support.replies import exchange
 from tests.support.talk import Talk, kinds, little_kept, rtu, value
 
 LINE = "rtu:///dev/nowhere?silence=0"
@@ -100,15 +101,12 @@ def warm() -> Talk:
 
 
 def test_what_several_registers_have_in_common_is_believed() -> None:
-    talk = warm()
     """Each is held the first time only."""
+    talk = warm()
     for addresses in ((50, 51, 52), (50, 51, 52)):
         for address in addresses:
             assert asked(talk, address, (0.01, value(0))) == [0]
-    batch = talk.ask(50)
-    talk.wait(0.01)
-    talk.come(value(0))
-    assert batch.outcomes == [[0]]
+    exchange(talk, 50, 0, after=0.01)
 
 
 def test_an_answer_that_is_doubted_behind_an_echo_is_not_taken_for_damage() -> None:

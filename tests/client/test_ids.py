@@ -15,6 +15,7 @@ from libmodbus_py import (
     Traced,
     pdu,
 )
+from tests.support.replies import exchange
 from tests.support.talk import TCP, Talk, kinds, tcp
 
 UDP = TCP.replace("tcp", "udp")
@@ -76,17 +77,6 @@ def test_callers_take_turns() -> None:
 # --- answers that nobody waits for -----------------------------------------------------
 
 
-def test_late_answers_are_dropped_and_counted() -> None:
-    talk = Talk(timeout=1)
-    late = talk.ask(1)
-    talk.wait(1)
-    assert kinds(late) == [ModbusTimeoutError]
-    second = talk.ask(2)
-    talk.come(tcp(talk.sent[0]), tcp(talk.sent[1]))
-    assert second.outcomes == [[2]]
-    assert talk.statistics.late_answers == 1
-
-
 def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
     talk = Talk(timeout=1)
     batch = talk.ask(1)
@@ -98,14 +88,6 @@ def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
     assert "id 999, not 1" in str(batch.outcomes[0])
     assert batch.outcomes[0].received == stranger
     assert talk.statistics.late_answers == 1
-
-
-def test_a_stranger_before_the_right_answer_does_no_harm() -> None:
-    talk = Talk()
-    for address in range(40):
-        batch = talk.ask(address)
-        talk.come(tcp(talk.sent[-1], number=999) + tcp(talk.sent[-1]))
-        assert batch.outcomes == [[address]]
 
 
 # --- answers that do not fit -----------------------------------------------------------
@@ -216,8 +198,7 @@ def test_ids_count_up_and_begin_anew() -> None:
     talk = Talk()
     talk.matching._last = 0xFFFD
     for address in range(4):
-        talk.ask(address)
-        talk.come(tcp(talk.sent[-1]))
+        exchange(talk, address)
     assert ids(talk) == [0xFFFE, 0xFFFF, 0, 1]
 
 

@@ -8,7 +8,6 @@ import pytest
 
 from libmodbus_py import (
     FrameError,
-    IllegalDataAddress,
     InvalidResponse,
     ModbusTimeoutError,
     pdu,
@@ -26,16 +25,6 @@ def test_a_request_is_the_frame_of_the_specification() -> None:
     talk = Talk(LINE)
     talk.ask(pdu.ReadHoldingRegisters(0x6B, 3), unit=0x11)
     assert talk.sent == [bytes.fromhex("11 03 006B 0003 7687")]
-
-
-def test_the_next_request_waits_for_the_answer_to_the_last() -> None:
-    talk = Talk(LINE)
-    first, second = talk.ask(1), talk.ask(2)
-    assert len(talk.sent) == 1
-    talk.come(value(1))
-    talk.come(value(2))
-    assert (first.outcomes, second.outcomes) == ([[1]], [[2]])
-    assert talk.is_at_rest
 
 
 @pytest.mark.parametrize("size", range(1, 8))
@@ -157,14 +146,6 @@ def test_the_request_that_comes_back_does_not_end_the_wait() -> None:
     assert "echo=True?" in str(batch.outcomes[0])
 
 
-def test_an_answer_that_repeats_its_request_is_one() -> None:
-    """Functions 5 and 6 are answered so (application protocol, 6.5 and 6.6)."""
-    talk = Talk(LINE)
-    batch = talk.ask(WRITE)
-    talk.come(rtu("01 06 0001 0002"))
-    assert batch.outcomes == [None]
-
-
 # --- what does -------------------------------------------------------------------------
 
 
@@ -177,12 +158,3 @@ def test_a_damaged_answer_is_a_frame_error_as_soon_as_the_line_is_quiet() -> Non
     assert kinds(batch) == [FrameError]
     assert batch.outcomes[0].received == damaged
     assert talk.statistics.invalid == 1
-
-
-def test_a_refusal_ends_the_wait_and_raises_no_doubt() -> None:
-    talk = Talk(LINE)
-    batch = talk.ask(5)
-    talk.come(rtu("01 83 02"))
-    assert kinds(batch) == [IllegalDataAddress]
-    talk.ask(6)
-    assert len(talk.sent) == 2
