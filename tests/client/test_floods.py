@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import random
-import socket
 import subprocess
 import sys
 import threading
@@ -19,16 +18,18 @@ import pytest
 from libmodbus_py import ModbusError, framing
 from tests.simulation.network import Network
 from tests.support.clients import Simulated, asking, making, read
-from tests.support.peers import FakeUnit, OnRequest, Write
+from tests.support.peers import FakeUnit, OnRequest, Write, peer_at
 
+# An answer whose id no request has.
+STRANGE = bytes.fromhex("FFFF0000000501030200AA")
 NOISE = random.Random(1).randbytes(2048)
 
 FLOODS: dict[str, tuple[str, bytes]] = {
     "digits": ("ascii+tcp", b"0123456789ABCDEF" * 128),
     "colons and digits": ("ascii+tcp", b":" + b"0123456789ABCDEF" * 128),
-    "frames with other ids": ("tcp", bytes.fromhex("FFFF0000000501030200AA") * 186),
+    "frames with other ids": ("tcp", STRANGE * 186),
     "headers of another protocol": ("tcp", bytes.fromhex("800100070005010302000A") * 186),
-    "datagrams": ("udp", bytes.fromhex("FFFF0000000501030200AA")),
+    "datagrams": ("udp", STRANGE),
     "large datagrams": ("udp", bytes(60_000)),
     "noise": ("rtu+tcp", NOISE),
     "starts of frames": ("rtu+tcp", b"\x01\x03\xfa" * 682),
@@ -83,62 +84,34 @@ def test_a_flood_costs_neither_time_nor_memory(flood: str, world: Simulated) -> 
     assert most < 1024 * 1024  # what is looked at in one turn, and what the network itself keeps
 
 
-class Flood:
-    """A real server that sends as fast as it can, from the first request on."""
+@contextlib.contextmanager
+def pouring(scheme: str, data: bytes) -> Iterator[str]:
+    """A real peer that sends as fast as it can, from the first request on; gives its URL."""
+    over = threading.Event()
 
-    def __init__(self, data: bytes, udp: bool = False) -> None:
-        self._data = data
-        self._udp = udp
+    def on_request(request: bytes, write: Write) -> None:
+        while not over.is_set():
+            write(data)
 
-    def __enter__(self) -> Flood:
-        kind = socket.SOCK_DGRAM if self._udp else socket.SOCK_STREAM
-        self._socket = socket.socket(socket.AF_INET, kind)
-        self._socket.bind(("127.0.0.1", 0))
-        self._socket.settimeout(0.05)
-        self.port = self._socket.getsockname()[1]
-        if not self._udp:
-            self._socket.listen()
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-        self._socket.close()
-
-    def _serve(self) -> None:
-        while not self._over.is_set():
-            with contextlib.suppress(OSError):
-                if self._udp:
-                    _, peer = self._socket.recvfrom(300)
-                    while not self._over.is_set():
-                        self._socket.sendto(self._data, peer)
-                else:
-                    peer, _ = self._socket.accept()
-                    with peer:
-                        peer.settimeout(5)
-                        peer.recv(300)
-                        while not self._over.is_set():
-                            peer.sendall(self._data)
+    with peer_at(scheme, on_request) as peer:
+        try:
+            yield peer.url
+        finally:
+            over.set()
 
 
 @pytest.mark.parametrize("kind", ["native", "asyncio"])
 @pytest.mark.parametrize(
     ("scheme", "data"),
     [
-        ("tcp", bytes.fromhex("FFFF0000000501030200AA") * 4096),
-        ("udp", bytes.fromhex("FFFF0000000501030200AA")),
+        ("tcp", STRANGE * 4096),
+        ("udp", STRANGE),
         ("rtu+tcp", NOISE * 32),
     ],
 )
 def test_a_flood_that_leaves_no_pause_ends(scheme: str, data: bytes, kind: str) -> None:
     """There is always more to be read: only the clock ends the wait."""
-    with (
-        Flood(data, scheme == "udp") as server,
-        asking(kind, f"{scheme}://127.0.0.1:{server.port}", timeout=0.1) as client,
-    ):
+    with pouring(scheme, data) as url, asking(kind, url, timeout=0.1) as client:
         error = failure(lambda: read(client, 1))
         assert len(error.received) <= 600
 
@@ -193,9 +166,6 @@ def test_a_real_line_that_is_never_quiet_ends_the_wait(kind: str) -> None:
 
 
 # --- while nobody asks ----------------------------------------------------------------------------
-
-
-STRANGE = bytes.fromhex("FFFF0000000501030200AA")
 
 
 @pytest.mark.parametrize(
