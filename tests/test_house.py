@@ -167,7 +167,7 @@ class Assertions:
                 case ast.Attribute(attr=name):
                     places = [module.name, *sources]
                 case ast.arg(arg=name):
-                    places = [module.name, *_conftests(module)]
+                    places = [module.name, *_with_fixtures(module)]
                 case _:
                     continue
             for place in places:
@@ -176,10 +176,12 @@ class Assertions:
                         yield found, definition
 
 
-def _conftests(module: Module) -> Iterator[str]:
+def _with_fixtures(module: Module) -> Iterator[str]:
+    """Yield the modules whose fixtures the tests of a module have."""
     parts = module.name.split(".")[:-1]
     for count in range(len(parts), 0, -1):
         yield ".".join([*parts[:count], "conftest"])
+    yield "tests.support.golden"  # a plugin of all tests
 
 
 def _fails(node: ast.AST) -> bool:

@@ -13,9 +13,10 @@ from typing import Any
 
 import pytest
 
-__all__ = ["Golden", "golden", "pytest_addoption", "refusals"]
+__all__ = ["Golden", "Refused", "golden", "pytest_addoption", "refused"]
 
 Golden = Callable[[str, str], None]
+Refused = Callable[[str, Callable[[Any], object]], None]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -38,21 +39,25 @@ def golden(request: pytest.FixtureRequest) -> Golden:
     return compare
 
 
-def refusals(path: Path, call: Callable[[Any], object]) -> str:
+@pytest.fixture
+def refused(request: pytest.FixtureRequest, golden: Golden) -> Refused:
     """
-    Return the text that a golden file of mistakes should have.
+    Return a function that compares a golden file of mistakes with what is said of them.
 
-    Args:
-        path: what is given, as Python writes it, with the message in the next line; then an empty
-            line, for each mistake.
-        call: takes what is given, and raises a TypeError or ValueError of one line.
+    For each mistake the file has what is given, as Python writes it, with the message in the next
+    line; then an empty line. The function takes the name of the file, and what takes what is given
+    and raises a TypeError or ValueError of one line.
     """
-    lines = []
-    for given in path.read_text().split("\n")[::3]:
-        with pytest.raises((TypeError, ValueError)) as caught:
-            call(ast.literal_eval(given))
-        message = str(caught.value)
-        assert message.isprintable()
-        assert len(message) < 1000
-        lines += [given, f"    {message}", ""]
-    return "\n".join(lines)
+
+    def compare(name: str, call: Callable[[Any], object]) -> None:
+        lines = []
+        for given in (request.path.parent / "golden" / name).read_text().split("\n")[::3]:
+            with pytest.raises((TypeError, ValueError)) as caught:
+                call(ast.literal_eval(given))
+            message = str(caught.value)
+            assert message.isprintable()
+            assert len(message) < 1000
+            lines += [given, f"    {message}", ""]
+        golden(name, "\n".join(lines))
+
+    return compare

@@ -5,7 +5,6 @@ cannot be, which are refused with the name of the argument.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,10 +15,8 @@ from libmodbus_py import Server, pdu
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.tools.faults.fault import Fault
 from libmodbus_py.tools.faults.server import Faults
-from tests.support.golden import Golden, refusals
+from tests.support.golden import Refused
 from tests.tools.faults.serving import READ, REQUEST, made_device
-
-REFUSED = Path(__file__).with_name("golden") / "refused.txt"
 
 
 def hits(faults: Faults, count: int, request: Frame = REQUEST) -> list[int]:
@@ -92,8 +89,8 @@ def test_only_requests_that_touch_the_range_are_hit_and_counted(
 # --- what cannot be --------------------------------------------------------------------------
 
 
-def test_a_fault_that_cannot_be_is_refused(golden: Golden) -> None:
-    golden("refused.txt", refusals(REFUSED, lambda settings: Fault(**settings)))
+def test_a_fault_that_cannot_be_is_refused(refused: Refused) -> None:
+    refused("refused.txt", lambda settings: Fault(**settings))
     with pytest.raises(ValueError, match=r"probability must be in 0..1"):
         Fault("no_answer", probability=float("nan"))
 

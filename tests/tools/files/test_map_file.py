@@ -14,9 +14,7 @@ from libmodbus_py import MapError, Point, RegisterMap, load_map
 from libmodbus_py.tools.files.map_file import contents_of, remarks
 from libmodbus_py.tools.files.map_texts import csv_text, toml_text
 from tests.support.cases import each_case
-from tests.support.golden import Golden, refusals
-
-GOLDEN = Path(__file__).with_name("golden")
+from tests.support.golden import Refused
 
 H, I = "holding_registers", "input_registers"  # noqa: E741
 
@@ -188,15 +186,14 @@ HEAD = "name,table,address,type,scale,access\n"
 
 
 @pytest.mark.parametrize("kind", ["csv", "toml"])
-def test_a_wrong_file_is_told_what_is_wrong(kind: str, tmp_path: Path, golden: Golden) -> None:
+def test_a_wrong_file_is_told_what_is_wrong(kind: str, tmp_path: Path, refused: Refused) -> None:
     def load_without_folder(content: str | bytes) -> None:
         try:
             loaded(tmp_path, content, f"meter.{kind}")
         except MapError as error:
             raise ValueError(str(error).replace(str(tmp_path), "FOLDER")) from None
 
-    name = f"wrong_{kind}.txt"
-    golden(name, refusals(GOLDEN / name, load_without_folder))
+    refused(f"wrong_{kind}.txt", load_without_folder)
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ from libmodbus_py import (
 from libmodbus_py.listen import Listener, Transaction, listen
 from libmodbus_py.tools.listener.sources import Tap
 from libmodbus_py.tools.testing.wires import open_line, read_what_is_there, write_all
-from tests.support.golden import Golden, refusals
+from tests.support.golden import Refused
 from tests.support.peers import until
 from tests.support.talk import rtu
 
@@ -365,9 +365,8 @@ class TestBetween:
 
 
 class TestArguments:
-    def test_what_cannot_be(self, golden: Golden) -> None:
-        path = Path(__file__).with_name("golden") / "refused.txt"
-        golden(path.name, refusals(path, lambda given: listen(given[0], between=given[1])))
+    def test_what_cannot_be(self, refused: Refused) -> None:
+        refused("refused.txt", lambda given: listen(given[0], between=given[1]))
 
     def test_a_capture_that_cannot_be_written(self, bus: SharedLine, tmp_path: Path) -> None:
         with pytest.raises(OSError, match="Is a directory"):

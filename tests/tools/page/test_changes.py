@@ -23,7 +23,7 @@ from libmodbus_py import (
 from libmodbus_py.page import live_page
 from libmodbus_py.tools.simulator.device_file import load
 from libmodbus_py.tools.simulator.simulated import SimulatedDevice
-from tests.support.golden import Golden, refusals
+from tests.support.golden import Refused
 from tests.tools.page.watching import NAMES, Visitor, is_served, shown, until
 
 H = "holding_registers"
@@ -69,10 +69,9 @@ def cell(**given: Any) -> dict[str, Any]:
     return {**place, "type": "uint16", "order": "ABCD", **given}
 
 
-def test_a_change_that_cannot_be_is_told(golden: Golden) -> None:
-    path = Path(__file__).with_name("golden") / "refused.txt"
+def test_a_change_that_cannot_be_is_told(refused: Refused) -> None:
     with shown() as (_, _, visitor):
-        golden(path.name, refusals(path, visitor.refused))
+        refused("refused.txt", visitor.refused)
 
 
 def test_a_value_that_the_device_computes_is_told() -> None:

@@ -6,14 +6,13 @@ from __future__ import annotations
 
 import math
 import time
-from pathlib import Path
 from typing import Any
 
 from libmodbus_py.tools.page.samples import MOST_BYTES
 from libmodbus_py.tools.page.table_source import MOST_VISIBLE
 from libmodbus_py.tools.page.text import value_text
 from tests.support.cases import each_case
-from tests.support.golden import Golden, refusals
+from tests.support.golden import Refused
 from tests.tools.page.tables import HOSTILE, Plant, visited
 from tests.tools.page.watching import Visitor
 
@@ -138,15 +137,13 @@ def test_a_chart_has_numbers_up_to_now_and_gaps() -> None:
     assert found["values"] == [1.0, *[None] * 8, 2.0]
 
 
-def test_wrong_requests_are_refused(golden: Golden) -> None:
-    path = Path(__file__).with_name("golden") / "refused_tables.txt"
+def test_wrong_requests_are_refused(refused: Refused) -> None:
     plant = Plant()
     plant.describe(("a", "x"))
     with visited(plant) as visitor:
         right = {"find": "", "problems": False, "first": 0, "stop": 9, "row": ["a", "x"]}
         right |= {"stream": visitor.seen["page"]["stream"], "column": "last values", "seconds": 5}
-        text = refusals(path, lambda given: visitor.refused((given[0], right | given[1])))
-    golden(path.name, text)
+        refused("refused_tables.txt", lambda given: visitor.refused((given[0], right | given[1])))
 
 
 def test_long_names_are_cut_and_hostile_ones_arrive_as_text() -> None:

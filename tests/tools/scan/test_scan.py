@@ -20,12 +20,10 @@ from tests.interop.test_interop_pymodbus_server import pymodbus_serving
 from tests.simulation.network import Network
 from tests.support import certificates
 from tests.support.certificates import Papers
-from tests.support.golden import Golden, refusals
+from tests.support.golden import Refused
 from tests.support.interop import UNIT, program
 from tests.support.peers import FakeServer, dead, mbap, refusing, url_of
 from tests.tools.scan.simulated_bus import Member, SimulatedBus, answering, line, of, served
-
-GOLDEN = Path(__file__).with_name("golden")
 
 QUICK = 0.05  # seconds for the answer of somebody who is not there
 PATIENT = 1.0  # for one who is, on a busy machine
@@ -348,10 +346,9 @@ def test_what_the_callback_raises_ends_it_well() -> None:
     assert scanned.requests == 0
 
 
-def test_what_is_wrong_is_told_before_anything_is_sent(golden: Golden) -> None:
-    for name, begin in (("refused.txt", scan), ("search_refused.txt", search)):
-        call: Any = begin
-        golden(name, refusals(GOLDEN / name, lambda given, call=call: call(given[0], **given[1])))
+def test_what_is_wrong_is_told_before_anything_is_sent(refused: Refused) -> None:
+    refused("refused.txt", lambda given: scan(given[0], **given[1]))
+    refused("search_refused.txt", lambda given: search(given[0], **given[1]))
 
 
 # --- tls -------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py.tools.simulator.device_file import DeviceFileError, load, parse
-from tests.support.golden import Golden, refusals
+from tests.support.golden import Refused
 
 METER = """name,table,address,type,scale,unit,access
 voltage,input,0,uint16,0.1,V,read
@@ -27,7 +27,7 @@ MISTAKES = Path(__file__).with_name("golden") / "mistakes.txt"
 """A file as Python writes it, and in the next line what is said of it; then an empty line."""
 
 
-def test_a_wrong_file_is_told_what_is_wrong(tmp_path: Path, golden: Golden) -> None:
+def test_a_wrong_file_is_told_what_is_wrong(tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "meter.csv").write_text(METER)
     (tmp_path / "bad.csv").write_text("name,table,address\na,coilz,0\n")
 
@@ -38,9 +38,8 @@ def test_a_wrong_file_is_told_what_is_wrong(tmp_path: Path, golden: Golden) -> N
             load(path)
         raise ValueError(str(caught.value).replace(str(tmp_path), "FOLDER"))
 
-    text = refusals(MISTAKES, load_text)
-    assert text.count("\n") > 3 * 150
-    golden("mistakes.txt", text)
+    refused("mistakes.txt", load_text)
+    assert MISTAKES.read_text().count("\n") > 3 * 150
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
