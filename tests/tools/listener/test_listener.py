@@ -8,16 +8,15 @@ import asyncio
 import importlib
 import logging
 import os
-import select
 import signal
 import socket
 import stat
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Self
 
 import pytest
 
@@ -32,74 +31,44 @@ from libmodbus_py import (
 )
 from libmodbus_py.listen import Listener, Transaction, listen
 from libmodbus_py.tools.listener.sources import Tap
-from libmodbus_py.tools.testing.wires import open_line, read_what_is_there, write_all
+from libmodbus_py.tools.testing.wires import SerialWire, WireBytes, open_line, write_all
 from tests.support.golden import Refused
 from tests.support.peers import until
 from tests.support.talk import rtu
 
 UNIT = 17
 
+ASK, ANSWER = rtu("01 03 00 00 00 01"), rtu("01 03 02 00 07")
 
-class SharedLine:
-    """Ports on one line, by name: what is written to one comes out of all others."""
 
-    def __init__(self, *names: str) -> None:
-        self.paths: dict[str, str] = {}
-        self._masters: dict[str, int] = {}
-        self._slaves: dict[str, int] = {}
-        for name in names:
-            self._plug(name)
-        self._sleep, self._wake = os.pipe()
-        self._lock = threading.Lock()
-        self._thread = threading.Thread(target=self._carry, name="bus", daemon=True)
+class Line:
+    """A port at `path`, and the far end of its line."""
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
+    def __init__(self) -> None:
+        self.plug()
 
-    def __exit__(self, *_: object) -> None:
-        os.write(self._wake, b"x")
-        self._thread.join()
-        ends = (*self._masters.values(), *self._slaves.values(), self._wake, self._sleep)
-        for descriptor in ends:
-            os.close(descriptor)
+    def plug(self) -> None:
+        self._far, self._near, self.path = open_line()
 
-    def unplug(self, name: str) -> None:
-        """Take a port away, as pulling an adapter does."""
-        with self._lock:
-            os.close(self._masters.pop(name))
-            os.close(self._slaves.pop(name))
-
-    def plug(self, name: str, link: str) -> None:
-        """Bring it back behind a symbolic link."""
-        with self._lock:
-            self._plug(name)
-        os.unlink(link)
-        os.symlink(self.paths[name], link)
+    def unplug(self) -> None:
+        """Take the port away, as pulling an adapter does."""
+        os.close(self._far)
+        os.close(self._near)
 
     def say(self, data: bytes) -> None:
-        """Put bytes on the line that all ports hear."""
-        with self._lock:
-            for master in self._masters.values():
-                write_all(master, data)
+        write_all(self._far, data)
 
-    def _plug(self, name: str) -> None:
-        self._masters[name], self._slaves[name], self.paths[name] = open_line()
 
-    def _carry(self) -> None:
-        while True:
-            with self._lock:
-                masters = list(self._masters.values())
-            ready, _, _ = select.select([*masters, self._sleep], [], [], 0.05)
-            if self._sleep in ready:
-                return
-            with self._lock:
-                for master in self._masters.values():
-                    if master in ready:
-                        data = read_what_is_there(master)
-                        for other in self._masters.values():
-                            if other != master:
-                                write_all(other, data)
+class Mirrored(list[WireBytes]):
+    """What has passed a wire, which a line hears, too."""
+
+    def __init__(self, line: Line) -> None:
+        super().__init__()
+        self._line = line
+
+    def append(self, piece: WireBytes) -> None:
+        super().append(piece)
+        self._line.say(piece.data)
 
 
 class Gathering:
@@ -135,19 +104,21 @@ def heard(url: str, **options: str) -> Iterator[Gathering]:
 
 
 @pytest.fixture
-def bus() -> Iterator[SharedLine]:
-    with SharedLine("client", "server", "listener") as made:
-        yield made
+def port() -> Iterator[Line]:
+    line = Line()
+    yield line
+    line.unplug()
 
 
 @pytest.mark.parametrize("framing", ["rtu", "ascii"])
-def test_a_client_and_a_server_on_a_line(bus: SharedLine, framing: str, device: Device) -> None:
-    urls = {name: f"{framing}://{path}?baudrate=115200" for name, path in bus.paths.items()}
+def test_a_client_and_a_server_on_a_line(port: Line, framing: str, device: Device) -> None:
     with (
-        Server({UNIT: device}).background(urls["server"]),
-        heard(urls["listener"]) as hearing,
-        Context.from_url(urls["client"], unit=UNIT) as client,
+        SerialWire() as wire,
+        Server({UNIT: device}).background(f"{framing}://{wire.server}?baudrate=115200"),
+        heard(f"{framing}://{port.path}?baudrate=115200") as hearing,
+        Context.from_url(f"{framing}://{wire.client}?baudrate=115200", unit=UNIT) as client,
     ):
+        wire.passed = Mirrored(port)
         client.read_holding_registers(100, 3)
         client.write_register(100, 5)
         client.write_register(100, 5)
@@ -166,13 +137,12 @@ def test_a_client_and_a_server_on_a_line(bus: SharedLine, framing: str, device: 
 
 
 class TestPort:
-    def test_nothing_is_written_and_nothing_locked(self, bus: SharedLine) -> None:
-        with listen(f"rtu://{bus.paths['listener']}"):
-            port = bus.paths["listener"]
+    def test_nothing_is_written_and_nothing_locked(self, port: Line) -> None:
+        with listen(f"rtu://{port.path}"):
             descriptors = [
                 int(link.name)
                 for link in Path("/proc/self/fd").iterdir()
-                if link.exists() and os.readlink(link) == port
+                if link.exists() and os.readlink(link) == port.path
             ]
             modes = {
                 int(line.split()[1], 8) & os.O_ACCMODE
@@ -181,37 +151,37 @@ class TestPort:
                 if line.startswith("flags:")
             }
             assert os.O_RDONLY in modes
-            with Context.from_url(f"rtu://{port}", unit=1):
+            with Context.from_url(f"rtu://{port.path}", unit=1):
                 pass  # takes the lock
 
-    def test_a_port_that_is_locked(self, bus: SharedLine, caplog: pytest.LogCaptureFixture) -> None:
-        port = bus.paths["listener"]
+    def test_a_port_that_is_locked(self, port: Line, caplog: pytest.LogCaptureFixture) -> None:
         with (
-            Server(Device(Mapping(1, 1, 1, 1))).background(f"rtu://{port}"),
+            Server(Device(Mapping(1, 1, 1, 1))).background(f"rtu://{port.path}"),
             caplog.at_level(logging.WARNING),
-            listen(f"rtu://{port}?baudrate=9600"),
+            listen(f"rtu://{port.path}?baudrate=9600"),
         ):
             assert "is open in this program, too" in caplog.text
 
-    def test_a_port_that_goes_and_comes_back(self, bus: SharedLine, tmp_path: Path) -> None:
+    def test_a_port_that_goes_and_comes_back(self, port: Line, tmp_path: Path) -> None:
         link = tmp_path / "port"
-        link.symlink_to(bus.paths["listener"])
-        ask, answer = rtu("01 03 00 00 00 01"), rtu("01 03 02 00 07")
+        link.symlink_to(port.path)
         with heard(f"rtu://{link}") as hearing:
-            bus.say(ask)
+            port.say(ASK)
             time.sleep(0.05)
-            bus.say(answer)
+            port.say(ANSWER)
             hearing.wait_for(1)
-            bus.say(ask)
+            port.say(ASK)
             time.sleep(0.1)
-            bus.unplug("listener")
+            port.unplug()
             assert hearing.wait_for(2)[1].kind == "unanswered"
-            bus.plug("listener", str(link))
+            port.plug()
+            link.unlink()
+            link.symlink_to(port.path)
             end = time.monotonic() + 20
             while len(hearing.done) < 3 and time.monotonic() < end:
-                bus.say(ask)
+                port.say(ASK)
                 time.sleep(0.05)
-                bus.say(answer)
+                port.say(ANSWER)
                 time.sleep(0.3)
             assert hearing.wait_for(3)[2].kind == "answered"
 
@@ -232,8 +202,8 @@ class TestEnding:
             importlib.import_module("libmodbus_py.tools.listener.listener"), "IDLE", 99.0
         )
 
-    def test_close_from_another_thread(self, bus: SharedLine) -> None:
-        gathering = Gathering(listen(f"rtu://{bus.paths['listener']}"))
+    def test_close_from_another_thread(self, port: Line) -> None:
+        gathering = Gathering(listen(f"rtu://{port.path}"))
         time.sleep(0.1)
         with pytest.raises(RuntimeError, match="listening already"):
             next(gathering.line)
@@ -241,8 +211,8 @@ class TestEnding:
         gathering.close()
         assert list(gathering.line) == []
 
-    def test_close_from_a_signal_handler_and_in_asyncio(self, bus: SharedLine) -> None:
-        line = listen(f"rtu://{bus.paths['listener']}")
+    def test_close_from_a_signal_handler_and_in_asyncio(self, port: Line) -> None:
+        line = listen(f"rtu://{port.path}")
         before = signal.signal(signal.SIGALRM, lambda *_: line.close())
         try:
             signal.setitimer(signal.ITIMER_REAL, 0.2)
@@ -251,55 +221,51 @@ class TestEnding:
             signal.signal(signal.SIGALRM, before)
 
         async def heard() -> None:
-            line = listen(f"rtu://{bus.paths['listener']}")
+            line = listen(f"rtu://{port.path}")
             asyncio.get_running_loop().call_later(0.1, line.close)
             assert [each async for each in line] == []
 
         asyncio.run(heard())
 
-    def test_cancelling_loses_nothing(self, bus: SharedLine) -> None:
+    def test_cancelling_loses_nothing(self, port: Line) -> None:
         async def heard() -> Transaction:
-            async with listen(f"rtu://{bus.paths['listener']}") as line:
+            async with listen(f"rtu://{port.path}") as line:
                 for _ in range(5):
                     with pytest.raises(TimeoutError):
                         async with asyncio.timeout(0.02):
                             await anext(line)
-                bus.say(rtu("01 03 00 00 00 01"))
+                port.say(ASK)
                 with pytest.raises(TimeoutError):
                     async with asyncio.timeout(0.1):
                         await anext(line)
-                bus.say(rtu("01 03 02 00 07"))
+                port.say(ANSWER)
                 return await anext(line)
 
         assert asyncio.run(heard()).response == [7]
 
-    def test_nothing_is_left_also_if_nobody_closes(self, bus: SharedLine, tmp_path: Path) -> None:
+    def test_nothing_is_left_also_if_nobody_closes(self, port: Line, tmp_path: Path) -> None:
         capture = tmp_path / "x.pcapng"
-        with listen(f"rtu://{bus.paths['listener']}", capture=capture):
+        with listen(f"rtu://{port.path}", capture=capture):
             pass
         with listen(str(capture)) as line:
             assert list(line) == []
         with listen("rtu+tcp://127.0.0.1:0", between="rtu+tcp://127.0.0.1:1"):
             pass
-        listen(f"rtu://{bus.paths['listener']}")
+        listen(f"rtu://{port.path}")
 
-    def test_a_forked_child_leaves_the_port_alone(self) -> None:
-        master, slave = os.openpty()
-        path = os.ttyname(slave)
-        os.close(slave)
-        with listen(f"rtu://{path}?parity=N") as line:
+    def test_a_forked_child_leaves_the_port_alone(self, port: Line) -> None:
+        with listen(f"rtu://{port.path}?parity=N") as line:
             child = os.fork()
             if child == 0:
                 line.close()
                 os._exit(0)
             assert os.waitpid(child, 0)[1] == 0
-            os.write(master, rtu("01 03 00 00 00 01") + rtu("01 03 02 00 07"))
+            port.say(ASK + ANSWER)
             assert next(line).response == [7]
-        os.close(master)
 
-    def test_rest_gives_what_is_open(self, bus: SharedLine) -> None:
-        with listen(f"rtu://{bus.paths['listener']}") as line:
-            bus.say(rtu("01 03 00 00 00 01") + rtu("01 03 02 00 07") + rtu("01 03 00 00 00 01"))
+    def test_rest_gives_what_is_open(self, port: Line) -> None:
+        with listen(f"rtu://{port.path}") as line:
+            port.say(ASK + ANSWER + ASK)
             assert next(line).kind == "answered"
             assert [each.kind for each in line.rest()] == ["unanswered"]
 
@@ -319,11 +285,8 @@ class TestBetween:
                 for _ in range(20):
                     assert client.read_holding_registers(address, 1) == [900 + address]
 
-        threads = [threading.Thread(target=ask, args=(at,)) for at in range(100, 108)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        with ThreadPoolExecutor(8) as pool:
+            list(pool.map(ask, range(100, 108)))
         done = tapped.wait_for(160)
         assert {each.kind for each in done} == {"answered"}
         assert len(done) == 160
@@ -368,7 +331,7 @@ class TestArguments:
     def test_what_cannot_be(self, refused: Refused) -> None:
         refused("refused.txt", lambda given: listen(given[0], between=given[1]))
 
-    def test_a_capture_that_cannot_be_written(self, bus: SharedLine, tmp_path: Path) -> None:
+    def test_a_capture_that_cannot_be_written(self, port: Line, tmp_path: Path) -> None:
         with pytest.raises(OSError, match="Is a directory"):
-            listen(f"rtu://{bus.paths['listener']}", capture=tmp_path)
+            listen(f"rtu://{port.path}", capture=tmp_path)
         assert stat.S_ISDIR(tmp_path.stat().st_mode)
