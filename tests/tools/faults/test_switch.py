@@ -4,7 +4,7 @@ The fault switch of a server: several users, none of whom undoes what another on
 
 from __future__ import annotations
 
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -136,9 +136,7 @@ def test_many_threads_leave_what_was_given() -> None:
             with server.fault_switch.switch_on(MINE), server.fault_switch.switch_on(YOURS, unit=1):
                 pass
 
-    threads = [threading.Thread(target=switching) for _ in range(4)]
-    for each in threads:
-        each.start()
-    for each in threads:
-        each.join()
+    with ThreadPoolExecutor(4) as pool:
+        switchings = [pool.submit(switching) for _ in range(4)]
+    assert not any(each.exception() for each in switchings)
     assert happening(server) == [(1, 4)]

@@ -6,7 +6,7 @@ rows over time, made of counters.
 from __future__ import annotations
 
 import math
-import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from libmodbus_py.tools.page.samples import Counts, RowHistory, Samples, with_gaps
@@ -162,11 +162,9 @@ def test_a_clock_that_is_set_back_makes_no_number_and_stops_none() -> None:
 
 def test_threads_that_sample_at_once_count_nothing_twice() -> None:
     counters = Counters()
-    threads = [threading.Thread(target=counters.history.sample) for _ in range(8)]
     counters.now += 1
     counters.counts[LINE] = Counts(40)
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(8) as pool:
+        samplings = [pool.submit(counters.history.sample) for _ in range(8)]
+    assert not any(each.exception() for each in samplings)
     assert counters.numbers() == [(1001.0, 40.0)]
