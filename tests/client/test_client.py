@@ -6,25 +6,29 @@ from __future__ import annotations
 
 import asyncio
 import inspect
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import pytest
-from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 
 from libmodbus_py import Context, Device, IllegalDataAddress, Mapping, Server, pdu
 from libmodbus_py.client.asynchronous import AsyncClient
-from libmodbus_py.tools.testing.wires import SerialWire
-from tests.interop.test_interop_pymodbus import FRAMERS, SERIAL_SETTINGS
-from tests.interop.test_interop_pymodbus_server import in_background, simulated_device
 from tests.simulation.events import Events
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import Awaited, threadsafe
-from tests.support.interop import TIMEOUT, UNIT, Exchange, exchanges, make_device, program, refusals
+from tests.support.interop import (
+    TIMEOUT,
+    UNIT,
+    Exchange,
+    c_serving,
+    exchanges,
+    make_device,
+    refusals,
+)
 from tests.support.peers import Write, echo
+from tests.support.pymodbus_peers import FRAMERS, pymodbus_serving
 from tests.support.scripted import run
 from tests.support.transports import TRANSPORTS, serving
 
@@ -181,37 +185,14 @@ def test_against_libmodbus_in_c(
     transport: str,
 ) -> None:
     for what in agreements(range(1, 44)):
-        with ExitStack() as stack:
-            wire = stack.enter_context(SerialWire())
-            where = ("tcp", 0) if transport == "tcp" else ("rtu", wire.server, 115200, UNIT)
-            process = stack.enter_context(program(compiled("server"), *where))
-            assert process.stdout is not None
-            port = process.stdout.readline().split()[1]
-            ask(f"tcp://127.0.0.1:{port}" if transport == "tcp" else f"rtu://{wire.client}", what)
+        with c_serving(compiled("server"), transport) as url:
+            ask(url, what)
 
 
-@contextmanager
-def served_by_pymodbus(transport: str) -> Iterator[str]:
-    with SerialWire() as wire:
-
-        def make() -> ModbusTcpServer | ModbusSerialServer:
-            device, framer = simulated_device(), FRAMERS[transport]
-            if transport.endswith("tcp"):
-                return ModbusTcpServer(device, framer=framer, address=("127.0.0.1", 0))
-            return ModbusSerialServer(device, framer=framer, port=wire.server, **SERIAL_SETTINGS)
-
-        with in_background(make) as server:
-            if transport.endswith("tcp"):
-                port = server.transport.sockets[0].getsockname()[1]
-                yield f"{transport}://127.0.0.1:{port}"
-            else:
-                yield f"{transport}://{wire.client}?baudrate=115200"
-
-
-@pytest.mark.parametrize("transport", ["tcp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"])
+@pytest.mark.parametrize("transport", FRAMERS)
 def test_against_pymodbus(transport: str) -> None:
     for what in agreements(range(1, 17))[:-1]:
-        with served_by_pymodbus(transport) as url:
+        with pymodbus_serving(transport) as url:
             ask(url, what)
 
 

@@ -17,14 +17,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import pytest
-from pymodbus.framer import FramerType
 from pymodbus.pdu import ModbusPDU
-from pymodbus.server import ModbusTcpServer
 
 from libmodbus_py import AsyncClient, Context, Gateway, Route, pdu
-from tests.interop.test_interop_pymodbus_server import in_background, simulated_device
 from tests.support.interop import HOLDING_REGISTERS, UNIT, holding_register
 from tests.support.peers import FakeServer, mbap
+from tests.support.pymodbus_peers import pymodbus_serving
 
 REGISTER = HOLDING_REGISTERS.start
 """The register that is written; the reads are of those behind it."""
@@ -77,15 +75,8 @@ def pymodbus() -> Iterator[Served]:
             written.append((message.address, message.registers[0]))
         return message
 
-    def make() -> ModbusTcpServer:
-        address = ("127.0.0.1", 0)
-        return ModbusTcpServer(
-            simulated_device(), framer=FramerType.SOCKET, address=address, trace_pdu=note
-        )
-
-    with in_background(make) as server:
-        port = server.transport.sockets[0].getsockname()[1]
-        yield Served(f"tcp://127.0.0.1:{port}", written)
+    with pymodbus_serving("tcp", trace_pdu=note) as url:
+        yield Served(url, written)
 
 
 @contextlib.contextmanager

@@ -21,24 +21,23 @@ from libmodbus_py import (
     IllegalFunction,
     Mapping,
     ModbusTimeoutError,
-    RtuContext,
-    TcpContext,
     pdu,
 )
 from libmodbus_py.client import blocking_driver
 from libmodbus_py.low_level import lib, loaded_version
-from libmodbus_py.tools.testing.wires import SerialWire
+from libmodbus_py.ports.endpoint import Endpoint
 from tests.support.c_programs import compile_c
 from tests.support.cases import each
 from tests.support.interop import (
     BAUDRATE,
-    TIMEOUT,
     UNIT,
     Exchange,
     Record,
+    c_serving,
     case_id,
     cells,
     coil,
+    connected,
     exchanges,
     holding_register,
     make_device,
@@ -60,32 +59,9 @@ each_transport = pytest.mark.parametrize("transport", TRANSPORTS)
 
 
 @contextlib.contextmanager
-def c_serving(server: Path, transport: str) -> Iterator[Callable[..., Context]]:
-    """Yield what connects a context of ours to the C server."""
-    with contextlib.ExitStack() as stack:
-        if transport == "tcp":
-            process = stack.enter_context(program(server, "tcp", 0))
-        else:
-            wire = stack.enter_context(SerialWire())
-            command = (server, "rtu", wire.server, BAUDRATE, UNIT)
-            process = stack.enter_context(program(*command))
-        assert process.stdout is not None
-        word, port = process.stdout.readline().split()
-        assert word == "ready"
-
-        def connect(**options: Any) -> Context:
-            options = {"unit": UNIT, "timeout": TIMEOUT, **options}
-            if transport == "tcp":
-                return TcpContext("127.0.0.1", int(port), **options)
-            return RtuContext(wire.client, BAUDRATE, **options)
-
-        yield connect
-
-
-@contextlib.contextmanager
 def c_server(server: Path, transport: str, **options: Any) -> Iterator[Context]:
     """Yield a context of ours that is connected to the C server."""
-    with c_serving(server, transport) as connect, connect(**options) as context:
+    with c_serving(server, transport) as url, connected(url, **options) as context:
         yield context
 
 
@@ -110,9 +86,9 @@ def test_context_and_c_server_agree(
     compiled: Callable[[str], Path], transport: str, record_property: Record
 ) -> None:
     cases = to_c_server([*exchanges(), *who_it_is()], transport)
-    with c_serving(compiled("server"), transport) as connect:
+    with c_serving(compiled("server"), transport) as url:
         for check, (exchange, way) in tried(record_property, cases):
-            with check, connect(native=way) as context:
+            with check, connected(url, native=way) as context:
                 for _ in range(2):  # on a line the second goes the short way
                     assert exchange.ask(context) == exchange.answer
                     assert exchange.look(context) == exchange.seen
@@ -124,9 +100,9 @@ def test_context_raises_what_c_server_refuses(
     compiled: Callable[[str], Path], transport: str, record_property: Record
 ) -> None:
     cases = to_c_server(refusals(), transport)
-    with c_serving(compiled("server"), transport) as connect:
+    with c_serving(compiled("server"), transport) as url:
         for check, (exchange, way) in tried(record_property, cases):
-            with check, connect(native=way) as context:
+            with check, connected(url, native=way) as context:
                 for _ in range(2):
                     with pytest.raises(IllegalDataAddress) as caught:
                         exchange.ask(context)
@@ -232,25 +208,25 @@ C_CLIENT_CALLS = (1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23)
 C_CLIENT_REFUSALS = tuple(code for code in C_CLIENT_CALLS if code != 17)
 
 
-def output_of(command: list[object]) -> str:
-    """All that a program prints; one that hangs is ended, and its lines are missed."""
+def run_c_client(client: Path, end: Endpoint) -> set[str]:
+    """Return the lines that it prints; one that hangs is ended, and its lines are missed."""
+    where = [end.path, BAUDRATE] if end.is_serial else [end.port]
+    command = (client, end.scheme, *where, UNIT)
     with program(*command) as process, contextlib.suppress(subprocess.TimeoutExpired):
-        return process.communicate(timeout=20)[0]
-    return ""
+        return set(process.communicate(timeout=20)[0].splitlines())
+    return set()
 
 
 @pytest.fixture(scope="module")
-def c_client_runs(compiled: Callable[[str], Path]) -> Callable[[str], tuple[str, Device]]:
+def c_client_runs(compiled: Callable[[str], Path]) -> Callable[[str], tuple[set[str], Device]]:
     """Gives what the C client printed over a transport, and the device it left behind."""
-    runs: dict[str, tuple[str, Device]] = {}
+    runs: dict[str, tuple[set[str], Device]] = {}
 
-    def run(transport: str) -> tuple[str, Device]:
+    def run(transport: str) -> tuple[set[str], Device]:
         if transport not in runs:
             device = make_device()
             with our_server(transport, {UNIT: device}) as place:
-                where = [place.end.port] if transport == "tcp" else [place.end.path, BAUDRATE]
-                command = [compiled("client"), transport, *where, UNIT]
-                runs[transport] = (output_of(command), device)
+                runs[transport] = (run_c_client(compiled("client"), place.end), device)
         return runs[transport]
 
     return run
@@ -258,9 +234,9 @@ def c_client_runs(compiled: Callable[[str], Path]) -> Callable[[str], tuple[str,
 
 @each_transport
 def test_c_client_is_content_with_our_server(
-    c_client_runs: Callable[[str], tuple[str, Device]], transport: str, record_property: Record
+    c_client_runs: Callable[[str], tuple[set[str], Device]], transport: str, record_property: Record
 ) -> None:
-    printed = c_client_runs(transport)[0].splitlines()
+    printed, _ = c_client_runs(transport)
     done = [
         (case_id("libmodbus", "server", transport, function), f"FC {function} ok")
         for function in C_CLIENT_CALLS
@@ -274,9 +250,9 @@ def test_c_client_is_content_with_our_server(
             assert line in printed
 
 
-@pytest.mark.parametrize("transport", TRANSPORTS)
+@each_transport
 def test_c_client_leaves_its_writes_in_our_mapping(
-    c_client_runs: Callable[[str], tuple[str, Device]], transport: str
+    c_client_runs: Callable[[str], tuple[set[str], Device]], transport: str
 ) -> None:
     _, device = c_client_runs(transport)
     coils = device.mapping.coils
@@ -294,36 +270,6 @@ def test_c_client_leaves_its_writes_in_our_mapping(
 # --- through libmodbus's own calls ------------------------------------------------------------
 
 
-def asked_of_libmodbus() -> Iterator[tuple[int, Callable[[Context], object], bool]]:
-    """Yield each function with a call of it, and whether libmodbus has it."""
-    known: dict[int, Callable[[Context], object]] = {
-        1: lambda c: c.read_coils(10, 5),
-        2: lambda c: c.read_discrete_inputs(20, 5),
-        3: lambda c: c.read_holding_registers(100, 5),
-        4: lambda c: c.read_input_registers(200, 5),
-        5: lambda c: c.write_coil(10, True),
-        6: lambda c: c.write_register(100, 5),
-        15: lambda c: c.write_coils(10, [True, False]),
-        16: lambda c: c.write_registers(100, [5, 6]),
-        17: lambda c: c.report_server_id(),
-        22: lambda c: c.mask_write_register(100, 5, 6),
-        23: lambda c: c.read_write_registers(100, 1, 100, [5]),
-    }
-    unknown: dict[int, Callable[[Context], object]] = {
-        7: lambda c: c.read_exception_status(),
-        8: lambda c: c.diagnostics(0, 5),
-        11: lambda c: c.read_comm_event_counter(),
-        12: lambda c: c.read_comm_event_log(),
-        20: lambda c: c.read_file_records([(4, 0, 2)]),
-        21: lambda c: c.write_file_records([(4, 0, [5])]),
-        24: lambda c: c.read_fifo_queue(100),
-        43: lambda c: c.read_device_identification("regular"),
-    }
-    for asks, is_known in ((known, True), (unknown, False)):
-        for code, ask in asks.items():
-            yield code, ask, is_known
-
-
 @each_transport
 def test_c_carries_every_function_of_a_native_context(
     monkeypatch: pytest.MonkeyPatch, transport: str
@@ -337,11 +283,12 @@ def test_c_carries_every_function_of_a_native_context(
             return lib.exchange(*arguments)
 
     monkeypatch.setattr(blocking_driver, "lib", Counting)
-    options: dict[str, Any] = {"unit": UNIT, "timeout": TIMEOUT}
+    asks = {each.function: each.ask for each in (*exchanges(), *who_it_is())}
+    asks |= {7: lambda context: context.read_exception_status(), **WITHOUT_DATA, **WITH_DATA}
     with our_server(transport, {UNIT: make_device()}) as place:
-        for check, (function, ask, _) in each(asked_of_libmodbus()):
+        for check, (function, ask) in each(asks.items()):
             for native in (True, False):
-                with check, Context.from_url(str(place.end), native=native, **options) as context:
+                with check, connected(str(place.end), native=native) as context:
                     carried.clear()
                     ask(context)
                     assert bool(carried) == native, f"{function}, native={native}"
@@ -362,10 +309,9 @@ def test_identifier_is_the_same_on_every_way(
 ) -> None:
     device = make_device()
     device.server_id = server_id
-    options: dict[str, Any] = {"unit": UNIT, "timeout": TIMEOUT, "native": way}
     with (
         our_server(transport, {UNIT: device}) as place,
-        Context.from_url(str(place.end), **options) as context,
+        connected(str(place.end), native=way) as context,
     ):
         assert context.report_server_id() == server_id
 

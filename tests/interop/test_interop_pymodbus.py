@@ -11,19 +11,13 @@ from operator import attrgetter, methodcaller
 from typing import Any, NamedTuple
 
 import pytest
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException, ModbusIOException
-from pymodbus.framer import FramerType
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.diag_message import RestartCommunicationsOptionRequest
 from pymodbus.pdu.file_message import FileRecord
 
-from libmodbus_py import (
-    Device,
-    pdu,
-)
+from libmodbus_py import Device, Server, pdu
 from tests.support.interop import (
-    BAUDRATE,
     EXCEPTION_STATUS,
     FIFOS,
     OBJECTS,
@@ -31,7 +25,6 @@ from tests.support.interop import (
     TIMEOUT,
     UNIT,
     UNKNOWN_FUNCTIONS,
-    Place,
     Record,
     case_id,
     cells,
@@ -45,23 +38,15 @@ from tests.support.interop import (
     restore,
     tried,
 )
+from tests.support.pymodbus_peers import FRAMERS, pymodbus_client
+from tests.support.transports import serving
 
-FRAMERS = {
-    "tcp": FramerType.SOCKET,
-    "rtu": FramerType.RTU,
-    "ascii": FramerType.ASCII,
-    "rtu+tcp": FramerType.RTU,
-    "ascii+tcp": FramerType.ASCII,
-}
 TRANSPORTS = tuple(FRAMERS)
-SERIAL = tuple(each for each in TRANSPORTS if each != "tcp")
+WITH_IDS = ("tcp", "udp", "tls")
+SERIAL = tuple(each for each in TRANSPORTS if each not in WITH_IDS)
 # It finds the end of RTU frames by lengths that are wrong for some functions.
-NOT_RTU = ("tcp", "ascii", "ascii+tcp")
+NOT_RTU = (*WITH_IDS, "ascii", "ascii+tcp")
 ON_RTU = ("rtu", "rtu+tcp")
-
-
-# A pseudo-terminal has neither parity nor 7 bits, and pyserial insists on what it set.
-SERIAL_SETTINGS: dict[str, Any] = {"baudrate": BAUDRATE, "parity": "N", "bytesize": 8}
 
 
 def over(role: str, function: int, *more: str, transports: tuple[str, ...] = TRANSPORTS) -> Any:
@@ -71,26 +56,11 @@ def over(role: str, function: int, *more: str, transports: tuple[str, ...] = TRA
 
 
 @contextlib.contextmanager
-def pymodbus_client(transport: str, place: Place, timeout: float = TIMEOUT) -> Iterator[Any]:
-    options: dict[str, Any] = {"framer": FRAMERS[transport], "timeout": timeout, "retries": 0}
-    client: ModbusTcpClient | ModbusSerialClient
-    if transport.endswith("tcp"):
-        client = ModbusTcpClient(place.end.host, port=place.end.port, **options)
-    else:
-        client = ModbusSerialClient(place.end.path, **SERIAL_SETTINGS, **options)
-    assert client.connect()
-    try:
-        yield client
-    finally:
-        client.close()
-
-
-@contextlib.contextmanager
 def asking(transport: str, device: Device | None = None, timeout: float = TIMEOUT) -> Iterator[Any]:
     """Yield a client of pymodbus that is connected to a server of ours with one device."""
     with (
-        our_server(transport, {UNIT: device or make_device()}) as place,
-        pymodbus_client(transport, place, timeout) as client,
+        serving(transport, Server({UNIT: device or make_device()})) as url,
+        pymodbus_client(url, timeout) as client,
     ):
         yield client
 
@@ -314,7 +284,7 @@ def asked_in_vain() -> Iterator[Asked]:
     ):
         yield Asked(function, f"refused-{name}", ask, expected=code)
     ask = call("diag_restart_communication", False)
-    yield Asked(8, "refused-restart", ask, expected=1, transports=("tcp",))
+    yield Asked(8, "refused-restart", ask, expected=1, transports=WITH_IDS)
     for function in UNKNOWN_FUNCTIONS:
         ask = methodcaller("execute", False, Unknown(function))
         yield Asked(function, "refused", ask, expected=1)
@@ -334,21 +304,29 @@ def named(cases: Iterator[Asked], transport: str) -> Iterator[tuple[str, Asked]]
 
 
 @contextlib.contextmanager
-def our_servers(transport: str) -> Iterator[Callable[[Asked], tuple[Place, Device]]]:
-    """Yield what returns a server for a case: the same one, restored, or one of its own."""
+def our_servers(transport: str) -> Iterator[Callable[[Asked], tuple[str, Device]]]:
+    """Yield what returns the URL of a server for a case: the same, restored, or one of its own."""
     device = make_device()
-    with our_server(transport, {UNIT: device}) as place, contextlib.ExitStack() as own:
+    with serving(transport, Server({UNIT: device})) as url, contextlib.ExitStack() as own:
 
-        def server(case: Asked) -> tuple[Place, Device]:
+        def server(case: Asked) -> tuple[str, Device]:
             own.close()
             if case.function in COUNTING:
                 counting = make_device()
-                return own.enter_context(our_server(transport, {UNIT: counting})), counting
+                return own.enter_context(serving(transport, Server({UNIT: counting}))), counting
             restore(device)
-            place.wire.clear()
-            return place, device
+            return url, device
 
         yield server
+
+
+def agree(case: Asked, client: Any, device: Device) -> None:
+    """Assert that a client gets the answer of a device, and that the device did what it asked."""
+    response = case.ask(client)
+    assert not response.isError(), response
+    assert response.function_code == case.function
+    assert case.answer(response) == case.expected
+    assert case.look(device) == case.seen
 
 
 @each_transport
@@ -356,13 +334,9 @@ def test_pymodbus_client_and_our_server_agree(transport: str, record_property: R
     with our_servers(transport) as server:
         for check, case in tried(record_property, named(asked(), transport)):
             with check:
-                place, device = server(case)
-                with pymodbus_client(transport, place) as client:
-                    response = case.ask(client)
-                assert not response.isError(), response
-                assert case.answer(response) == case.expected
-                assert case.look(device) == case.seen
-                assert case.function in (11, 12) or place.function == case.function
+                url, device = server(case)
+                with pymodbus_client(url) as client:
+                    agree(case, client, device)
 
 
 @each_transport
@@ -373,14 +347,14 @@ def test_pymodbus_client_sees_our_refusal_and_nothing_changes(
     with our_servers(transport) as server:
         for check, case in tried(record_property, named(asked_in_vain(), transport)):
             with check:
-                place, device = server(case)
-                with pymodbus_client(transport, place) as client:
+                url, device = server(case)
+                with pymodbus_client(url) as client:
                     response = case.ask(client)
                     assert response.isError()
+                    assert response.function_code == case.function | 0x80
                     assert response.exception_code == case.expected
                     # and the line goes on
                     assert client.read_coils(12, device_id=UNIT).bits[0] is True
-                assert place.function == case.function
                 assert device.mapping.coils[:] == untouched.mapping.coils[:]
                 registers = untouched.mapping.holding_registers[:]
                 assert device.mapping.holding_registers[:] == registers
@@ -396,15 +370,18 @@ def test_unit_without_a_device_is_silent_to_pymodbus_on_a_line(transport: str) -
         assert client.read_coils(12, device_id=UNIT).bits[0] is True
 
 
-def test_unit_without_a_device_is_exception_11_to_pymodbus_over_tcp() -> None:
-    with asking("tcp") as client:
+@pytest.mark.parametrize("transport", WITH_IDS)
+def test_unit_without_a_device_is_exception_11_to_pymodbus_where_requests_have_ids(
+    transport: str,
+) -> None:
+    with asking(transport) as client:
         assert client.read_coils(10, device_id=UNIT + 1).exception_code == 11
 
 
 @pytest.mark.parametrize("transport", SERIAL)
 def test_broadcast_of_pymodbus_reaches_every_unit_and_is_not_answered(transport: str) -> None:
     devices = {UNIT: make_device(), UNIT + 1: make_device()}
-    with our_server(transport, devices) as place, pymodbus_client(transport, place) as client:
+    with serving(transport, Server(devices)) as url, pymodbus_client(url) as client:
         client.write_register(100, 7, device_id=0, no_response_expected=True)
         for unit in devices:
             response = client.read_holding_registers(100, device_id=unit)
@@ -462,7 +439,7 @@ class TestWherePymodbusClientErrs:
     ) -> None:
         with our_server(transport, {UNIT: make_device()}) as place:
             with (
-                pymodbus_client(transport, place, timeout=0.2) as client,
+                pymodbus_client(str(place.end), timeout=0.2) as client,
                 pytest.raises(ModbusIOException),
             ):
                 ask(client)

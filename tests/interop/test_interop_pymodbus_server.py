@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from functools import partial
@@ -15,9 +14,7 @@ from typing import Any
 
 import pytest
 from pymodbus.pdu.device import ModbusControlBlock
-from pymodbus.server import ModbusSerialServer, ModbusTcpServer
 from pymodbus.server.requesthandler import ServerRequestHandler
-from pymodbus.simulator import DataType, SimData, SimDevice
 
 from libmodbus_py import (
     Context,
@@ -31,122 +28,34 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.protocol.pdu import SubFunction
-from libmodbus_py.tools.testing.wires import SerialWire
 from tests.interop.test_interop_pymodbus import (
-    FRAMERS,
     NOT_RTU,
     ON_RTU,
     SERIAL,
-    SERIAL_SETTINGS,
     TRANSPORTS,
+    WITH_IDS,
     as_bytes,
     each_transport,
     over,
 )
 from tests.support.cases import each
 from tests.support.interop import (
-    BAUDRATE,
-    COILS,
-    DISCRETE_INPUTS,
     HOLDING_REGISTERS,
-    INPUT_REGISTERS,
     OBJECTS,
     TIMEOUT,
-    UNIT,
     UNKNOWN_FUNCTIONS,
     Exchange,
     Record,
     case_id,
-    coil,
-    discrete_input,
+    connected,
     exchanges,
     holding_register,
-    input_register,
     refusals,
     restore_through,
     tried,
 )
 from tests.support.peers import until
-
-
-def simulated_device() -> SimDevice:
-    """The tables of make_device; pymodbus has no files."""
-    tables = (
-        (COILS, coil, DataType.BITS),
-        (DISCRETE_INPUTS, discrete_input, DataType.BITS),
-        (HOLDING_REGISTERS, holding_register, DataType.REGISTERS),
-        (INPUT_REGISTERS, input_register, DataType.REGISTERS),
-    )
-    coils, inputs, holdings, readings = (
-        [SimData(addresses.start, values=[value(each) for each in addresses], datatype=kind)]
-        for addresses, value, kind in tables
-    )
-    return SimDevice(UNIT, simdata=(coils, inputs, holdings, readings))
-
-
-@contextlib.contextmanager
-def in_background(make_server: Callable[[], Any]) -> Iterator[Any]:
-    """Run a server of pymodbus in a thread with a loop of its own."""
-    started: Future[tuple[Any, Callable[[], object]]] = Future()
-
-    async def serve() -> None:
-        stop = asyncio.Event()
-        loop = asyncio.get_running_loop()
-        server = make_server()
-        await server.serve_forever(background=True)
-        started.set_result((server, lambda: loop.call_soon_threadsafe(stop.set)))
-        await stop.wait()
-        await asyncio.sleep(0.02)  # it forgets connections that come or end just now
-        await server.shutdown()
-        await asyncio.sleep(0.02)
-
-    def run() -> None:
-        try:
-            asyncio.run(serve())
-        except BaseException as error:
-            if started.done():
-                raise
-            started.set_exception(error)
-
-    thread = threading.Thread(target=run, name="pymodbus server")
-    thread.start()
-    try:
-        server, stop = started.result()
-        try:
-            yield server
-        finally:
-            stop()
-    finally:
-        thread.join()
-
-
-@contextlib.contextmanager
-def pymodbus_serving(transport: str) -> Iterator[str]:
-    """Yield the URL of a server of pymodbus."""
-    framer = FRAMERS[transport]
-    if transport.endswith("tcp"):
-
-        def make_tcp() -> ModbusTcpServer:
-            return ModbusTcpServer(simulated_device(), framer=framer, address=("127.0.0.1", 0))
-
-        with in_background(make_tcp) as server:
-            port = server.transport.sockets[0].getsockname()[1]
-            yield f"{transport}://127.0.0.1:{port}"
-        return
-    with SerialWire() as wire:
-
-        def make_serial() -> ModbusSerialServer:
-            return ModbusSerialServer(
-                simulated_device(), framer=framer, port=wire.server, **SERIAL_SETTINGS
-            )
-
-        with in_background(make_serial):
-            yield f"{transport}://{wire.client}?baudrate={BAUDRATE}"
-
-
-def connected(url: str, **options: Any) -> Context:
-    """Return a context of ours for the unit there."""
-    return Context.from_url(url, **{"unit": UNIT, "timeout": TIMEOUT, **options})
+from tests.support.pymodbus_peers import pymodbus_serving
 
 
 @contextlib.contextmanager
@@ -272,7 +181,8 @@ def test_context_raises_what_pymodbus_server_refuses(
 
 
 # Without ids the answer to another function ends no wait: seconds to wait for one.
-UNHEARD = {"tcp": TIMEOUT, "ascii": 1.0, "ascii+tcp": 1.0, "rtu": 0.2, "rtu+tcp": 0.2}
+UNHEARD = dict.fromkeys(WITH_IDS, TIMEOUT)
+UNHEARD |= {"ascii": 1.0, "ascii+tcp": 1.0, "rtu": 0.2, "rtu+tcp": 0.2}
 
 
 class TestWherePymodbusServerErrs:

@@ -12,25 +12,15 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
-from pymodbus import FramerType
-from pymodbus.server import ModbusTlsServer
 
 from libmodbus_py import ModbusConnectionError
-from tests.interop.test_interop_pymodbus_server import in_background, simulated_device
 from tests.support import certificates
 from tests.support.certificates import Papers
-from tests.support.clients import KINDS, Connect, connecting
-from tests.support.interop import UNIT, exchanges
+from tests.support.clients import Connect
 from tests.support.peers import mbap
-from tests.support.secured import context_of
+from tests.support.pymodbus_peers import pymodbus_serving
 
 LONG = 20.0
-
-
-@pytest.fixture(params=KINDS)
-def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
-    with connecting(request.param) as made:
-        yield made
 
 
 # --- openssl s_server -----------------------------------------------------------------------
@@ -147,38 +137,12 @@ def test_s_server_with_nothing_in_common(
 # --- pymodbus -------------------------------------------------------------------------------
 
 
-@contextmanager
-def pymodbus_server(papers: Papers) -> Iterator[str]:
-    def make() -> ModbusTlsServer:
-        return ModbusTlsServer(
-            simulated_device(),
-            framer=FramerType.SOCKET,
-            address=("127.0.0.1", 0),
-            sslctx=context_of(papers, certificates.server()),
-        )
-
-    with in_background(make) as server:
-        yield f"tls://127.0.0.1:{server.transport.sockets[0].getsockname()[1]}"
-
-
-def test_pymodbus(connect: Connect, papers: Papers) -> None:
-    own = papers.client()
-    for each in exchanges():
-        if each.function <= 16:
-            with (
-                pymodbus_server(papers) as url,
-                connect(url, security=own, unit=UNIT, timeout=LONG) as plc,
-            ):
-                assert each.ask(plc) == each.answer, each.name
-                assert each.look(plc) == each.seen, each.name
-
-
 def test_pymodbus_refuses_a_certificate_of_others(connect: Connect, papers: Papers) -> None:
     """asyncio closes without the alert that would say so."""
     own = papers.security(certificates.client(issuer=certificates.foreign_authority()))
     with (
-        pymodbus_server(papers) as url,
+        pymodbus_serving("tls") as url,
         pytest.raises(ModbusConnectionError, match="it may have refused our certificate"),
-        connect(url, security=own, timeout=LONG) as plc,
+        connect(url.partition("?")[0], security=own, timeout=LONG) as plc,
     ):
         plc.read_holding_registers(0, 1)

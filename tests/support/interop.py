@@ -12,6 +12,7 @@ import subprocess
 from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import partial
 from operator import methodcaller
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from libmodbus_py import Context, Device, Mapping, Server
@@ -160,10 +161,7 @@ class Place(NamedTuple):
     @property
     def function(self) -> int:
         """The code of the first request that went over the wire."""
-        sent = self.wire.sent_by("client")
-        if self.end.framing == "ascii":
-            return int(sent[3:5], 16)
-        return sent[7 if self.end.framing == "tcp" else 1]
+        return self.wire.sent_by("client")[7 if self.end.framing == "tcp" else 1]
 
 
 @contextlib.contextmanager
@@ -210,7 +208,30 @@ def program(*command: object) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
+@contextlib.contextmanager
+def c_serving(server: Path, transport: str) -> Iterator[str]:
+    """Run the server of libmodbus, and yield the URL of a client."""
+    with contextlib.ExitStack() as stack:
+        where: tuple[object, ...] = ("tcp", 0)
+        if transport == "rtu":
+            wire = stack.enter_context(SerialWire())
+            where = ("rtu", wire.server, BAUDRATE, UNIT)
+        process = stack.enter_context(program(server, *where))
+        assert process.stdout is not None
+        word, port = process.stdout.readline().split()
+        assert word == "ready"
+        if transport == "rtu":
+            yield f"rtu://{wire.client}?baudrate={BAUDRATE}"
+        else:
+            yield f"tcp://127.0.0.1:{port}"
+
+
 # --- what our contexts ask -----------------------------------------------------------------
+
+
+def connected(url: str, **options: Any) -> Context:
+    """Return a context of ours for the unit there."""
+    return Context.from_url(url, **{"unit": UNIT, "timeout": TIMEOUT, **options})
 
 
 class Exchange(NamedTuple):

@@ -16,13 +16,13 @@ import pytest
 
 from libmodbus_py import Context, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.scan import Found, Scan, scan, search
-from tests.interop.test_interop_pymodbus_server import pymodbus_serving
 from tests.simulation.network import Network
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.golden import Refused
 from tests.support.interop import UNIT, program
 from tests.support.peers import FakeServer, dead, mbap, refusing, url_of
+from tests.support.pymodbus_peers import pymodbus_serving
 from tests.tools.scan.simulated_bus import Member, SimulatedBus, answering, line, of, served
 
 QUICK = 0.05  # seconds for the answer of somebody who is not there
