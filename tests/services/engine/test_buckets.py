@@ -5,6 +5,7 @@ Buckets on a simulated server of NATS.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,74 +13,71 @@ import pytest
 
 from libmodbus_py.services.engine.buckets import Change, Watch
 from libmodbus_py.services.engine.connection import EngineGone
-from tests.simulation.engine import Engine
+from tests.simulation.engine import Engine, EngineClient
 from tests.simulation.network import Network
 from tests.support.cases import each_case
 
 
-def test_a_watch_that_could_not_begin_is_told_nothing_more(
-    monkeypatch: pytest.MonkeyPatch,
+def on_engine(test: Callable[[Engine, EngineClient], Awaitable[None]]) -> Callable[[], None]:
+    """Decorate a test that has a simulated server, and a client of it."""
+
+    def run() -> None:
+        network = Network()
+        engine = Engine(network)
+
+        async def main() -> None:
+            client = engine.client()
+            await test(engine, client)
+            await client.close()
+
+        network.run(main)
+
+    return run
+
+
+@on_engine
+async def test_a_watch_that_could_not_begin_is_told_nothing_more(
+    engine: Engine, client: EngineClient
 ) -> None:
-    network = Network()
-    engine = Engine(network)
-    begin = engine.begin_consumer
-    monkeypatch.setattr(engine, "begin_consumer", lambda reply, *who: begin(lambda _: None, *who))
     engine.write("settings", b"1")
     told: list[Change | None] = []
-
-    async def main() -> None:
-        client = engine.client()
+    with pytest.MonkeyPatch.context() as deaf:
+        begin = engine.begin_consumer
+        deaf.setattr(engine, "begin_consumer", lambda reply, *who: begin(lambda _: None, *who))
         with pytest.raises(EngineGone, match="no answer"):
             await engine.bucket(client).watch(told.append)
-        assert told
-        told.clear()
-        engine.write("settings", b"2")
-        await asyncio.sleep(1.0)
-        assert told == []
-        await client.close()
-
-    network.run(main)
+    assert told
+    told.clear()
+    engine.write("settings", b"2")
+    await asyncio.sleep(1.0)
+    assert told == []
 
 
-def test_contents_from_a_server_that_lags_behind_are_not_complete_without_the_newest_change() -> (
-    None
-):
-    network = Network()
-    engine = Engine(network)
+@on_engine
+async def test_contents_from_a_server_that_lags_behind_are_complete_with_the_newest_change(
+    engine: Engine, client: EngineClient
+) -> None:
     engine.write("a", b"1")
     engine.write("b", b"2")
     told: list[Change | None] = []
-
-    async def main() -> None:
-        client = engine.client()
-        engine.served = 0  # of a server that was just started
-        await engine.bucket(client).watch(told.append)
-        await asyncio.sleep(1.0)
-        assert told == []
-        engine.catch_up(to=1)
-        await asyncio.sleep(1.0)
-        assert [each and each.key for each in told] == ["a"]
-        engine.catch_up()
-        engine.write("c", b"3")
-        await asyncio.sleep(1.0)
-        assert [each and each.key for each in told] == ["a", "b", None, "c"]
-        await client.close()
-
-    network.run(main)
+    engine.served = 0  # of a server that was just started
+    await engine.bucket(client).watch(told.append)
+    await asyncio.sleep(1.0)
+    assert told == []
+    engine.catch_up(to=1)
+    await asyncio.sleep(1.0)
+    assert [each and each.key for each in told] == ["a"]
+    engine.catch_up()
+    engine.write("c", b"3")
+    await asyncio.sleep(1.0)
+    assert [each and each.key for each in told] == ["a", "b", None, "c"]
 
 
-def test_an_empty_bucket_is_complete_at_once() -> None:
-    network = Network()
-    engine = Engine(network)
+@on_engine
+async def test_an_empty_bucket_is_complete_at_once(engine: Engine, client: EngineClient) -> None:
     told: list[Change | None] = []
-
-    async def main() -> None:
-        client = engine.client()
-        await engine.bucket(client).watch(told.append)
-        assert told == [None]
-        await client.close()
-
-    network.run(main)
+    await engine.bucket(client).watch(told.append)
+    assert told == [None]
 
 
 def message(number: int, revision: int, pending: int = 0, value: bytes = b"1") -> Any:
@@ -117,25 +115,20 @@ def test_a_change_that_comes_twice_or_too_late_is_a_gap_and_ends_the_watch(
     assert (len(missed), watch.is_broken) == (gaps, bool(gaps))
 
 
-def test_a_write_that_was_answered_too_late_is_not_done_again() -> None:
-    network = Network()
-    engine = Engine(network)
-
-    async def main() -> None:
-        client = engine.client()
-        bucket = engine.bucket(client)
-        revision = await bucket.put("a", b"1", 0)
-        for last in (0, revision + 7):  # no such key, or another revision
-            assert await bucket.put("a", b"9", last) == 0
-        engine.delay, usual = (1.5, 1.5), engine.delay
-        with pytest.raises(EngineGone, match="no answer"):
-            await bucket.put("a", b"2", revision)
-        engine.delay = usual
-        await asyncio.sleep(5)
-        for value in (b"2", None):
-            assert await bucket.put("a", value, revision) == 0
-        assert engine.latest is not None
-        assert engine.latest["a"].value == b"2"
-        await client.close()
-
-    network.run(main)
+@on_engine
+async def test_a_write_that_was_answered_too_late_is_not_done_again(
+    engine: Engine, client: EngineClient
+) -> None:
+    bucket = engine.bucket(client)
+    revision = await bucket.put("a", b"1", 0)
+    for last in (0, revision + 7):  # no such key, or another revision
+        assert await bucket.put("a", b"9", last) == 0
+    engine.delay, usual = (1.5, 1.5), engine.delay
+    with pytest.raises(EngineGone, match="no answer"):
+        await bucket.put("a", b"2", revision)
+    engine.delay = usual
+    await asyncio.sleep(5)
+    for value in (b"2", None):
+        assert await bucket.put("a", value, revision) == 0
+    assert engine.latest is not None
+    assert engine.latest["a"].value == b"2"

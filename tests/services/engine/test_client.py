@@ -17,7 +17,7 @@ import pytest
 
 from fuzz.nats_servers import NatsServers
 from libmodbus_py.services.engine.connection import EngineError, connected, disconnect
-from tests.services.fleet.fleets import LONGEST, until
+from tests.services.fleet.fleets import LONGEST, in_real_time, until
 from tests.support import certificates
 from tests.support.certificates import authority, save
 
@@ -82,23 +82,29 @@ async def serving(
 
 
 @asynccontextmanager
-async def subscribed(**environment: str) -> AsyncIterator[tuple[Server, Any, list[Any]]]:
+async def connection(url: str, **environment: str) -> AsyncIterator[Any]:
+    client = await connected([url], name="test", environment=environment)
+    try:
+        yield client
+    finally:
+        await disconnect(client)
+
+
+@asynccontextmanager
+async def subscribed() -> AsyncIterator[tuple[Server, Any, list[Any]]]:
     """A server, a client that subscribed to commands as number 1, and what that heard."""
     heard: list[Any] = []
 
     async def note(message: Any) -> None:
         heard.append(message)
 
-    async with serving(lambda number: (INFO, None)) as (server, port):
-        client: Any = await connected(
-            [f"nats://127.0.0.1:{port}"], name="test", environment=environment
-        )
-        try:
-            await client.subscribe("modbus.write.*.*", cb=note)
-            await client.flush()
-            yield server, client, heard
-        finally:
-            await disconnect(client)
+    async with (
+        serving(lambda number: (INFO, None)) as (server, port),
+        connection(f"nats://127.0.0.1:{port}") as client,
+    ):
+        await client.subscribe("modbus.write.*.*", cb=note)
+        await client.flush()
+        yield server, client, heard
 
 
 GOOD = b"MSG modbus.write.pump.level 1 2\r\nok\r\n"
@@ -118,18 +124,16 @@ GOOD = b"MSG modbus.write.pump.level 1 2\r\nok\r\n"
     ],
     ids=lambda message: repr(message[:30]),
 )
-def test_a_malformed_message_costs_no_other(message: bytes) -> None:
+@in_real_time
+async def test_a_malformed_message_costs_no_other(message: bytes) -> None:
     """Any client may send it to the subjects of commands, and all workers receive it."""
 
-    async def go() -> None:
-        async with subscribed() as (server, client, heard):
-            server.say(message + GOOD)
-            await until(lambda: any(each.data == b"ok" for each in heard))
-            assert [each.data for each in heard] == [b"no", b"ok"]
-            assert len(server.heard) == 1  # the connection was not lost
-            assert client.is_connected
-
-    asyncio.run(go())
+    async with subscribed() as (server, client, heard):
+        server.say(message + GOOD)
+        await until(lambda: any(each.data == b"ok" for each in heard))
+        assert [each.data for each in heard] == [b"no", b"ok"]
+        assert len(server.heard) == 1  # the connection was not lost
+        assert client.is_connected
 
 
 @pytest.mark.parametrize(
@@ -147,44 +151,37 @@ def test_a_malformed_message_costs_no_other(message: bytes) -> None:
     ],
     ids=repr,
 )
-def test_after_an_error_of_the_server_the_client_connects_again(line: bytes) -> None:
-    async def go() -> None:
-        async with subscribed() as (server, client, heard):
-            server.say(line)
-            await until(lambda: len(server.heard) == 2 and client.is_connected)
-            await until(lambda: any(each.startswith(b"SUB modbus") for each in server.heard[1]))
-            server.say(GOOD)
-            await until(lambda: heard)
-
-    asyncio.run(go())
+@in_real_time
+async def test_after_an_error_of_the_server_the_client_connects_again(line: bytes) -> None:
+    async with subscribed() as (server, client, heard):
+        server.say(line)
+        await until(lambda: len(server.heard) == 2 and client.is_connected)
+        await until(lambda: any(each.startswith(b"SUB modbus") for each in server.heard[1]))
+        server.say(GOOD)
+        await until(lambda: heard)
 
 
-def test_a_permission_that_is_missing_ends_no_connection() -> None:
-    async def go() -> None:
-        async with subscribed() as (server, _, heard):
-            server.say(b"-ERR 'Permissions Violation for Publish to \"x\"'\r\n" + GOOD)
-            await until(lambda: heard)
-            assert len(server.heard) == 1
-
-    asyncio.run(go())
+@in_real_time
+async def test_a_permission_that_is_missing_ends_no_connection() -> None:
+    async with subscribed() as (server, _, heard):
+        server.say(b"-ERR 'Permissions Violation for Publish to \"x\"'\r\n" + GOOD)
+        await until(lambda: heard)
+        assert len(server.heard) == 1
 
 
-def test_a_greeting_that_cannot_be_read_is_followed_by_another_attempt() -> None:
+@in_real_time
+async def test_a_greeting_that_cannot_be_read_is_followed_by_another_attempt() -> None:
     """nats-py ends its attempts at an exception that it does not know, and stays lost for ever."""
 
     def greet(number: int) -> tuple[dict[str, Any], None]:
         return (INFO if number != 1 else {**INFO, "connect_urls": ["x" * 70_000]}), None
 
-    async def go() -> None:
-        async with serving(greet) as (server, port):
-            client = await connected([f"nats://127.0.0.1:{port}"], name="test", environment={})
-            try:
-                server.writers[-1].close()
-                await until(lambda: len(server.heard) == 3 and client.is_connected)
-            finally:
-                await disconnect(client)
-
-    asyncio.run(go())
+    async with (
+        serving(greet) as (server, port),
+        connection(f"nats://127.0.0.1:{port}") as client,
+    ):
+        server.writers[-1].close()
+        await until(lambda: len(server.heard) == 3 and client.is_connected)
 
 
 MALFORMED = [
@@ -197,15 +194,16 @@ MALFORMED = [
 ]
 
 
-def test_a_real_server_passes_malformed_messages_on_over_one_connection() -> None:
+@in_real_time
+async def test_a_real_server_passes_malformed_messages_on_over_one_connection() -> None:
     heard: list[bytes] = []
 
     async def note(message: Any) -> None:
         heard.append(message.data)
 
-    async def go(port: int) -> None:
-        client: Any = await connected([f"nats://127.0.0.1:{port}"], name="t", environment={})
-        try:
+    with NatsServers(jetstream=False) as servers:
+        port = servers.ports[0]
+        async with connection(f"nats://127.0.0.1:{port}") as client:
             await client.subscribe("modbus.write.*.*", cb=note)
             await client.flush()
             _, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -214,14 +212,11 @@ def test_a_real_server_passes_malformed_messages_on_over_one_connection() -> Non
             writer.close()
             assert heard == [b"1", b"2", b"3", b"4", b"5", b"6"]
             assert client.stats["reconnects"] == 0
-        finally:
-            await disconnect(client)
-
-    with NatsServers(jetstream=False) as servers:
-        asyncio.run(go(servers.ports[0]))
 
 
 # --- the password ---------------------------------------------------------------------------
+
+LOGIN = {"NATS_USER": "u", "NATS_PASSWORD": "secret"}
 
 
 def credentials(server: Server) -> list[bool]:
@@ -229,19 +224,17 @@ def credentials(server: Server) -> list[bool]:
     return [any(b"CONNECT" in line for line in lines) for lines in server.heard]
 
 
-def test_a_server_without_tls_is_sent_nothing() -> None:
-    async def go() -> None:
-        async with serving(lambda number: (INFO, None)) as (server, port):
-            environment = {"NATS_USER": "u", "NATS_PASSWORD": "secret"}
-            with pytest.raises(EngineError, match="does not support TLS; nothing was sent"):
-                await connected([f"tls://127.0.0.1:{port}"], name="t", environment=environment)
-            assert server.heard
-            assert not any(server.heard)
-
-    asyncio.run(go())
+@in_real_time
+async def test_a_server_without_tls_is_sent_nothing() -> None:
+    async with serving(lambda number: (INFO, None)) as (server, port):
+        with pytest.raises(EngineError, match="does not support TLS; nothing was sent"):
+            await connected([f"tls://127.0.0.1:{port}"], name="t", environment=LOGIN)
+        assert server.heard
+        assert not any(server.heard)
 
 
-def test_a_server_without_tls_is_sent_nothing_when_the_connection_is_made_again(
+@in_real_time
+async def test_a_server_without_tls_is_sent_nothing_when_the_connection_is_made_again(
     tmp_path: Path,
 ) -> None:
     ca = save(tmp_path, authority(), "ca")
@@ -252,16 +245,9 @@ def test_a_server_without_tls_is_sent_nothing_when_the_connection_is_made_again(
     def greet(number: int) -> tuple[dict[str, Any], ssl.SSLContext | None]:
         return ({**INFO, "tls_required": True}, context) if number in (0, 2) else (INFO, None)
 
-    async def go() -> None:
-        async with serving(greet) as (server, port):
-            environment = {"NATS_CA": str(ca.cert), "NATS_USER": "u", "NATS_PASSWORD": "secret"}
-            client = await connected([f"tls://127.0.0.1:{port}"], name="t", environment=environment)
-            try:
-                server.writers[-1].close()
-                await until(lambda: len(server.heard) == 3 and client.is_connected)
-            finally:
-                await disconnect(client)
-            assert credentials(server) == [True, False, True]
-            assert server.heard[1] == []
-
-    asyncio.run(go())
+    async with serving(greet) as (server, port):
+        async with connection(f"tls://127.0.0.1:{port}", NATS_CA=str(ca.cert), **LOGIN) as client:
+            server.writers[-1].close()
+            await until(lambda: len(server.heard) == 3 and client.is_connected)
+        assert credentials(server) == [True, False, True]
+        assert server.heard[1] == []
