@@ -293,10 +293,7 @@ def test_credentials_that_a_server_repeats_are_not_shown(
 
 
 TIME = 1_700_000_000.25
-
-
 STAMP = "1700000000250000000"
-
 
 MAP = RegisterMap(
     [
@@ -321,27 +318,43 @@ def lines_of(*readings: Reading, **labels: str) -> str:
 
 
 @each_case(
-    ("value", "field"),
+    ("reading", "fields"),
     [
-        (230.5, "level=230.5"),
-        (7, "level=7"),
-        (-7, "level=-7"),
-        (1e-7, "level=1e-07"),
-        (2**64 - 1, "level=18446744073709551615"),
-        (True, "level=true"),
-        (False, "level=false"),
-        ("on", 'level="on"'),
-        ("", 'level=""'),
-        ('5" pipe\\valve', r'level="5\" pipe\\valve"'),
-        ("two\nlines\x1b", r'level="two\\x0alines\\x1b"'),
-        ([1, 2.5], "level.0=1,level.1=2.5"),
-        ([1, None], "level.0=1"),
-        ({"door": True, "mode": 3}, "level.door=true,level.mode=3"),
-        (datetime(2026, 1, 2, tzinfo=UTC), 'level="2026-01-02T00:00:00+00:00"'),
+        (read(230.5), "level=230.5"),
+        (read(7), "level=7"),
+        (read(-7), "level=-7"),
+        (read(1e-7), "level=1e-07"),
+        (read(2**64 - 1), "level=18446744073709551615"),
+        (read(True), "level=true"),
+        (read(False), "level=false"),
+        (read("on"), 'level="on"'),
+        (read(""), 'level=""'),
+        (read('5" pipe\\valve'), r'level="5\" pipe\\valve"'),
+        (read("two\nlines\x1b"), r'level="two\\x0alines\\x1b"'),
+        (read([1, 2.5]), "level.0=1,level.1=2.5"),
+        (read([1, None]), "level.0=1"),
+        (read({"door": True, "mode": 3}), "level.door=true,level.mode=3"),
+        (read(datetime(2026, 1, 2, tzinfo=UTC)), 'level="2026-01-02T00:00:00+00:00"'),
+        (read(5, reason="Fell"), 'level=5,level.reason="Fell"'),
+        # A point without a value tells why.
+        (read(None, "x", "bad", "Missing"), 'x.quality="bad",x.reason="Missing"'),
+        (read(None, "x", "down", "Timeout"), 'x.quality="down",x.reason="Timeout"'),
+        (read(None, "x", "offline"), 'x.quality="offline"'),
+        # InfluxDB refuses a number in a field that was text before.
+        (read("on", "state"), 'state="on"'),
+        (read(7, "state"), 'state="7"'),
+        # Names are escaped.
+        (read(1, "a b"), r"a\ b=1"),
+        (read(1, "a,b=c"), r"a\,b\=c=1"),
+        (read(1, 'a"b'), 'a"b=1'),
+        (read(1, "a\\"), "a%5C=1"),
+        (read(1, "time"), "time_=1"),
+        (read(1, "_field"), "_field_=1"),
+        (read(1, "Füllstand"), "Füllstand=1"),
     ],
 )
-def test_values_are_fields(value: Any, field: str) -> None:
-    assert lines_of(read(value)) == f"modbus,device=north {field} {STAMP}\n"
+def test_readings_are_fields(reading: Reading, fields: str) -> None:
+    assert lines_of(reading) == f"modbus,device=north {fields} {STAMP}\n"
 
 
 def test_a_poll_is_one_line_and_the_next_one_another() -> None:
@@ -352,22 +365,6 @@ def test_a_poll_is_one_line_and_the_next_one_another() -> None:
         "modbus,device=north level=3 1700000001250000000",
         f"modbus,device=south level=4 {STAMP}",
     ]
-
-
-@each_case(
-    ("name", "spelled"),
-    [
-        ("a b", r"a\ b"),
-        ("a,b=c", r"a\,b\=c"),
-        ('a"b', 'a"b'),
-        ("a\\", "a%5C"),
-        ("time", "time_"),
-        ("_field", "_field_"),
-        ("Füllstand", "Füllstand"),
-    ],
-)
-def test_names_are_escaped(name: str, spelled: str) -> None:
-    assert lines_of(read(1, name)) == f"modbus,device=north {spelled}=1 {STAMP}\n"
 
 
 def test_labels_are_tags_in_order_without_empty_ones() -> None:
@@ -385,31 +382,6 @@ def test_measurements_are_escaped() -> None:
 def test_bad_measurements_are_refused(measurement: str) -> None:
     with pytest.raises(ValueError, match="measurement"):
         LineProtocol(measurement)
-
-
-@each_case(
-    ("quality", "reason", "fields"),
-    [
-        ("bad", "Missing", 'level.quality="bad",level.reason="Missing"'),
-        ("down", "ModbusTimeoutError", 'level.quality="down",level.reason="ModbusTimeoutError"'),
-        ("offline", "", 'level.quality="offline"'),
-    ],
-)
-def test_a_point_without_a_value_tells_why(quality: Quality, reason: str, fields: str) -> None:
-    told = lines_of(read(None, quality=quality, reason=reason))
-    assert told == f"modbus,device=north {fields} {STAMP}\n"
-
-
-def test_a_value_may_have_a_reason() -> None:
-    assert lines_of(read(5, reason="Fell")) == (
-        f'modbus,device=north level=5,level.reason="Fell" {STAMP}\n'
-    )
-
-
-def test_a_point_with_states_is_always_text() -> None:
-    """InfluxDB refuses a number in a field that was text before."""
-    assert "state=" in lines_of(read("on", "state"))
-    assert lines_of(read(7, "state")) == f'modbus,device=north state="7" {STAMP}\n'
 
 
 def test_a_point_without_anything_to_tell_is_left_out() -> None:
