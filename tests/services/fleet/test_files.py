@@ -166,96 +166,87 @@ def test_the_example_of_the_source_tree_has_every_key() -> None:
 SIMPLE = '[[device]]\nname = "a"\nurl = "tcp://h"\nmap = "meter.csv"\n'
 
 
+# Below the keys of SIMPLE, in line 5.
+WRONG_KEYS = {
+    "unit = 256": "unit must be in 0..255, not 256",
+    "interval = 0": "interval must be in 0.01..86400 seconds, not 0",
+    "on_change = 1": "on_change must be true or false, not 1",
+    "items = ['volts']": "items[0]: the map has no point 'volts' to",
+    "items = ['reset']": "items[0]: the map has no point 'reset' to",
+    "items = 'power'": "items must be a list of names, not str",
+    "dead_bands = {x = 1}": "dead_bands.x: no point of this name",
+    "dead_bands = {power = -1}": "dead_bands.power must be 0 or more",
+    "labels = {x = 1}": "labels.x must be text, not int",
+    "max_registers = 1": "max_registers: items['power']: float32 takes",
+    "[[device.point]]\nname='x'\ntable='coils'\naddress=1": "point: the device has a map already",
+}
+
+# In place of a text in SIMPLE.
+WRONG_VALUES = [
+    ("tcp://h", "http://h", 3, "url: 'http://h': the scheme must"),
+    ("tcp://h", "tcp://h?unit=3", 3, "url: 'tcp://h?unit=3' must not contain unit"),
+    ("tcp://h", "rtu+tcp://h?max_in_flight=4", 3, "url: max_in_flight must be 1"),
+    ('"tcp://h"', '"rtu:///dev/x"\nunit = 0', 4, "unit must not be 0 on this"),
+    ("meter", "metre", 4, "map: cannot read"),
+    ('"meter.csv"', "7", 4, "map must be the name of a file, not 7"),
+    (
+        'map = "meter.csv"',
+        "[[device.point]]\nname = 'x'\ntable = 'coils'\naddress = 70000",
+        *(7, "point[0].address must be in 0..65535"),
+    ),
+]
+
+BROKER = "[output.mqtt]\nurl = 'mqtt://x'\n"
+
+# Below these, in line 3.
+WRONG_KEYS_OF_A_BROKER = {
+    "qos = 2": "qos must be in 0..1",
+    "password = 'secret'": "password must not be written in the file: use ${NAME}",
+    "password = '${NOT_THERE}'": "password: ${NOT_THERE}: the environment has no such variable",
+    "password_file = 'none'": "password_file: cannot read",
+}
+
+# Above SIMPLE.
+WRONG_TABLES = [
+    ("x = 3", 1, "x: no such key; allowed are journal, keep, journal_size, devices, defaults,"),
+    ("devices = 'none.csv'", 1, "devices: cannot read"),
+    ("devices = ['a']", 1, "devices must be the name of a file, not"),
+    ("[defaults]\nname = 'x'", 2, "defaults.name: no such key"),
+    ("[engine]\nleese = 3", 2, "engine.leese: no such key"),
+    ("[[device]]\nnam = 3", 2, "device[0].nam: no such key; allowed are name, url, map, unit"),
+    ("[[device]]\nname = 'b'", 1, "device[0].url is missing"),
+    ("[output.jsn]", 1, f"output.jsn: no such key; allowed are {', '.join(KINDS)}"),
+    ("[output.json]\npth = 'x'", 2, "output.json.pth: no such key; allowed are path"),
+    (
+        "[[output.csv]]\n[[output.csv]]\npth = 1",
+        3,
+        "output.csv[1].pth: no such key; allowed are path",
+    ),
+    ("[output.json]\npath = 7", 2, "output.json.path must be text"),
+    ("[output.mqtt]\nuser = 'x'", 1, "output.mqtt.url is missing"),
+]
+
+
 @pytest.mark.parametrize(
     ("fleet", "line", "said"),
     [
         ("", None, "device must hold at least one table: [[device]]"),
         ("device = 3", 1, "device must be a list of tables"),
-        (
-            "x = 3",
-            1,
-            "x: no such key; allowed are journal, keep, journal_size, devices, defaults,",
-        ),
-        ("[[device]]\nnam = 3", 2, "device[0].nam: no such key; allowed are name, url, map, unit"),
-        ("[[device]]\nname = 'a'", 1, "device[0].url is missing"),
-        (SIMPLE + "unit = 256", 5, "device[0].unit must be in 0..255, not 256"),
-        (SIMPLE + "interval = 0", 5, "device[0].interval must be in 0.01..86400 seconds, not 0"),
-        (SIMPLE + "on_change = 1", 5, "device[0].on_change must be true or false, not 1"),
-        (SIMPLE + "items = ['volts']", 5, "device[0].items[0]: the map has no point 'volts' to"),
-        (SIMPLE + "items = ['reset']", 5, "device[0].items[0]: the map has no point 'reset' to"),
-        (SIMPLE + "items = 'power'", 5, "device[0].items must be a list of names, not str"),
-        (SIMPLE + "dead_bands = {x = 1}", 5, "device[0].dead_bands.x: no point of this name"),
-        (
-            SIMPLE + "dead_bands = {power = -1}",
-            5,
-            "device[0].dead_bands.power must be 0 or more",
-        ),
-        (SIMPLE + "labels = {x = 1}", 5, "device[0].labels.x must be text, not int"),
-        (SIMPLE + "max_registers = 1", 5, "device[0].max_registers: items['power']: float32 takes"),
-        (SIMPLE.replace("tcp://h", "http://h"), 3, "device[0].url: 'http://h': the scheme must"),
-        (SIMPLE.replace("tcp://h", "tcp://h?unit=3"), 3, "must not contain unit"),
-        (
-            SIMPLE.replace("tcp://h", "rtu+tcp://h?max_in_flight=4"),
-            3,
-            "device[0].url: max_in_flight must be 1",
-        ),
-        (SIMPLE.replace('"tcp://h"', '"rtu:///dev/x"\nunit = 0'), 4, "unit must not be 0 on this"),
-        (SIMPLE.replace("meter", "metre"), 4, "device[0].map: cannot read"),
-        (SIMPLE.replace('"meter.csv"', "7"), 4, "device[0].map must be the name of a file, not 7"),
-        (
-            SIMPLE + "[[device.point]]\nname='x'\ntable='coils'\naddress=1",
-            5,
-            "device[0].point: the device has a map already",
-        ),
-        (
-            SIMPLE.replace('map = "meter.csv"\n', "")
-            + "[[device.point]]\nname = 'x'\ntable = 'coils'\naddress = 70000",
-            7,
-            "device[0].point[0].address must be in 0..65535",
-        ),
         (SIMPLE + SIMPLE, 6, "device[1].name: 'a' is also the name of another"),
         (
             SIMPLE + SIMPLE.replace('"a"', '"b"').replace("//h", "//h?timeout=3"),
-            7,
-            "device[1].url: 'a' has other options for the same connection: tcp://h:502",
+            *(7, "device[1].url: 'a' has other options for the same connection: tcp://h:502"),
         ),
-        ("[defaults]\nname = 'x'\n" + SIMPLE, 2, "defaults.name: no such key"),
-        (
-            "[output.json]\npth = 'x'\n" + SIMPLE,
-            2,
-            "output.json.pth: no such key; allowed are path",
+        *((SIMPLE + key, 5, f"device[0].{said}") for key, said in WRONG_KEYS.items()),
+        *(
+            (SIMPLE.replace(old, new), line, f"device[0].{said}")
+            for old, new, line, said in WRONG_VALUES
         ),
-        (
-            "[[output.csv]]\n[[output.csv]]\npth = 1\n" + SIMPLE,
-            3,
-            "output.csv[1].pth: no such key; allowed are path, buffer",
+        *(
+            (f"{BROKER}{key}\n{SIMPLE}", 3, f"output.mqtt.{said}")
+            for key, said in WRONG_KEYS_OF_A_BROKER.items()
         ),
-        ("[output.jsn]\n" + SIMPLE, 1, f"output.jsn: no such key; allowed are {', '.join(KINDS)}"),
-        ("[output.json]\npath = 7\n" + SIMPLE, 2, "output.json.path must be text"),
-        ("[output.mqtt]\nuser = 'x'\n" + SIMPLE, 1, "output.mqtt.url is missing"),
-        (
-            "[output.mqtt]\nurl = 'mqtt://x'\npassword = 'secret'\n" + SIMPLE,
-            3,
-            "output.mqtt.password must not be written in the file: use ${NAME}",
-        ),
-        (
-            "[output.mqtt]\nurl = 'mqtt://x'\npassword = '${NOT_THERE}'\n" + SIMPLE,
-            3,
-            "output.mqtt.password: ${NOT_THERE}: the environment has no such variable",
-        ),
-        (
-            "[output.mqtt]\nurl = 'mqtt://x'\npassword_file = 'none'\n" + SIMPLE,
-            3,
-            "output.mqtt.password_file: cannot read",
-        ),
-        (
-            "[output.mqtt]\nurl = 'mqtt://x'\nqos = 2\n" + SIMPLE,
-            3,
-            "output.mqtt.qos must be in 0..1",
-        ),
-        ("[engine]\nleese = 3\n" + SIMPLE, 2, "engine.leese: no such key"),
-        ("devices = 'none.csv'\n" + SIMPLE, 1, "devices: cannot read"),
-        ("devices = ['a']\n" + SIMPLE, 1, "devices must be the name of a file, not"),
+        *((f"{table}\n{SIMPLE}", line, said) for table, line, said in WRONG_TABLES),
     ],
 )
 def test_what_is_wrong_is_told_with_its_line(
