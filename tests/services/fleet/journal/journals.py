@@ -8,6 +8,7 @@ import asyncio
 import queue
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ import pytest
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Journal, Reading
 from libmodbus_py.services.fleet.journal.schema import JournalPoll, numbered
+from libmodbus_py.services.fleet.statistics import JournalStatistics
 from tests.services.fleet.fleets import Peer, meter, simulated_run
 from tests.simulation.network import Network
 
@@ -51,11 +53,19 @@ def polls(first: int, count: int, size: int = 2, time: float = 100.0) -> list[Jo
     return told
 
 
+def asked(path: str, sql: str) -> list[tuple[Any, ...]]:
+    """Return the rows that a question gives."""
+    with closing(sqlite3.connect(path)) as database:
+        return database.execute(sql).fetchall()
+
+
 def in_journal(path: str) -> list[int]:
-    database = sqlite3.connect(path)
-    found = [number for (number,) in database.execute("SELECT id FROM reading ORDER BY id")]
-    database.close()
-    return found
+    return [number for (number,) in asked(path, "SELECT id FROM reading ORDER BY id")]
+
+
+def journal_of(fleet: Fleet) -> JournalStatistics:
+    assert fleet.statistics.journal is not None
+    return fleet.statistics.journal
 
 
 def run_for(path: str, seconds: float, *outputs: Any, change: Any = None) -> Fleet:
@@ -76,19 +86,17 @@ def run_for(path: str, seconds: float, *outputs: Any, change: Any = None) -> Fle
 
 
 class Failing:
-    """Lets calls of a method fail while `error` is set."""
+    """Lets calls of a method, or of a function, fail while `error` is set."""
 
-    def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, kind: type, name: str, error: Exception | None
-    ) -> None:
-        self.error = error
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, kind: object, name: str) -> None:
+        self.error: Exception | None = None
         self.calls = 0
         original = getattr(kind, name)
 
-        def call(this: Any, *arguments: Any) -> Any:
+        def call(*arguments: Any) -> Any:
             self.calls += 1
             if self.error is not None:
                 raise self.error
-            return original(this, *arguments)
+            return original(*arguments)
 
         monkeypatch.setattr(kind, name, call)

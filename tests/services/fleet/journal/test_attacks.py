@@ -39,14 +39,17 @@ from tests.services.fleet.fleets import (
     simulated_run,
     until,
 )
-from tests.services.fleet.journal.journals import Failing, in_journal, polls, readings, run_for
+from tests.services.fleet.journal.journals import (
+    Failing,
+    asked,
+    in_journal,
+    journal_of,
+    polls,
+    readings,
+    run_for,
+)
 from tests.simulation.network import Network
 from tests.support.outputs import Picky
-
-
-def asked(path: str | Path, query: str) -> list[Any]:
-    with contextlib.closing(sqlite3.connect(path)) as database:
-        return database.execute(query).fetchall()
 
 
 def opened(path: str, size: int = 10**9) -> JournalFile:
@@ -88,18 +91,15 @@ def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_pa
 
 
 def test_a_defect_while_a_journal_closes_lets_others_use_the_file(
-    path: str, inline: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    path: str, inline: None, disk: Failing, caplog: pytest.LogCaptureFixture
 ) -> None:
-    disk = Failing(monkeypatch, JournalFile, "write", None)
-
     async def fail(fleet: Fleet) -> None:
         disk.error = RuntimeError("a defect")
         await asyncio.sleep(10)
 
     fleet = run_for(path, 100, Picky(), change=fail)
     disk.error = None
-    assert fleet.statistics.journal is not None
-    assert fleet.statistics.journal.dropped > 0
+    assert journal_of(fleet).dropped > 0
     assert "readings are lost" in caplog.text
     run_for(path, 100, Picky())
 
@@ -178,12 +178,12 @@ def test_an_output_that_changes_the_list_it_is_given_loses_nothing(
 @pytest.mark.parametrize("seed", range(4))
 @in_simulated_time
 async def test_what_waits_is_counted_whatever_happens(
-    path: str, inline: None, monkeypatch: pytest.MonkeyPatch, seed: int
+    path: str, inline: None, disk: Failing, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     """Each reading is accepted, dropped or waits, through damage, full files and other runs."""
     monkeypatch.setattr(journal_module, "SIZE_BOUNDS", ("1 kB", "1 TB"))
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 40)
-    chance, disk = random.Random(seed), Failing(monkeypatch, JournalFile, "write", None)
+    chance = random.Random(seed)
     put = accepted = dropped = 0
     for _ in range(3):
         journal = Journal(path, size="60 kB" if seed % 2 else "1 GB")
@@ -267,8 +267,7 @@ def test_a_journal_that_was_deleted_is_replaced(
     async def lose(fleet: Fleet) -> None:
         delete(path, *endings)
         await polled(broker, 10)
-        assert fleet.statistics.journal is not None
-        assert fleet.statistics.journal.trouble == ""
+        assert journal_of(fleet).trouble == ""
         away.is_away = False
         await until(lambda: fleet.statistics.outputs["away"].waiting == 0)
 
@@ -278,8 +277,7 @@ def test_a_journal_that_was_deleted_is_replaced(
     assert 15 <= len(kept) < len(broker.ids)
     # What was behind the last entry in memory is delivered, too.
     assert away.ids == broker.ids
-    assert fleet.statistics.journal is not None
-    assert fleet.statistics.journal.dropped == 0
+    assert journal_of(fleet).dropped == 0
     told = f"{path}: was deleted or replaced while it was in use; a new journal begins"
     assert caplog.text.count(told) == 1
 

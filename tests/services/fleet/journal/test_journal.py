@@ -6,7 +6,6 @@ how it begins and ends.
 from __future__ import annotations
 
 import asyncio
-import sqlite3
 import threading
 import time
 from collections.abc import Sequence
@@ -29,7 +28,7 @@ from tests.services.fleet.fleets import (
     meter,
     until,
 )
-from tests.services.fleet.journal.journals import in_journal, readings, run_for
+from tests.services.fleet.journal.journals import asked, in_journal, journal_of, readings, run_for
 from tests.support.outputs import Picky
 
 HOUR = 3600.0
@@ -51,7 +50,7 @@ def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: Non
     assert broker.ids == other.ids == in_journal(path)
     assert [each.dropped for each in fleet.statistics.outputs.values()] == [0, 0]
     assert len({*broker.ids}) == len(broker.ids)
-    journal = fleet.statistics.journal
+    journal = journal_of(fleet)
     assert (journal.dropped, journal.failures, journal.trouble) == (0, 0, "")
 
 
@@ -145,10 +144,7 @@ def test_a_file_is_the_same_output_in_whatever_folder_the_program_starts(
     monkeypatch.chdir(tmp_path)
     run_for(path, 30, JsonOutput("readings.jsonl"))
     run_for(path, 30, JsonOutput(str(tmp_path / "readings.jsonl")))
-    database = sqlite3.connect(path)
-    names = [name for (name,) in database.execute("SELECT output FROM place")]
-    database.close()
-    assert names == [f"json {tmp_path}/readings.jsonl"]
+    assert asked(path, "SELECT output FROM place") == [(f"json {tmp_path}/readings.jsonl",)]
 
 
 # --- the beginning and the end --------------------------------------------------------------
@@ -230,6 +226,34 @@ async def test_a_cancelled_opening_leaves_the_file_to_others(
     other = Journal(path)
     await other.open(["x"])
     await other.close()
+
+
+@in_real_time
+async def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    hangs, goes_on = threading.Event(), threading.Event()
+    write = JournalFile.write
+
+    def slow(this: Any, *arguments: Any) -> Any:
+        if hangs.is_set():
+            goes_on.wait()
+        return write(this, *arguments)
+
+    monkeypatch.setattr(JournalFile, "write", slow)
+    monkeypatch.setattr("libmodbus_py.services.fleet.journal.place.NOTING_S", 0.01)
+    ids: list[int] = []
+
+    journal = Journal(path)
+    [place] = await journal.open(["broker"])
+    hangs.set()
+    for at in range(50):
+        journal.put(readings("a", time.time() + at))
+        batch = await place.take_polls(100)
+        ids.extend(each.id for each in batch)
+        await place.confirm(batch)
+    goes_on.set()
+    await journal.close()
+    assert ids == in_journal(path)
+    assert len(ids) == 100
 
 
 @pytest.mark.parametrize("wrong", [{"keep": "90"}, {"size": "1 MB"}, {"path": ""}])

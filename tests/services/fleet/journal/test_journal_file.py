@@ -25,7 +25,7 @@ from libmodbus_py.services.fleet.journal.schema import (
     JournalPoll,
     numbered,
 )
-from tests.services.fleet.journal.journals import polls, readings
+from tests.services.fleet.journal.journals import asked, polls, readings
 
 DAY = 86_400.0
 
@@ -41,13 +41,6 @@ def file(path: str) -> Iterator[JournalFile]:
     made = opened(path, "a", "b")
     yield made
     made.close()
-
-
-def asked(path: str, sql: str) -> list[tuple[object, ...]]:
-    with sqlite3.connect(path) as database:
-        rows = database.execute(sql).fetchall()
-    database.close()
-    return rows
 
 
 # --- what is written ------------------------------------------------------------------------
