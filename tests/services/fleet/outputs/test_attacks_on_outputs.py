@@ -6,10 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import json
 import os
-import signal
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -30,7 +27,6 @@ from tests.services.fleet.fleets import (
     simulated,
     until,
 )
-from tests.support.commands import Started
 from tests.support.outputs import Picky, pumping
 
 
@@ -79,39 +75,6 @@ async def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
     lines = path.read_text().splitlines()
     rows = lines if make is JsonOutput else lines[1:]
     assert len(rows) == len({*rows}) == 10
-
-
-def test_a_file_is_renamed_as_by_logrotate_while_readings_come_and_the_fleet_is_read_again(
-    tmp_path: Path,
-) -> None:
-    """The recipe for logrotate, again and again, with a SIGHUP each time: no reading is lost."""
-    files = [tmp_path / f"readings.jsonl.{at}" for at in range(1, 6)]
-    path = tmp_path / "readings.jsonl"
-    with Server(simulated()).background("tcp://127.0.0.1:0") as running:
-        (tmp_path / "fleet.toml").write_text(
-            "journal = 'fleet.db'\n[output.json]\npath = 'readings.jsonl'\n"
-            f"[[device]]\nname = 'a'\nurl = '{running.urls[0]}'\ninterval = 0.02\n"
-            "[[device.point]]\nname = 'p'\ntable = 'holding_registers'\naddress = 0\n"
-        )
-        with Started("poll", str(tmp_path / "fleet.toml")) as process:
-            for each in files:
-                wait_until(lambda: path.exists() and path.stat().st_size > 1000)
-                path.rename(each)
-                process.send_signal(signal.SIGHUP)
-            wait_until(lambda: path.exists() and path.stat().st_size > 1000)
-            process.terminate()
-            assert process.wait(10) == 0
-    ids = [
-        json.loads(line)["id"] for each in [*files, path] for line in each.read_text().splitlines()
-    ]
-    assert ids == [*range(ids[0], ids[0] + len(ids))]
-
-
-def wait_until(is_so: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 20
-    while not is_so():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 @in_simulated_time
