@@ -13,15 +13,10 @@ from dataclasses import replace
 import pytest
 
 from libmodbus_py import (
-    Device,
     Fleet,
-    IllegalDataAddress,
-    Mapping,
-    Point,
-    RegisterMap,
     Server,
 )
-from libmodbus_py.services.fleet.poller import DeviceState, FleetLine, Poller
+from libmodbus_py.services.fleet.poller import FleetLine, Poller
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.fleet.fleets import (
     NETWORK,
@@ -61,38 +56,6 @@ async def test_readings_are_named_scaled_and_timed() -> None:
         assert (fleet.statistics.devices, fleet.statistics.up) == (2, 2)
         assert fleet.statistics.readings >= len(readings)
     assert [each.state for each in fleet.devices.values()] == []
-
-
-@in_simulated_time
-async def test_units_of_a_place_share_a_connection() -> None:
-    async with Peer() as one, Peer() as other:
-        devices = [meter(f"one {unit}", one.url, unit=unit) for unit in range(1, 21)]
-        async with polling(*devices, meter("other", other.url)):
-            await until(lambda: set(one.units) == set(range(1, 21)) and other.requests)
-            assert len(one.connections) == len(other.connections) == 1
-
-
-@in_simulated_time
-async def test_what_a_device_refuses_is_bad_and_the_rest_good() -> None:
-    holes = RegisterMap([Point("there", "holding_registers", 0), Point("not", "coils", 9)])
-
-    device = Device(Mapping(holding_registers=1))
-    async with (
-        Server({1: device}).serving("tcp://127.0.0.1:0") as running,
-        polling(meter("a", running.urls[0], map=holes)) as (fleet, readings),
-    ):
-        await until(lambda: fleet.statistics.polls > 5 and len(readings) > 5)
-        assert [each[2:7] for each in readings if each.name == "not"] == [
-            ("not", None, "", "bad", "IllegalDataAddress")
-        ]
-        assert {each[2:7] for each in readings if each.name == "there"} == {
-            ("there", 0, "", "good", "")
-        }
-        device_now = fleet.devices["a"]
-        assert device_now.state is DeviceState.UP
-        assert isinstance(device_now.error, IllegalDataAddress)
-        assert fleet.statistics.refusals > 4
-        assert fleet.statistics.failures == 0
 
 
 # --- who is down ---------------------------------------------------------------------------
