@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import signal
 import subprocess
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -15,6 +16,7 @@ from typing import Any
 import aiomqtt
 
 from libmodbus_py import Fleet, Server
+from libmodbus_py.fleet import OutputStatistics
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from tests.services.fleet.fleets import LONGEST, meter, simulated, until
 from tests.support.programs import HeldPort, listens, program
@@ -51,10 +53,26 @@ class Broker:
         )
         listens(self.process, self.port)
 
-    def kill(self) -> None:
+    def send_signal(self, number: int) -> None:
         assert self.process is not None
-        self.process.kill()
+        self.process.send_signal(number)
+
+    def kill(self) -> None:
+        self.send_signal(signal.SIGKILL)
+        assert self.process is not None
         self.process.wait()
+
+    def change(self, *settings: str) -> None:
+        """Start it again with more settings."""
+        self.kill()
+        self.settings += settings
+        self.start()
+
+    async def restart(self, statistics: OutputStatistics) -> None:
+        """Kill it, and start it again when an output has noticed."""
+        self.kill()
+        await until(lambda: statistics.trouble)
+        self.start()
 
     def close(self) -> None:
         """Kill it, and give its ports back."""
@@ -93,6 +111,15 @@ async def hearing(broker: Broker, *topics: str) -> AsyncIterator[list[tuple[str,
 async def publish(broker: Broker, topic: str, payload: bytes, *, retain: bool = False) -> None:
     async with aiomqtt.Client("127.0.0.1", broker.port) as client:
         await client.publish(topic, payload, 1, retain)
+
+
+def told(payload: Any) -> Any:
+    """Return a state, the value of a reading, or the values of a poll by name."""
+    if isinstance(payload, str):
+        return payload
+    if "values" in payload:
+        return {name: each["value"] for name, each in payload["values"].items()}
+    return payload["value"]
 
 
 def heard_of(heard: list[tuple[str, Any, bool]], topic: str) -> list[Any]:

@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import signal
 import socket
+from typing import Any
 
 import pytest
 
-from libmodbus_py import Server
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.mqtt_messages import DeviceStates
 from libmodbus_py.services.fleet.outputs.topics import Topic
-from tests.services.fleet.fleets import in_real_time, meter, polling, simulated, until
-from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, run
+from tests.services.fleet.fleets import in_real_time, until
+from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, told
 from tests.support.cases import each_case
 from tests.support.outputs import pumping
 
@@ -38,28 +39,6 @@ async def test_the_status_is_online_while_one_of_two_is_connected(broker: Broker
         await until(lambda: heard_of(heard, "modbus/status")[7:] == ["offline"])
 
 
-def test_values_that_do_not_change_are_there_again_after_a_restart(broker: Broker) -> None:
-    """mosquitto keeps nothing on the disk unless told to."""
-
-    async def go(url: str) -> None:
-        output = Mqtt(broker.url)
-        device = meter("a", url, interval=0.05, on_change=True)
-        async with polling(device, outputs=[output]) as (fleet, readings):
-            counted = fleet.statistics.outputs[output.name]
-            await until(lambda: counted.written == 3)
-            broker.kill()
-            await until(lambda: counted.trouble)
-            broker.start()
-            async with hearing(broker, "modbus/#") as heard:
-                await until(lambda: len(heard) >= 4)
-                assert "online" in heard_of(heard, "modbus/status")
-                assert heard_of(heard, "modbus/a/voltage")[-1]["value"] == 230.5
-            assert len(readings) == 3
-
-    with Server(simulated()).background("tcp://127.0.0.1:0") as running:
-        run(go(running.urls[0]))
-
-
 def reading(device: str, value: object, at: float = 0) -> Reading:
     return Reading(100.0 + at, device, "text", value, "", "good")
 
@@ -72,30 +51,13 @@ async def test_last_values_at_which_the_broker_ends_connections_do_not_stop_othe
     async with pumping(Mqtt(broker.url, qos=qos)) as pump:
         pump.buffer.put([reading("a", "x" * 500), reading("b", 1)])
         await until(lambda: pump.statistics.written == 2)
-        broker.kill()
-        await until(lambda: pump.statistics.trouble)
         broker.settings.append("max_packet_size 400")
-        broker.start()
+        await broker.restart(pump.statistics)
         async with hearing(broker, "modbus/+/text") as heard:
             pump.buffer.put([reading("c", 3, 1)])
             await until(lambda: pump.statistics.written == 3)
             await until(lambda: heard_of(heard, "modbus/c/text"))
     assert "ends connections at last values, which are left out" in caplog.text
-
-
-@in_real_time
-async def test_a_broker_that_is_away_again_and_again_has_all_values_in_the_end(
-    broker: Broker,
-) -> None:
-    async with pumping(Mqtt(broker.url)) as pump:
-        pump.buffer.put([reading(name, name) for name in "abcdef"])
-        await until(lambda: pump.statistics.written == 6)
-        for _ in range(6):
-            broker.kill()
-            await until(lambda: pump.statistics.trouble)
-            broker.start()
-        async with hearing(broker, "modbus/+/text") as heard:
-            await until(lambda: len({topic for topic, *_ in heard}) == 6)
 
 
 TOPIC = "modbus-devices/{device}"
@@ -159,67 +121,71 @@ def test_removed_devices_take_no_room() -> None:
     assert (known.published, known._answered) == ({}, {})
 
 
+@pytest.mark.parametrize(
+    ("options", "polls", "retained"),
+    [
+        (
+            {},
+            [[reading("a", 1), reading("b", 2)], [reading("a", 3, 1)]],
+            {"modbus/status": "online", "modbus/a/text": 3, "modbus/b/text": 2},
+        ),
+        (
+            {"device_status": TOPIC},
+            [poll("north/1", "gg"), poll("south", "gg"), poll("south", "dd", 1)],
+            {"modbus-devices/north%2F1": "online", "modbus-devices/south": "offline"},
+        ),
+        (
+            {"topic": "plant/{device}"},
+            [poll("a", "gg"), poll("a", "-b", 1), poll("a", "o-", 2), [reading("a", 3, 3)]],
+            {"plant/a": {"point 1": None, "text": 3}},
+        ),
+    ],
+    ids=["values", "states of devices", "a message for each poll"],
+)
 @in_real_time
-async def test_each_device_has_its_topic_also_after_a_restart_of_the_broker(broker: Broker) -> None:
-    async with pumping(Mqtt(broker.url, device_status=TOPIC)) as pump:
-        async with hearing(broker, "modbus-devices/+") as heard:
-            pump.buffer.put([*poll("north/1", "gg"), *poll("south", "gg")])
-            await until(lambda: len(heard) == 2)
-            pump.buffer.put([*poll("north/1", "gg", 1), *poll("south", "dd", 1)])
-            await until(lambda: len(heard) == 3)
-        assert heard_of(heard, "modbus-devices/north%2F1") == ["online"]
-        assert heard_of(heard, "modbus-devices/south") == ["online", "offline"]
-        broker.kill()
-        await until(lambda: pump.statistics.trouble)
-        broker.start()
-        async with hearing(broker, "modbus-devices/+") as heard:
-            await until(lambda: len(heard) == 2)
-        assert heard_of(heard, "modbus-devices/south") == ["offline"]
-        assert heard_of(heard, "modbus-devices/north%2F1") == ["online"]
+async def test_what_a_broker_retained_is_there_again_each_time_it_returns(
+    broker: Broker, options: Any, polls: list[list[Reading]], retained: dict[str, Any]
+) -> None:
+    """Though nothing is read again: mosquitto keeps nothing on the disk unless told to."""
+    async with pumping(Mqtt(broker.url, **options)) as pump:
+        for readings in polls:
+            count = pump.statistics.written + len(readings)
+            pump.buffer.put(readings)
+            await until(lambda count=count: pump.statistics.written == count)
+        for _ in range(4):
+            await broker.restart(pump.statistics)
+        async with hearing(broker, "#") as heard:
+            await until(lambda: retained.keys() <= {topic for topic, *_ in heard})
+    found = {topic: told(payload) for topic, payload, _ in heard}
+    assert {topic: found[topic] for topic in retained} == retained
 
 
 @pytest.fixture
 def narrow(broker: Broker) -> Broker:
     """A broker that ends the connection on messages of more than 400 bytes."""
-    broker.kill()
-    broker.settings.append("max_packet_size 400")
-    broker.start()
+    broker.change("max_packet_size 400")
     return broker
-
-
-def text(device: str, value: object, at: float) -> Reading:
-    return Reading(100.0 + at, device, "text", value, "", "good")
 
 
 @pytest.mark.parametrize("qos", [0, 1])
 @in_real_time
-async def test_a_message_on_which_the_broker_disconnects_is_dropped(
-    narrow: Broker, qos: int
+async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_told_by_the_pump_only(
+    narrow: Broker, qos: int, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level(logging.DEBUG)
     async with (
         hearing(narrow, "modbus/+/text") as heard,
         pumping(Mqtt(narrow.url, qos=qos)) as pump,
     ):
-        pump.buffer.put([text(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
-        pump.buffer.put([text(*each) for each in (("c", 1, 2), ("b", "y", 3))])
+        pump.buffer.put([reading(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
+        pump.buffer.put([reading(*each) for each in (("c", 1, 2), ("b", "y", 3))])
         await until(lambda: pump.statistics.written == 3)
         assert (pump.statistics.dropped, len(pump.buffer)) == (1, 0)
         await until(lambda: len({topic for topic, *_ in heard}) == 3)
     assert heard_of(heard, "modbus/b/text")[-1]["value"] == "y"
-
-
-@in_real_time
-async def test_other_packages_log_no_errors_of_a_refused_message(
-    narrow: Broker, caplog: pytest.LogCaptureFixture
-) -> None:
-    """The pump tells of it."""
-    caplog.set_level(logging.DEBUG)
-    async with pumping(Mqtt(narrow.url)) as pump:
-        pump.buffer.put([text(*each) for each in (("a", 1, 0), ("b", "x" * 500, 0), ("c", 1, 0))])
-        await until(lambda: pump.statistics.dropped and pump.statistics.written == 2)
-    told = [each for each in caplog.records if each.levelno >= logging.INFO]
+    logged = [each for each in caplog.records if each.levelno >= logging.INFO]
     # asyncio tells of callbacks that a busy machine makes slow.
-    assert {each.name.partition(".")[0] for each in told} - {"asyncio"} == {"libmodbus_py"}
+    assert {each.name.partition(".")[0] for each in logged} - {"asyncio"} == {"libmodbus_py"}
     assert any(each.name.endswith(".mqtt_connection.client") for each in caplog.records)
 
 
@@ -246,9 +212,8 @@ async def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had
 ) -> None:
     output = Mqtt(broker.url)
     await output.open()
-    assert broker.process is not None
-    broker.process.send_signal(19)  # SIGSTOP: what is sent stays in its socket
-    writing = asyncio.create_task(output.write([text("a", 1, 0)]))
+    broker.send_signal(signal.SIGSTOP)  # what is sent stays in its socket
+    writing = asyncio.create_task(output.write([reading("a", 1)]))
     await asyncio.wait([writing], timeout=0.2)
     broker.kill()
     with pytest.raises(ConnectionError):
@@ -260,9 +225,8 @@ async def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had
 async def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> None:
     output = Mqtt(broker.url, qos=1)
     await output.open()
-    assert broker.process is not None
-    broker.process.send_signal(19)  # SIGSTOP: it confirms nothing
-    writing = asyncio.create_task(output.write([text("a", 1, 0)]))
+    broker.send_signal(signal.SIGSTOP)  # it confirms nothing
+    writing = asyncio.create_task(output.write([reading("a", 1)]))
     await asyncio.wait([writing], timeout=0.1)
     assert any("_publish_all" in repr(each) for each in asyncio.all_tasks())
     writing.cancel()
@@ -271,7 +235,7 @@ async def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> 
     for _ in range(10):  # turns of the loop
         await asyncio.sleep(0)
     left = [each for each in asyncio.all_tasks() if "_publish_all" in repr(each)]
-    broker.process.send_signal(18)  # SIGCONT
+    broker.send_signal(signal.SIGCONT)
     assert not left
     await output.close()
 
