@@ -1,6 +1,7 @@
 """
-Ends tasks, also those that lose a cancellation, makes last calls in cancelled tasks, tells how long
-to wait before what has failed is tried again, and makes calls that block in a thread.
+Keeps tasks until they end; ends them, also those that lose a cancellation; makes last calls in
+cancelled tasks; tells how long to wait before what has failed is tried again; and makes calls that
+block in a thread.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import threading
 from collections.abc import Callable, Collection, Coroutine
 from typing import Any
 
-__all__ = ["AGAIN", "Pauses", "WriterThread", "end_tasks", "finish", "finishing"]
+__all__ = ["AGAIN", "KeptTasks", "Pauses", "WriterThread", "end_tasks", "finish", "finishing"]
 
 # Seconds before the first try after a failure, and before the later ones: a server that is down
 # for an hour is asked 120 times.
@@ -24,6 +25,17 @@ FINISHING_S = 2.0
 
 AGAIN = 5.0
 """Seconds after which a task that was cancelled, and has not ended, is cancelled again."""
+
+
+class KeptTasks(set[asyncio.Task[None]]):
+    """Tasks that have not ended. The event loop alone would not keep them from being collected."""
+
+    def begin(self, call: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        """Run a call in a task, which is kept until it ends."""
+        task = asyncio.create_task(call)
+        self.add(task)
+        task.add_done_callback(self.discard)
+        return task
 
 
 async def end_tasks(tasks: Collection[asyncio.Task[Any]]) -> None:

@@ -17,6 +17,7 @@ from ...maps.typed import json_value
 from ...ports.waiting_async import Alarm
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import inside, named_arguments
+from ..tasks import KeptTasks
 from .commands import Commands
 from .config import DeviceConfig, checked
 from .files import load
@@ -109,7 +110,7 @@ class Fleet:
         self._receivers = Receivers(outputs, journal, self.statistics)
         self._lines: dict[str, FleetLine] = {}
         self._pollers: dict[str, Poller] = {}
-        self._closing: set[asyncio.Task[None]] = set()
+        self._closing = KeptTasks()
         self._loop: asyncio.AbstractEventLoop | None = None
         # True to poll each device once; the devices that are still to be polled then.
         self._once = False
@@ -302,14 +303,11 @@ class Fleet:
         self.statistics.devices -= 1
 
     def _end_line(self, key: str) -> FleetLine:
-        assert self._loop is not None
         line = self._lines[key]
         for poller in list(line.pollers.values()):
             self._end(poller)
         del self._lines[key]
-        closing = self._loop.create_task(line.close())
-        self._closing.add(closing)
-        closing.add_done_callback(self._closing.discard)
+        self._closing.begin(line.close())
         return line
 
     # --- polls ----------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from ...server.audit import Audit, OnAudited
 from ...server.limits import Limits
 from ...server.service import Service
 from ...server.serving import Serving
+from ..tasks import KeptTasks
 from .dispatcher import Dispatcher, ResolvedRoute
 from .line import GatewayLine
 from .routes import GatewayOptions, Route, check_line, check_routes
@@ -94,7 +95,7 @@ class Gateway(Serving):
         self.traffic: GatewayStatistics = GatewayStatistics()
         self._dispatcher: Dispatcher | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._closing: set[asyncio.Task[None]] = set()
+        self._closing = KeptTasks()
 
     @property
     def routes(self) -> list[Route]:
@@ -140,7 +141,7 @@ class Gateway(Serving):
         finally:
             self._loop = self._dispatcher = None
             for line in dispatcher.lines:
-                self._close(line)
+                self._closing.begin(line.close())
             if self._closing:
                 await asyncio.wait(self._closing)
 
@@ -165,12 +166,7 @@ class Gateway(Serving):
         for line in before.values():
             if line.endpoint.key in ports:
                 ports[line.endpoint.key].replaces(line.client)
-            self._close(line)
-
-    def _close(self, line: GatewayLine) -> None:
-        closing = asyncio.get_running_loop().create_task(line.close())
-        self._closing.add(closing)
-        closing.add_done_callback(self._closing.discard)
+            self._closing.begin(line.close())
 
     def _unit_statistics(self, unit: int) -> UnitStatistics | None:
         way = None if self._dispatcher is None else self._dispatcher.routes.get(unit)

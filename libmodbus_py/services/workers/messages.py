@@ -31,7 +31,7 @@ from ..fleet.commands import Commands, encoded, wanted_of
 from ..fleet.outputs.forms import poll_messages
 from ..fleet.outputs.topics import Levels
 from ..fleet.readings import Reading
-from ..tasks import end_tasks, finish
+from ..tasks import KeptTasks, end_tasks, finish
 from .worker import Worker
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class CommandService:
         self._client = client
         self._commands = commands
         self._say = say
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._tasks = KeptTasks()
         self._is_on = False
 
     def switch(self, is_on: bool) -> None:
@@ -156,9 +156,7 @@ class CommandService:
 
     async def _receive(self, message: Msg) -> None:
         if self._is_on and len(self._tasks) < MOST_WAITING:
-            task = asyncio.create_task(self._answer(message))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._tasks.begin(self._answer(message))
 
     async def _answer(self, message: Msg) -> None:
         levels = message.subject.removeprefix(f"{WRITE}.").partition(".")

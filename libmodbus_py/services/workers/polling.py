@@ -21,7 +21,7 @@ from ..fleet.config import DeviceConfig
 from ..fleet.fleet import Fleet
 from ..fleet.journal.journal import Journal
 from ..fleet.outputs.output import Output
-from ..tasks import end_tasks
+from ..tasks import KeptTasks, end_tasks
 from .decisions import step
 from .messages import CommandService, Stream, refusal
 from .pushing import devices_of
@@ -89,7 +89,7 @@ class Polling:
         self._devices: dict[str, list[DeviceConfig]] = {}
         # The keys of the connections that were reported "offline" because no worker polls them.
         self._unserved: set[str] = set()
-        self._writes: set[asyncio.Task[None]] = set()
+        self._writes = KeptTasks()
         self._said: dict[str, float] = {}
         self._was_valid = True
         # The number of polls at a time, and the rate up to then.
@@ -167,12 +167,7 @@ class Polling:
             self._service.switch(self.worker.view.settings.commands)
         self._woken.set()
 
-    def _write(self, put: Put) -> None:
-        task = asyncio.create_task(self._written(put))
-        self._writes.add(task)
-        task.add_done_callback(self._writes.discard)
-
-    async def _written(self, put: Put) -> None:
+    async def _write(self, put: Put) -> None:
         try:
             await self._bucket.put(*put)
         except EngineError as error:
@@ -186,7 +181,7 @@ class Polling:
             # First, because other workers may poll a connection as soon as its slot is written.
             self._poll(decision.active)
             for put in decision.puts:
-                self._write(put)
+                self._writes.begin(self._write(put))
             self._log_lease()
             self._report_unserved(decision.unserved)
             if decision.is_blind and self._is_whole:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from ....protocol.extras import what_is_missing
 from ....protocol.logs import HarmlessLogger
 from ...other_servers import SecretFile, ServerUrl, Trust, text_of
-from ...tasks import end_tasks, finish
+from ...tasks import KeptTasks, end_tasks, finish
 from .mqtt_messages import Message
 from .output import OutputError
 
@@ -70,7 +70,8 @@ class MqttConnection:
         self._trust = Trust(self.ca, _Handshaking) if is_secure else None
         self._client: aiomqtt.Client | None = None
         self._listening: asyncio.Task[None] | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
+        # In tasks, because a cancellation may get lost in a call of aiomqtt.
+        self._tasks = KeptTasks()
 
     async def open(self, hear: Hear) -> None:
         """Connect, and call `hear` in a task of its own for each message that is received."""
@@ -102,20 +103,13 @@ class MqttConnection:
                     client._client._sock_close()
                 raise
         self._client = client
-        self._listening = self._begin(self._listen(client, hear))
+        self._listening = self._tasks.begin(self._listen(client, hear))
 
     async def _listen(self, client: aiomqtt.Client, hear: Hear) -> None:
         """Pass messages on until the connection is lost."""
         with contextlib.suppress(OSError), _as_connection_error():
             async for message in client.messages:
-                self._begin(_heard(hear(message)))
-
-    def _begin(self, call: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        # In a task, because a cancellation may get lost in a call of aiomqtt.
-        task = asyncio.create_task(call)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
+                self._tasks.begin(_heard(hear(message)))
 
     @property
     def _used(self) -> aiomqtt.Client:
@@ -133,7 +127,7 @@ class MqttConnection:
     ) -> None:
         """Publish; return when the broker has all, also with QoS 0. `unused` is a free filter."""
         assert self._listening is not None
-        task = self._begin(self._publish_all(messages, qos, retain, unused))
+        task = self._tasks.begin(self._publish_all(messages, qos, retain, unused))
         try:
             await asyncio.wait([self._listening, task], return_when=asyncio.FIRST_COMPLETED)
         finally:

@@ -19,7 +19,7 @@ import asyncio
 import contextlib
 import errno
 import ssl
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
 from typing import Literal, TypeAlias, TypedDict, TypeVar, Unpack
 from urllib.parse import urlsplit
@@ -48,6 +48,7 @@ from ....protocol.errors import (
     ModbusTimeoutError,
 )
 from ....security.security import GivenContext
+from ...tasks import KeptTasks
 from .units import ConnectionUnit
 
 # fmt: off
@@ -144,7 +145,7 @@ class ModbusConnection(theirs.ModbusConnection):
             if value is not None:
                 seconds(name, value, low=0)
         super().__init__(params, **times)
-        self._later: set[asyncio.Task[None]] = set()
+        self._later = KeptTasks()
 
     def for_unit(self, unit_id: int) -> ConnectionUnit:
         """
@@ -230,14 +231,9 @@ class ModbusConnection(theirs.ModbusConnection):
         client, self._client = self._client, None
         self.last_error = f"connection lost: {error}"
         # The client is closed because it would connect again for requests that wait.
-        self._run_later(client.close())
+        self._later.begin(client.close())
         # Called by the event loop, so that it handles the exceptions of callbacks.
         asyncio.get_running_loop().call_soon(self._lost_callbacks.fire)
-
-    def _run_later(self, closing: Coroutine[object, object, None]) -> None:
-        task = asyncio.get_running_loop().create_task(closing)
-        self._later.add(task)
-        task.add_done_callback(self._later.discard)
 
 
 # --- parameters to URLs, errors to those of modbus-connection -------------------------------------
@@ -427,6 +423,6 @@ async def _connected(params: Params, times: Timings) -> ModbusConnection:
         await connection.connect()
     except BaseException:  # the caller gets no connection to close
         connection._closed = True
-        connection._run_later(connection.close())
+        connection._later.begin(connection.close())
         raise
     return connection
