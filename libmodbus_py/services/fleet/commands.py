@@ -1,5 +1,5 @@
 """
-Writes to named points that are received over an output, and their outcomes.
+Writes to named points that are received over an output, and their outcomes, both in JSON.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ...protocol.mistakes import WrongValue
 from ...protocol.plain import time_text
 from .statistics import FleetStatistics
 
-__all__ = ["Commands", "Wanted", "encoded", "wanted_of"]
+__all__ = ["Commands", "wanted_of"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -29,7 +29,7 @@ LONGEST_BYTES = 4096
 """The length of a command; a list of 125 registers is shorter."""
 
 
-class Wanted(NamedTuple):
+class _Wanted(NamedTuple):
     """A command: the value, its id, which the outcome repeats, and why it is invalid, if it is."""
 
     value: Any = None
@@ -37,31 +37,26 @@ class Wanted(NamedTuple):
     problem: str = ""
 
 
-def wanted_of(data: bytes) -> Wanted:
+def wanted_of(data: bytes) -> _Wanted:
     """Read a command: a value in JSON, or an object with `value` and optionally `id`."""
     if len(data) > LONGEST_BYTES:
-        return Wanted(problem=f"it must have at most {LONGEST_BYTES} bytes, not {len(data)}")
+        return _Wanted(problem=f"it must have at most {LONGEST_BYTES} bytes, not {len(data)}")
     try:
         content = json.loads(data.decode(), object_pairs_hook=each_once)
         # Refuses nan and infinity, and characters that no text can contain, but escapes can name.
         JSON.encode(content).encode()
     except WrongValue as error:
-        return Wanted(problem=f"{error} in its JSON")
+        return _Wanted(problem=f"{error} in its JSON")
     except (ValueError, RecursionError):
-        return Wanted(problem=f"it must be a value in JSON, not {data[:40]!r}")
+        return _Wanted(problem=f"it must be a value in JSON, not {data[:40]!r}")
     if not isinstance(content, dict):
-        return Wanted(content)
+        return _Wanted(content)
     number = content.get("id")
     if not content.keys() <= {"value", "id"} or "value" not in content:
-        return Wanted(problem="an object must have a value, and may have an id")
+        return _Wanted(problem="an object must have a value, and may have an id")
     if not isinstance(number, str | int | None) or len(str(number)[:101]) > 100:
-        return Wanted(problem="id must be text or a number, of at most 100 characters")
-    return Wanted(content["value"], number)
-
-
-def encoded(outcome: dict[str, Any]) -> bytes:
-    """Return the outcome of a command in JSON."""
-    return JSON.encode(outcome).encode(errors="backslashreplace")
+        return _Wanted(problem="id must be text or a number, of at most 100 characters")
+    return _Wanted(content["value"], number)
 
 
 class Writing(Protocol):
@@ -91,8 +86,9 @@ class Commands:
         # One for each device that is written to.
         self._turns: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
-    async def answer(self, device: str, name: str, wanted: Wanted) -> dict[str, Any] | None:
-        """Write a value; return the outcome for JSON, None if the command is answered elsewhere."""
+    async def answer(self, device: str, name: str, command: bytes) -> bytes | None:
+        """Write a value; return the outcome, None if the command is answered elsewhere."""
+        wanted = wanted_of(command)
         problem = self._problem(device, name, wanted)
         if problem == "":
             problem = await self._in_turn(device, name, wanted)
@@ -105,16 +101,18 @@ class Commands:
         outcome: dict[str, Any] = {"ok": not problem, "time": time_text(time.time())}
         if wanted.id is not None:
             outcome["id"] = wanted.id
-        return {**outcome, "error": problem} if problem else outcome
+        if problem:
+            outcome["error"] = problem
+        return JSON.encode(outcome).encode(errors="backslashreplace")
 
-    def _problem(self, device: str, name: str, wanted: Wanted) -> str | None:
+    def _problem(self, device: str, name: str, wanted: _Wanted) -> str | None:
         """Return why a command is refused; "" if it is not, None if it is answered elsewhere."""
         refusal = self.refusal(device)
         if refusal is not None:
             return refusal or None
         return wanted.problem or self._fleet.unknown(device, name)
 
-    async def _in_turn(self, device: str, name: str, wanted: Wanted) -> str | None:
+    async def _in_turn(self, device: str, name: str, wanted: _Wanted) -> str | None:
         """Write a value after those that came before; return as `_problem`."""
         if self._count >= MOST_AT_ONCE:
             return f"{MOST_AT_ONCE} writes are already under way"

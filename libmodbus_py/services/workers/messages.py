@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..engine.buckets import TIMEOUT, keep_stream
 from ..engine.connection import EngineError, explained, what
-from ..fleet.commands import Commands, encoded, wanted_of
+from ..fleet.commands import Commands
 from ..fleet.outputs.forms import poll_messages
 from ..fleet.outputs.topics import Levels
 from ..fleet.readings import Reading
@@ -165,15 +165,14 @@ class CommandService:
         # the outcome is published.
         if device is None or point is None:
             return
-        outcome = await self._commands.answer(device, point, wanted_of(message.data))
+        outcome = await self._commands.answer(device, point, message.data)
         if outcome is None:
             return
-        data = encoded(outcome)
         with contextlib.suppress(Exception):
             if _INBOX.fullmatch(message.reply):
-                await self._client.publish(message.reply, data)
+                await self._client.publish(message.reply, outcome)
             subject = f"{WRITTEN}.{_LEVELS.spell(device)}.{_LEVELS.spell(point)}"
-            await self._client.publish(subject, data)
+            await self._client.publish(subject, outcome)
 
 
 def refusal(worker: Worker, device: str, now: float) -> str:

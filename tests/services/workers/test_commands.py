@@ -14,7 +14,7 @@ import nats.errors
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.commands import Commands, Wanted
+from libmodbus_py.services.fleet.commands import Commands
 from libmodbus_py.services.workers import messages
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.trial import INTERVAL, LEASE, Trial, tried
@@ -251,10 +251,10 @@ async def test_one_of_two_workers_answers_what_comes_over_a_broker(trial: Trial)
     brokers = [Broker(), Broker()]
 
     async def ask(device: str, point: str, value: object) -> dict[str, Any]:
-        outcomes = [await each.commands.answer(device, point, Wanted(value)) for each in brokers]
-        (outcome,) = [each for each in outcomes if each is not None]
-        del outcome["time"]
-        return outcome
+        data = json.dumps(value).encode()
+        outcomes = [await each.commands.answer(device, point, data) for each in brokers]
+        (outcome,) = filter(None, outcomes)
+        return timeless(outcome)
 
     for name, broker in zip("ab", brokers, strict=True):
         await trial.start(name, outputs=[broker])

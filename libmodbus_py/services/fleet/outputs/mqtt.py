@@ -12,7 +12,7 @@ from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType, WrongValue
 from ...other_servers import SecretFile, server_url
-from ..commands import Commands, encoded, wanted_of
+from ..commands import Commands
 from ..config import DeviceConfig
 from ..readings import MOST_KEPT, Reading
 from .mqtt_connection import MqttConnection
@@ -200,8 +200,7 @@ class Mqtt:
         # A rule of the broker that goes by a label must hold: only the own topic of a point counts.
         if names is None or self._point.of(self._labels.get(names["device"], {}), **names) != asked:
             return
-        wanted = wanted_of(payload if isinstance(payload, bytes) else b"")
-        outcome = await commands.answer(names["device"], names["name"], wanted)
+        command = payload if isinstance(payload, bytes) else b""
+        outcome = await commands.answer(names["device"], names["name"], command)
         if outcome is not None:
-            result = f"{topic}/result", encoded(outcome)
-            await self._connection.publish(result, self._qos, retain=False)
+            await self._connection.publish((f"{topic}/result", outcome), self._qos, retain=False)
