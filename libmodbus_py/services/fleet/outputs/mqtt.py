@@ -5,18 +5,20 @@ their outcomes. It needs aiomqtt (the extra ``mqtt``).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
-from ....protocol.mistakes import WrongType, WrongValue
+from ....protocol.mistakes import WrongValue
+from ....tools.files.schema import flag
 from ...other_servers import SecretFile, server_url
 from ..commands import Commands
 from ..config import DeviceConfig
 from ..readings import MOST_KEPT, Reading
 from .mqtt_connection import MqttConnection
-from .mqtt_messages import OFFLINE, ONLINE, DeviceStates, Message, Messages, State
+from .mqtt_messages import OFFLINE, ONLINE, DeviceStates, Message, Messages
 from .topics import Topic, plain_topic
 
 if TYPE_CHECKING:
@@ -74,9 +76,8 @@ class Mqtt:
             raise WrongValue("user", "must be given with a password")
         if ca is not None and server.scheme != "mqtts":
             raise WrongValue("ca", "can only be used with mqtts://")
-        for key, flag in (("retain", retain), ("commands", commands)):
-            if not isinstance(flag, bool):
-                raise WrongType(key, f"must be true or false, not {flag!r}")
+        flag(("retain",), retain)
+        flag(("commands",), commands)
         self.exclusive: tuple[str, ...] = (f"the topic {topic!r} of {self.name}",)
         if client_id is not None:  # with which a broker has one connection
             self.exclusive += (f"the client_id {client_id!r} at {self.name}",)
@@ -97,8 +98,7 @@ class Mqtt:
             if any(self._state_topic.can_be(each) for each in others):
                 reason = f"must not be another topic of this output: {device_status!r}"
                 raise WrongValue("device_status", reason)
-        self._states = DeviceStates(self._state_topic) if self._state_topic else None
-        self._retain = retain
+        self._states = DeviceStates(self._state_topic)
         self._qos = integer("qos", qos, 0, 1)
         if max_message is not None:
             integer("max_message", max_message, 1024, LARGEST_BYTES)
@@ -108,14 +108,17 @@ class Mqtt:
         self._messages = Messages(
             self._topic,
             is_of_points=is_of_points,
-            is_retained=retain,
+            qos=self._qos,
+            retain=retain,
             largest=max_message or LARGEST_BYTES,
         )
         self.takes_commands: bool = commands
         self._labels: dict[str, Mapping[str, str]] = {}
         self._commands: Commands | None = None
-        self._offline: Message | None = (self._status, OFFLINE) if self._status else None
-        self._connection = MqttConnection(server, user, password, ca, client_id, self._offline)
+        self._offline = Message(self._status, OFFLINE) if self._status else None
+        self._connection = MqttConnection(
+            server, user, password, ca, client_id, self._offline, self._topic.filter
+        )
         # Connections in a row that were lost while last values were published again.
         self._losses = 0
 
@@ -150,46 +153,34 @@ class Mqtt:
         if self.takes_commands:  # before "online", at which programs may send commands
             await connection.subscribe(f"{self._point.filter}/set")
         if self._status:
-            await connection.publish((self._status, ONLINE), 1, retain=True)
+            await connection.publish(Message(self._status, ONLINE))
             await connection.subscribe(self._status)
         # The broker may have been restarted, and may have lost what it retained; or it ended the
         # connection at these values each time before.
         self._losses += 1
         if self._losses <= MOST_LOSSES:
-            await self._publish(self._messages.again())
-            if self._states is not None:
-                await self._publish_states(self._states, self._states.published)
+            last = chain(self._messages.again(), self._states.messages(self._states.published))
+            await connection.publish_all(last)
         else:
             logger.error("%s ends connections at last values, which are left out", self.name)
         self._losses = 0
 
     async def write(self, readings: Sequence[Reading]) -> None:
-        await self._publish(self._messages.of(readings))
+        changed = self._states.changed(readings)
+        messages = chain(self._messages.of(readings), self._states.messages(changed))
+        await self._connection.publish_all(messages)
         self._messages.keep()
-        if self._states is not None:
-            changed = self._states.changed(readings)
-            await self._publish_states(self._states, changed)
-            self._states.keep(changed, readings)
+        self._states.keep(changed, readings)
 
     async def close(self) -> None:
         await self._connection.close(self._offline)
-
-    async def _publish(self, messages: Iterator[Message]) -> None:
-        await self._connection.publish_all(
-            messages, self._qos, retain=self._retain, unused=self._topic.filter
-        )
-
-    async def _publish_states(self, states: DeviceStates, changed: Mapping[str, State]) -> None:
-        await self._connection.publish_all(
-            states.messages(changed), 1, retain=True, unused=self._topic.filter
-        )
 
     async def _hear(self, message: aiomqtt.Message) -> None:
         """Answer a command, or the last will of another worker or of an earlier connection."""
         topic = str(message.topic)
         if topic == self._status:
             if message.payload == OFFLINE:
-                await self._connection.publish((self._status, ONLINE), 1, retain=True)
+                await self._connection.publish(Message(self._status, ONLINE))
         elif self._commands is not None and not message.retain:  # a retained one is old
             await self._answer(self._commands, topic, message.payload)
 
@@ -203,4 +194,5 @@ class Mqtt:
         command = payload if isinstance(payload, bytes) else b""
         outcome = await commands.answer(names["device"], names["name"], command)
         if outcome is not None:
-            await self._connection.publish((f"{topic}/result", outcome), self._qos, retain=False)
+            result = Message(f"{topic}/result", outcome, self._qos, retain=False)
+            await self._connection.publish(result)

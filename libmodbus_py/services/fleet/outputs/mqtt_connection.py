@@ -52,8 +52,8 @@ MOST_MESSAGES = 100
 @dataclass
 class MqttConnection:
     """
-    A connection to a broker, which is opened again after each failure. The broker publishes `will`,
-    retained, when it is lost.
+    A connection to a broker, which is opened again after each failure. The broker publishes `will`
+    when it is lost. `unused` is a topic filter to which it never subscribes.
 
     All methods raise ConnectionError if the connection is lost, or the broker refuses something.
     """
@@ -64,6 +64,7 @@ class MqttConnection:
     ca: str | None
     client_id: str | None
     will: Message | None
+    unused: str
 
     def __post_init__(self) -> None:
         is_secure = self.server.scheme == "mqtts"
@@ -85,7 +86,7 @@ class MqttConnection:
             username=self.user,
             password=await text_of(self.password),
             identifier=self.client_id,
-            will=aiomqtt.Will(*self.will, 1, True) if self.will else None,
+            will=aiomqtt.Will(*self.will) if self.will else None,
             timeout=TIMEOUT_S,
             keepalive=KEEPALIVE_S,
             max_inflight_messages=TOGETHER,
@@ -117,17 +118,15 @@ class MqttConnection:
             raise ConnectionResetError("the connection was lost")
         return self._client
 
-    async def publish(self, message: Message, qos: int, *, retain: bool) -> None:
+    async def publish(self, message: Message) -> None:
         """Publish a message; return when the broker has acknowledged it, with QoS 1."""
         with _as_connection_error():
-            await self._used.publish(*message, qos, retain)
+            await self._used.publish(*message)
 
-    async def publish_all(
-        self, messages: Iterator[Message], qos: int, *, retain: bool, unused: str
-    ) -> None:
-        """Publish; return when the broker has all, also with QoS 0. `unused` is a free filter."""
+    async def publish_all(self, messages: Iterator[Message]) -> None:
+        """Publish; return when the broker has all, also with QoS 0."""
         assert self._listening is not None
-        task = self._tasks.begin(self._publish_all(messages, qos, retain, unused))
+        task = self._tasks.begin(self._publish_all(messages))
         try:
             await asyncio.wait([self._listening, task], return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -136,21 +135,19 @@ class MqttConnection:
             raise ConnectionResetError("the connection was lost")
         task.result()
 
-    async def _publish_all(
-        self, messages: Iterator[Message], qos: int, retain: bool, unused: str
-    ) -> None:
-        client, count = self._used, 0
+    async def _publish_all(self, messages: Iterator[Message]) -> None:
+        client, is_acknowledged = self._used, True
         with _as_connection_error():
             while together := list(islice(messages, TOGETHER)):
-                count += len(together)
-                publishing = [client.publish(*message, qos, retain) for message in together]
+                is_acknowledged = is_acknowledged and all(message.qos for message in together)
+                publishing = [client.publish(*message) for message in together]
                 for outcome in await asyncio.gather(*publishing, return_exceptions=True):
                     if isinstance(outcome, BaseException):
                         raise outcome
-            if count and not qos:
+            if not is_acknowledged:
                 # The broker acknowledges no publish, but this, which comes behind them, and
                 # changes nothing: a connection that it ended because of one of them is noticed.
-                await client.unsubscribe(unused, timeout=LONGEST_CONFIRMING_S)
+                await client.unsubscribe(self.unused, timeout=LONGEST_CONFIRMING_S)
 
     async def subscribe(self, topics: str) -> None:
         """Receive the messages of a topic filter, with QoS 1."""
@@ -158,14 +155,14 @@ class MqttConnection:
             await self._used.subscribe(topics, 1)
 
     async def close(self, last: Message | None) -> None:
-        """Publish a last message, retained, if there is one, and disconnect."""
+        """Publish a last message, if there is one, and disconnect."""
         client, self._client = self._client, None
         await end_tasks([*self._tasks])
         self._listening = None
         if client is None:
             return
         if last is not None:
-            await finish(client.publish(*last, 1, True))
+            await finish(client.publish(*last))
         with contextlib.suppress(OSError), _as_connection_error():
             await client.__aexit__(None, None, None)
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
+from typing import NamedTuple
 
 from ..readings import Reading
 from .forms import object_text, poll_messages
@@ -13,8 +14,15 @@ from .topics import Topic
 
 __all__ = ["OFFLINE", "ONLINE", "DeviceStates", "Message", "Messages", "State"]
 
-Message = tuple[str, bytes]
-"""A topic and a payload."""
+
+class Message(NamedTuple):
+    """A payload for a topic; with QoS 1 the broker acknowledges it."""
+
+    topic: str
+    payload: bytes
+    qos: int = 1
+    retain: bool = True
+
 
 Last = dict[str, Reading]
 """Point -> its last reading; the one that came last has the labels of the topic."""
@@ -31,11 +39,12 @@ class Messages:
     """
 
     def __init__(
-        self, topic: Topic, *, is_of_points: bool, is_retained: bool, largest: int
+        self, topic: Topic, *, is_of_points: bool, qos: int, retain: bool, largest: int
     ) -> None:
         self._topic = topic
         self._is_of_points = is_of_points
-        self._is_retained = is_retained
+        self._qos = qos
+        self._retain = retain
         self._largest = largest
         # Device, or device and point -> what its topic retains, and will after these messages.
         self._kept: dict[tuple[str, ...], Last] = {}
@@ -45,7 +54,7 @@ class Messages:
         """Yield the messages with readings, after those that take back values at former topics."""
         self._ahead = {}
         for key, last in self._groups(readings):
-            if self._is_retained:
+            if self._retain:
                 before = self._ahead.get(key, self._kept.get(key, {}))
                 last = {name: each for name, each in before.items() if name not in last} | last
                 if before and self._topic.labels:
@@ -88,11 +97,11 @@ class Messages:
 
     def _messages(self, topic: str, readings: Sequence[Reading]) -> Iterator[Message]:
         if self._is_of_points:
-            for each in readings:
-                yield topic, object_text(each).encode()
+            payloads = (object_text(each).encode() for each in readings)
         else:
-            for _, data in poll_messages(readings, self._largest):
-                yield topic, data
+            payloads = (data for _, data in poll_messages(readings, self._largest))
+        for payload in payloads:
+            yield Message(topic, payload, self._qos, self._retain)
 
 
 State = tuple[str, bool]
@@ -100,9 +109,12 @@ State = tuple[str, bool]
 
 
 class DeviceStates:
-    """The devices that answer: one of their points was read, or refused, the last time."""
+    """
+    The devices that answer: one of their points was read, or refused, the last time. Without a
+    topic there is nothing to publish about them.
+    """
 
-    def __init__(self, topic: Topic) -> None:
+    def __init__(self, topic: Topic | None) -> None:
         self._topic = topic
         # Device -> its points that were answered the last time.
         self._answered: dict[str, set[str]] = {}
@@ -112,6 +124,8 @@ class DeviceStates:
     def changed(self, readings: Sequence[Reading]) -> dict[str, State]:
         """Return the states of the devices of readings that are to be published."""
         states: dict[str, State] = {}
+        if self._topic is None:
+            return states
         for each in readings:
             points = self._answered.setdefault(each.device, set())
             if each.quality in ("good", "bad"):
@@ -126,8 +140,8 @@ class DeviceStates:
         for name, (topic, answers) in states.items():
             former, _ = self.published.get(name, (topic, False))
             if former != topic:
-                yield former, OFFLINE
-            yield topic, ONLINE if answers else OFFLINE
+                yield Message(former, OFFLINE)
+            yield Message(topic, ONLINE if answers else OFFLINE)
 
     def keep(self, published: dict[str, State], readings: Sequence[Reading]) -> None:
         """Keep states that were published, and forget devices that are not polled any more."""

@@ -59,7 +59,7 @@ def in_mqtt(topic: str, readings: Sequence[Reading]) -> list[str]:
     output = Mqtt("mqtt://127.0.0.1", topic=topic, status="")
     output.describe(described(north={"site": "Hof"}))
     output.describe({})
-    return [f"{at} {data.decode()}" for at, data in output._messages.of(readings)]
+    return [f"{at} {data.decode()}" for at, data, *_ in output._messages.of(readings)]
 
 
 def in_nats(path: Path, readings: Sequence[Reading]) -> list[str]:
@@ -135,10 +135,10 @@ def test_a_former_topic_is_taken_back_until_that_was_accepted(topic: str) -> Non
     list(messages.of(sites[:1]))
     messages.keep()
     for _ in range(2):  # the connection is lost during the first write
-        sent = [(at.partition("/")[0], b'"offline"' in data) for at, data in messages.of(moved)]
+        sent = [(at.partition("/")[0], b'"offline"' in data) for at, data, *_ in messages.of(moved)]
         assert sent == [("x", True), ("y", False), ("y", True), ("z", False)]
     messages.keep()
-    assert [at.partition("/")[0] for at, _ in messages.of(moved[1:])] == ["z"]
+    assert [at.partition("/")[0] for at, *_ in messages.of(moved[1:])] == ["z"]
 
 
 def test_points_with_states_stay_text_when_their_device_is_removed(tmp_path: Path) -> None:
