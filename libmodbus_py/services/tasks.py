@@ -14,14 +14,14 @@ import threading
 from collections.abc import Callable, Collection, Coroutine
 from typing import Any
 
-__all__ = ["AGAIN", "KeptTasks", "Pauses", "WriterThread", "end_tasks", "finish", "finishing"]
+__all__ = ["AGAIN", "FINISHING_S", "KeptTasks", "Pauses", "WriterThread", "end_tasks", "finish"]
 
 # Seconds before the first try after a failure, and before the later ones: a server that is down
 # for an hour is asked 120 times.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 
-# Seconds that an output has for its last readings, and to close, when the program ends.
 FINISHING_S = 2.0
+"""Seconds that an output has for its last readings, and to close, when the program ends."""
 
 AGAIN = 5.0
 """Seconds after which a task that was cancelled, and has not ended, is cancelled again."""
@@ -54,22 +54,17 @@ async def end_tasks(tasks: Collection[asyncio.Task[Any]]) -> None:
 
 async def finish(call: Coroutine[Any, Any, Any], seconds: float | None = None) -> None:
     """
-    Run the last call of an object that is being closed, for some seconds; those of `finishing`
+    Run the last call of an object that is being closed, for some seconds; `FINISHING_S`
     unless given. An exception that it raises is ignored.
     """
     # In a task that was cancelled, `asyncio.timeout` of Python 3.11.2 raises CancelledError at its
     # end, so that objects after it would not be closed.
     task = asyncio.ensure_future(call)
     try:
-        await asyncio.wait([task], timeout=finishing() if seconds is None else seconds)
+        await asyncio.wait([task], timeout=FINISHING_S if seconds is None else seconds)
     finally:
         if not task.cancel() and not task.cancelled():
             task.exception()  # else asyncio logs it
-
-
-def finishing() -> float:
-    """Return the seconds for what is to be finished when the program ends."""
-    return FINISHING_S
 
 
 class Pauses:

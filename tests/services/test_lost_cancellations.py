@@ -18,7 +18,7 @@ from libmodbus_py.fleet import Reading
 from libmodbus_py.services.engine.buckets import Watch
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.pump import Pump
-from libmodbus_py.services.tasks import AGAIN, end_tasks, finish, finishing
+from libmodbus_py.services.tasks import AGAIN, FINISHING_S, end_tasks, finish
 from tests.simulation.network import Network
 from tests.support.outputs import Picky, reading
 
@@ -48,10 +48,10 @@ def test_an_output_that_loses_cancellations_ends_with_the_fleet() -> None:
         pump.close()
         before = asyncio.get_running_loop().time()
         with pytest.raises(asyncio.CancelledError):
-            await pump.ended()
+            await pump.task
         return asyncio.get_running_loop().time() - before
 
-    assert Network().run(go) == finishing() + 2 * AGAIN
+    assert Network().run(go) == FINISHING_S + 2 * AGAIN
 
 
 def test_tasks_that_lose_cancellations_are_ended() -> None:

@@ -88,18 +88,18 @@ class Picky:
 
 
 @asynccontextmanager
-async def pumping(output: Output, most: int = MOST_KEPT) -> AsyncIterator[Pump]:
+async def pumping(output: Output) -> AsyncIterator[Pump]:
     """Write what is put into the buffer of a pump, also at the end of the block."""
-    pump = Pump(output, most)
+    pump = Pump(output)
     pump.start()
     yield pump
     pump.close()
-    await pump.ended()
+    await pump.task
 
 
-async def pumped(output: Output, readings: Sequence[Reading], most: int = MOST_KEPT) -> Pump:
+async def pumped(output: Output, readings: Sequence[Reading]) -> Pump:
     """Write readings until each was written or dropped, in simulated time."""
-    async with pumping(output, most) as pump:
+    async with pumping(output) as pump:
         pump.buffer.put(readings)
         while pump.statistics.written + pump.statistics.dropped < len(readings):
             await asyncio.sleep(0.01)

@@ -15,7 +15,7 @@ import contextlib
 import time
 
 from ....protocol.logs import HarmlessLogger
-from ...tasks import AGAIN, Pauses, finishing
+from ... import tasks
 from ..readings import MOST_KEPT, Buffer, Reading
 from ..statistics import OutputStatistics
 from .output import Output, OutputError, ReadingsRefused
@@ -47,18 +47,16 @@ MOST_OTHERS = 100
 class Pump:
     """Writes the readings that wait for an output, in a journal or in a buffer of its own."""
 
-    def __init__(
-        self, output: Output, most: int = MOST_KEPT, *, waiting: Buffer | None = None
-    ) -> None:
+    def __init__(self, output: Output, *, waiting: Buffer | None = None) -> None:
         self.name: str = output.name
         self._most = MOST_AT_ONCE
         self._most_ever = MOST_AT_ONCE if waiting is None else MOST_OF_JOURNAL
         if waiting is None:
-            waiting = Buffer(getattr(output, "buffer", most))
+            waiting = Buffer(getattr(output, "buffer", MOST_KEPT))
         self.buffer: Buffer = waiting
         self.statistics: OutputStatistics = OutputStatistics(self.buffer)
         self._output = output
-        self._pauses = Pauses()
+        self._pauses = tasks.Pauses()
         self._closing = asyncio.Event()
         # Polls to write one by one, and writes of several in a row that ended the connection.
         self._single = 0
@@ -77,10 +75,6 @@ class Pump:
         """Start the task."""
         self.task: asyncio.Task[None] = asyncio.create_task(self._run(), name=self.name)
 
-    async def ended(self) -> None:
-        """Wait for the end of the task; raise OutputError if the output failed permanently."""
-        await asyncio.shield(self.task)
-
     def close(self, *, is_patient: bool = False) -> None:
         """
         Write the readings that wait, and end after a failure, or two seconds unless it is patient.
@@ -88,7 +82,7 @@ class Pump:
         self.buffer.close()
         self._closing.set()
         if not is_patient:
-            self._end_after(finishing())
+            self._end_after(tasks.FINISHING_S)
 
     def _end_after(self, seconds: float) -> None:
         ending = asyncio.get_running_loop().call_later(seconds, self._end)
@@ -96,7 +90,7 @@ class Pump:
 
     def _end(self) -> None:
         self.task.cancel()
-        self._end_after(AGAIN)  # the client of an output may lose this cancellation
+        self._end_after(tasks.AGAIN)  # the client of an output may lose this cancellation
 
     async def _run(self) -> None:
         try:

@@ -193,8 +193,8 @@ def test_a_poll_that_waits_alone_is_kept() -> None:
 
 @in_simulated_time
 async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
-    output = Picky(refused="x", error=LOST)
-    async with pumping(output, most=4) as pump:
+    output = Picky(refused="x", error=LOST, buffer=4)
+    async with pumping(output) as pump:
         pump.buffer.put(polls("x"))
         await until(lambda: output.failed > 3)
         pump.buffer.put(polls("bcd"))
