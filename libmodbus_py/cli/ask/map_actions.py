@@ -109,17 +109,19 @@ def class_of(options: argparse.Namespace) -> int:
     """Write a class for a register map to a file, or print it."""
     map = load_map(map_file(options.file), columns=dict(options.columns))
     text = class_text(map, PurePath(options.file).stem)
+    _check_output(options.output, [".py"], MARK)
     if options.output is None:
         print(text, end="", flush=True)
         return 0
-    _check_output(options.output, [".py"], MARK)
     Path(options.output).write_text(text, encoding="utf-8")
     print(f"{options.output}: {counted(len(map), 'point')}", file=sys.stderr)
     return 0
 
 
-def _check_output(output: str, suffixes: Collection[str], mark: str | None = None) -> None:
+def _check_output(output: str | None, suffixes: Collection[str], mark: str | None = None) -> None:
     """Refuse a file that cannot be written, or that exists without the mark of its writer."""
+    if output is None:
+        return
     path = Path(output)
     if path.suffix.lower() not in suffixes:
         raise ValueError(f"{output}: it must end with {' or '.join(suffixes)}")
@@ -136,8 +138,7 @@ def _check_output(output: str, suffixes: Collection[str], mark: str | None = Non
 
 def from_device(options: argparse.Namespace) -> int:
     """Find what a device has, and write a map of it."""
-    if options.output is not None:
-        _check_output(options.output, TEXTS)
+    _check_output(options.output, TEXTS)
     url = endpoint_of(options).url
     status = Status()
     searched = search(url, on_progress=lambda state: status.show(progress(state)))
@@ -167,13 +168,9 @@ def from_sunspec(options: argparse.Namespace) -> int:
     """Find the SunSpec models of a device, and write a map of their points."""
     from ...tools.sunspec import discover
 
-    if options.output is not None:
-        _check_output(options.output, TEXTS)
+    _check_output(options.output, TEXTS)
     with closing(connected(options)) as context:
-        try:
-            device = discover(context)
-        except ImportError as error:
-            raise CommandError(str(error)) from None
+        device = discover(context)
     for remark in device.notes:
         complain(remark)
     heading = [
