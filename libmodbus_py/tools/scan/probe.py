@@ -22,7 +22,7 @@ from ...ports.schemes import SERIAL_DEFAULTS, parity_of
 from ...ports.trace import Traced
 from ...ports.waiting import Waker
 from ...protocol import pdu
-from ...protocol.checks import integer, seconds
+from ...protocol.checks import checked_callback, integer, seconds
 from ...protocol.errors import (
     NO_UNIT,
     ExceptionResponse,
@@ -38,11 +38,14 @@ from ..listener.pairing import TracePairing
 # fmt: off
 __all__ = [
     "BAUDRATES", "FIRST_UNITS", "LONGEST_SIZE", "MOST_PAGES", "ON_LINES", "ON_NETWORKS", "PARITIES",
-    "PROBE_SIZE", "USUAL", "USUAL_UNITS", "Answer", "Place", "Prober", "Walker", "listed", "places",
+    "PROBE_SIZE", "USUAL", "USUAL_UNITS", "Answer", "Place", "Prober", "Walker",
+    "checked_progress", "listed", "places",
 ]
 # fmt: on
 
 Item = TypeVar("Item")
+
+State = TypeVar("State")
 
 # In the order in which they are tried: those that most devices leave the factory with come first.
 BAUDRATES = (9600, 19200, 38400, 57600, 115200, 4800, 2400, 1200)
@@ -177,6 +180,11 @@ def listed(name: str, given: Iterable[Item] | None, usual: Iterable[Item]) -> li
     if not found:
         raise ValueError(f"{name} must hold at least one")
     return found
+
+
+def checked_progress(given: Callable[[State], object] | None) -> Callable[[State], object]:
+    """Return a function of a user that takes the progress, or one that does nothing."""
+    return (lambda state: None) if given is None else checked_callback("on_progress", given)
 
 
 # --- requests -----------------------------------------------------------------------------------

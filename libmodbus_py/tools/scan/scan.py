@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 from ...ports.endpoint import parse
 from ...protocol import pdu
-from ...protocol.checks import checked_callback, integer
+from ...protocol.checks import integer
 from ...protocol.errors import NO_UNIT, FrameError, ModbusConnectionError, ModbusError
 from ...protocol.mistakes import named_parameters
 from ...protocol.pdu import DeviceIdentification, ServerId
@@ -26,6 +27,7 @@ from .probe import (
     Place,
     Prober,
     Walker,
+    checked_progress,
     listed,
     places,
 )
@@ -116,7 +118,7 @@ class Scan(Walker[Found]):
         self,
         asked_at: list[Place],
         rounds: list[list[int]],
-        on_progress: Callable[[Progress], object] | None,
+        on_progress: Callable[[Progress], object],
     ) -> None:
         self.settings: int = len(asked_at)
         self.units: list[int] = [unit for units in rounds for unit in units]
@@ -126,53 +128,47 @@ class Scan(Walker[Found]):
         self.longest_first: float = longest[0]
         self.longest_found: float = max(map(_longest_found, asked_at))
         scans = [_PlaceScan(place, self.units) for place in asked_at]
-        asked = _Rounds(scans, rounds, self.total, self.longest, on_progress)
+        asked = _Rounds(scans, rounds, on_progress, self.total, self.longest)
         self.tried: dict[str, list[int]] = asked.tried
         self.notes: list[str] = asked.notes
         prober = Prober()
         super().__init__(prober, asked.steps(prober))
 
 
+@dataclass
 class _Rounds:
     """The scan of all places, in one round of units or several."""
 
-    def __init__(
-        self,
-        scans: list[_PlaceScan],
-        rounds: list[list[int]],
-        total: int,
-        longest: float,
-        on_progress: Callable[[Progress], object] | None,
-    ) -> None:
-        self.tried: dict[str, list[int]] = {}
-        self.notes: list[str] = []
-        self._scans, self._rounds = scans, rounds
-        self._on_progress = on_progress
-        self._done, self._total, self._left = 0, total, longest
+    scans: list[_PlaceScan]
+    rounds: list[list[int]]
+    on_progress: Callable[[Progress], object]
+    total: int
+    left: float  # seconds
+    tried: dict[str, list[int]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     def steps(self, prober: Prober) -> Generator[Found, None, None]:
-        done, left = 0, self._left
+        done = 0
         try:
-            for units in self._rounds:
+            for units in self.rounds:
                 # The devices on a line have the same settings, mostly.
-                for scan in sorted(self._scans, key=lambda each: not each.has_found):
-                    self._done, self._left = done, left
+                for scan in sorted(self.scans, key=lambda each: not each.has_found):
                     if not scan.is_left:
-                        yield from scan.steps(prober, units, self._tell)
-                    done, left = done + len(units), left - len(units) * _each(scan.place)
-                    if scan.refused is not None and all(each.refused for each in self._scans):
+                        tell = partial(self._tell, scan.place, done)
+                        yield from scan.steps(prober, units, tell)
+                    done += len(units)
+                    self.left -= len(units) * _each(scan.place)
+                    if scan.refused is not None and all(each.refused for each in self.scans):
                         raise scan.refused
         finally:
-            for scan in self._scans:
-                self.notes += scan.notes()
+            for scan in self.scans:
+                self.notes += (f"{scan.place}: {note}" for note in scan.notes())
 
-    def _tell(self, place: Place, unit: int) -> None:
-        """Report the probe of a unit."""
-        if self._on_progress is not None:
-            left = max(0.0, self._left)
-            self._on_progress(Progress(str(place), unit, self._done, self._total, left))
+    def _tell(self, place: Place, before: int, at: int, unit: int) -> None:
+        """Report the probe of a unit, with its index in the round, after probes elsewhere."""
+        left = max(0.0, self.left - at * _each(place))
+        self.on_progress(Progress(str(place), unit, before + at, self.total, left))
         self.tried.setdefault(str(place), []).append(unit)
-        self._done, self._left = self._done + 1, self._left - _each(place)
 
 
 class _PlaceScan:
@@ -196,13 +192,13 @@ class _PlaceScan:
         return bool(self._others or self._alike)
 
     def steps(
-        self, prober: Prober, units: list[int], tell: Callable[[Place, int], None]
+        self, prober: Prober, units: list[int], tell: Callable[[int, int], None]
     ) -> Generator[Found, None, None]:
-        """Probe the units of a round."""
+        """Probe the units of a round; `tell` is called with the index of each, and the unit."""
         try:
             with prober.at(self.place):
-                for unit in units:
-                    tell(self.place, unit)
+                for at, unit in enumerate(units):
+                    tell(at, unit)
                     yield from self._probe(prober, unit)
                     if self.is_left:
                         break
@@ -257,34 +253,32 @@ class _PlaceScan:
     def notes(self) -> Iterator[str]:
         """Yield other observations, one line each."""
         if self.refused is not None:
-            yield f"{self.place}: {self.refused}"
+            yield str(self.refused)
         errors = list(self._nothing.values())
         if gateway := sum(isinstance(each, NO_UNIT) for each in errors):
             yield (
-                f"{self.place}: a gateway reports {gateway} units as absent "
-                "(exception 10 or 11); they are not counted as found"
+                f"a gateway reports {gateway} units as absent (exception 10 or 11);"
+                " they are not counted as found"
             )
         noise = [each for each in errors if each.received and not isinstance(each, NO_UNIT)]
         if noise:
             hint = "; a device may use another rate or parity, or others send"
             yield (
-                f"{self.place}: {len(noise)} of the probes brought bytes that are not a response"
+                f"{len(noise)} of the probes brought bytes that are not a response"
                 f"{hint * self.place.is_serial} (unit {noise[0].unit}: {noise[0].args[0]})"
             )
         if self._latest:
-            yield (
-                f"{self.place}: responses came late, after up to {self._latest:.2g} s; "
-                "a longer timeout may find more"
-            )
+            after = f"after up to {self._latest:.2g} s"
+            yield f"responses came late, {after}; a longer timeout may find more"
         if self._alike and not self._others:
             yield (
-                f"{self.place}: all units are answered alike, including reserved ones: "
-                "the server ignores the unit, and is one device"
+                "all units are answered alike, including reserved ones: the server ignores the"
+                " unit, and is one device"
             )
         elif self._alike:
             yield (
-                f"{self.place}: {len(self._alike)} units are answered like units that cannot "
-                f"exist (exception {self._alike[0][1].exception}); they are not counted as found"
+                f"{len(self._alike)} units are answered like units that cannot exist (exception"
+                f" {self._alike[0][1].exception}); they are not counted as found"
             )
 
 
@@ -351,8 +345,7 @@ def scan(
     """
     endpoint = parse(url)
     asked_at = places(endpoint, baudrates, parities, timeout, security)
-    if on_progress is not None:
-        checked_callback("on_progress", on_progress)
+    on_progress = checked_progress(on_progress)
     for place in asked_at:
         place.context().close()  # which checks the rest of the URL
     usual = _usual_units(asked_at[0])

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from ...ports.endpoint import parse
 from ...ports.schemes import SERIAL_DEFAULTS
-from ...protocol.checks import checked_callback, integer
+from ...protocol.checks import integer
 from ...protocol.errors import (
     NO_UNIT,
     Acknowledge,
@@ -30,7 +30,7 @@ from ...protocol.errors import (
 from ...protocol.mistakes import named_parameters
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...security.security import Security
-from .probe import LONGEST_SIZE, Place, Prober, Walker, places
+from .probe import LONGEST_SIZE, Place, Prober, Walker, checked_progress, places
 
 __all__ = ["MOST_REQUESTS", "Cells", "Extent", "Search", "Searching", "halving", "search"]
 
@@ -225,7 +225,7 @@ class Search(Walker[Extent]):
         place: Place,
         unit: int,
         most_requests: int,
-        on_progress: Callable[[Searching], object] | None,
+        on_progress: Callable[[Searching], object],
     ) -> None:
         # After a request without a response a line must be silent for as long again.
         self.longest: float = 2 * most_requests * place.wait(LONGEST_SIZE)
@@ -235,54 +235,46 @@ class Search(Walker[Extent]):
         super().__init__(prober, tables.steps(place))
 
 
+@dataclass
 class _Tables:
     """The search of all tables of a unit; the results are added to `extents`."""
 
-    def __init__(
-        self,
-        prober: Prober,
-        unit: int,
-        most_requests: int,
-        on_progress: Callable[[Searching], object] | None,
-        extents: list[Extent],
-    ) -> None:
-        self._prober = prober
-        self._unit = unit
-        self._most_requests = most_requests
-        self._on_progress = on_progress
-        self._extents = extents
-        self._silent = 0
+    prober: Prober
+    unit: int
+    most_requests: int
+    on_progress: Callable[[Searching], object]
+    extents: list[Extent]
+    silent: int = 0
 
     def steps(self, place: Place) -> Generator[Extent, None, None]:
-        with self._prober.at(place):
+        with self.prober.at(place):
             for index, table in enumerate(TABLES):
-                left = self._most_requests - self._prober.requests
+                left = self.most_requests - self.prober.requests
                 ended = self._table(table, left // (len(TABLES) - index))
-                yield self._extents[-1]
+                yield self.extents[-1]
                 if ended in (GONE, BUSY):
                     return
 
     def _table(self, table: str, most: int) -> str:
         """Search a table with a limited number of requests; return why the search ended early."""
         cells = Cells(TABLES[table].most_read)
-        begun = self._prober.requests
+        begun = self.prober.requests
         ended = EARLY
         try:
             ended = self._halve(table, cells, begun + most)
         finally:
-            requests = self._prober.requests - begun
+            requests = self.prober.requests - begun
             unseen = 0 if ended == NO_FUNCTION else cells.unseen
-            self._extents.append(Extent(table, cells.ranges, unseen, ended, cells.most, requests))
+            self.extents.append(Extent(table, cells.ranges, unseen, ended, cells.most, requests))
         return ended
 
     def _halve(self, table: str, cells: Cells, until: int) -> str:
-        prober, steps = self._prober, halving(cells)
+        prober, steps = self.prober, halving(cells)
         read = next(steps)
         try:
             while prober.requests < until:
-                if self._on_progress is not None:
-                    state = Searching(self._unit, table, prober.requests, self._most_requests)
-                    self._on_progress(state)
+                state = Searching(self.unit, table, prober.requests, self.most_requests)
+                self.on_progress(state)
                 request = TABLES[table].read(read.start, len(read))
                 read = steps.send(self._is_answered(request))
         except _EndedError as error:
@@ -299,7 +291,7 @@ class _Tables:
             except (Acknowledge, ServerDeviceBusy):
                 if pause is None:
                     break
-                self._prober.waker.sleep(pause)
+                self.prober.waker.sleep(pause)
             except IllegalFunction:
                 raise _EndedError(NO_FUNCTION) from None
             except NO_UNIT:
@@ -315,18 +307,18 @@ class _Tables:
     def _read(self, request: Any) -> None:
         """Repeat a read that was lost or damaged; after many of them, probe the unit."""
         try:
-            self._prober.read(self._unit, request)
+            self.prober.read(self.unit, request)
         except (ExceptionResponse, ModbusConnectionError):
-            self._silent = 0
+            self.silent = 0
             raise
         except ModbusError:
-            self._silent += 1
-            if self._silent >= SILENT:
-                self._silent = 0
-                if isinstance(self._prober.probe(self._unit), ModbusError):
+            self.silent += 1
+            if self.silent >= SILENT:
+                self.silent = 0
+                if isinstance(self.prober.probe(self.unit), ModbusError):
                     raise _EndedError(GONE) from None
-            self._prober.read(self._unit, request)
-        self._silent = 0
+            self.prober.read(self.unit, request)
+        self.silent = 0
 
 
 @named_parameters
@@ -369,8 +361,6 @@ def search(
         baudrates, parities = [settings["baudrate"]], [settings["parity"]]
     (place,) = places(endpoint, baudrates, parities, timeout, security)
     integer("most_requests", most_requests, len(TABLES), 1_000_000)
-    if on_progress is not None:
-        checked_callback("on_progress", on_progress)
     place.context().close()  # which checks the rest of the URL
     unit = integer("unit", endpoint.client_options.get("unit", 1), int(place.has_broadcast), 255)
-    return Search(place, unit, most_requests, on_progress)
+    return Search(place, unit, most_requests, checked_progress(on_progress))
