@@ -10,6 +10,7 @@ import pytest
 
 from libmodbus_py import Device, Server
 from tests.simulation.stage import Stage
+from tests.support.events import Events
 
 
 @pytest.fixture
@@ -17,6 +18,12 @@ def stage() -> Iterator[Stage]:
     """A network in memory, on which seconds pass only while the test waits."""
     with Stage() as made:
         yield made
+
+
+@pytest.fixture
+def events() -> Events:
+    """What a server records that is given `events.append`."""
+    return Events()
 
 
 @pytest.fixture

@@ -8,16 +8,14 @@ import errno
 import json
 import os
 import re
-import ssl
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
-from cryptography.hazmat.primitives.hashes import SHA256
 
 from libmodbus_py import (
     Context,
@@ -40,17 +38,11 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.serve import Allow, Audit, AuditEvent, AuditFile
 from tests.support import certificates
 from tests.support.cases import each_case
-from tests.support.certificates import Identity, Papers
-from tests.support.events import Events
+from tests.support.certificates import Papers
+from tests.support.events import Events, named, whose
 from tests.support.peers import until
-from tests.support.tls import TlsClient, context, serving
 
 TRANSPORTS = ("tcp", "rtu+tcp", "ascii+tcp", "udp")
-
-
-@pytest.fixture
-def events() -> Events:
-    return Events()
 
 
 def device(**options: Any) -> Device:
@@ -178,8 +170,7 @@ def test_a_gateway_records_what_its_devices_answered(events: Events) -> None:
     ]
 
 
-def test_the_holder_of_the_certificate_is_recorded(tmp_path: Path, events: Events) -> None:
-    papers = Papers(tmp_path)
+def test_the_holder_of_the_certificate_is_recorded(papers: Papers, events: Events) -> None:
     server = Server(device(), security=papers.server(), audit=events.append)
     with server.background("tls://127.0.0.1:0") as running:
         port = int(running.urls[0].rpartition(":")[2])
@@ -199,54 +190,10 @@ def test_the_holder_of_the_certificate_is_recorded(tmp_path: Path, events: Event
     assert whose(events[2]) == named(certificates.self_signed())
 
 
-def whose(event: AuditEvent) -> tuple[str | None, ...]:
-    return event.subject, event.serial, event.issuer, event.fingerprint
-
-
-def named(identity: Identity) -> tuple[str, ...]:
-    """Return what events have of a certificate."""
-    found = identity.certificate
-    fingerprint = found.fingerprint(SHA256()).hex()
-    subject, issuer = found.subject.rfc4514_string(), found.issuer.rfc4514_string()
-    return subject, f"{found.serial_number:x}", issuer, fingerprint
-
-
-REFUSED: dict[str, Callable[[], Identity]] = {
-    "expired": lambda: certificates.client(**certificates.expired()),
-    "not yet valid": lambda: certificates.client(**certificates.not_yet_valid()),
-    "unable to get local issuer": lambda: certificates.client(
-        issuer=certificates.foreign_authority()
-    ),
-    "self-signed": certificates.self_signed,
-    "unsuitable certificate purpose": certificates.server_only,
-    "certificate revoked": certificates.client,
-}
-
-
-@pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
-@pytest.mark.parametrize("reason", REFUSED)
-def test_a_refused_certificate_is_named(
-    reason: str, version: ssl.TLSVersion, tmp_path: Path, events: Events
+def test_the_life_of_a_server_and_a_forced_end_are_recorded(
+    tmp_path: Path, papers: Papers, events: Events
 ) -> None:
-    papers = Papers(tmp_path)
-    crl = tmp_path / "crl.pem"
-    crl.write_bytes(certificates.revocation_list(certificates.client()))
-    security = papers.server(crl=crl)
-    identity = REFUSED[reason]()
-    with serving(papers, device(), security=security, audit=events.append) as (_, port):
-        with (
-            TlsClient(port, context(papers, identity, version)) as client,
-            pytest.raises((ssl.SSLError, OSError)),
-        ):
-            client.handshake().ask(bytes.fromhex("000100000006 01 03 0000 0001"), 1)
-        until(lambda: len(events) == 1)
-    assert events[0].event == "handshake"
-    assert reason in events[0].result
-    assert whose(events[0]) == named(identity)
-
-
-def test_the_life_of_a_server_and_a_forced_end_are_recorded(tmp_path: Path, events: Events) -> None:
-    papers, operator = Papers(tmp_path), certificates.client("Operator")
+    operator = certificates.client("Operator")
     crl = tmp_path / "crl.pem"
     crl.write_bytes(certificates.revocation_list())
     server = Server(
@@ -263,11 +210,15 @@ def test_the_life_of_a_server_and_a_forced_end_are_recorded(tmp_path: Path, even
             renewed = certificates.server(days=29)
             server.security = papers.security(renewed, crl=crl)
             until(lambda: len(events) == 2 and len(events.own) == 2)
-    assert [(each.event, each.result, each.role) for each in events] == [
+            with pytest.raises(ModbusConnectionError):  # it comes again, and more than once
+                plc.read_holding_registers(0, 1)
+            until(lambda: len(events) >= 3)
+    assert [(each.event, each.result, each.role) for each in events[:3]] == [
         ("logon", "ok", "Operator"),
         ("ended", "certificate revoked", "Operator"),
+        ("handshake", "certificate revoked", None),
     ]
-    assert whose(events[1]) == named(operator)
+    assert whose(events[1]) == whose(events[2]) == named(operator)
     assert [(each.event, each.result) for each in events.own] == [
         ("start", url),
         ("renewed", url),
@@ -364,24 +315,11 @@ def test_what_is_no_function_is_refused() -> None:
 
 
 def event(result: str = "ok") -> AuditEvent:
-    from datetime import UTC, datetime
-
-    return AuditEvent(datetime.now(UTC), "write", "127.0.0.1:1", result)
+    return AuditEvent(datetime(2026, 1, 1, tzinfo=UTC), "write", "192.0.2.1:1", result)
 
 
 def lines(path: Path) -> list[Any]:
     return [json.loads(line) for line in path.read_text().splitlines()]
-
-
-def test_a_file_is_appended_to_and_only_its_owner_reads_it(tmp_path: Path) -> None:
-    path = tmp_path / "audit.json"
-    for result in ("one", "two"):
-        file = AuditFile(path)
-        file(event(result))
-        file.close()
-        file.close()
-    assert [each["result"] for each in lines(path)] == ["one", "two"]
-    assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
 def test_a_renamed_file_is_left_when_it_is_opened_again(tmp_path: Path) -> None:
@@ -419,12 +357,6 @@ def test_what_comes_from_a_peer_stays_on_its_line(tmp_path: Path) -> None:
     assert lines(path)[0]["result"] == "a\nb\x1b[2J\u2028\ud800"
 
 
-# --- files ---------------------------------------------------------------------------------------
-
-
-WRITTEN = AuditEvent(datetime(2026, 1, 1, tzinfo=UTC), "write", "192.0.2.1:1", "ok")
-
-
 @each_case("text", ["[[device]]\n", "-----BEGIN PRIVATE KEY-----\n", "\0\0", "time,device\n"])
 def test_another_file_is_not_appended_to(tmp_path: Path, text: str) -> None:
     path = tmp_path / "file"
@@ -438,10 +370,17 @@ def test_another_file_is_not_appended_to(tmp_path: Path, text: str) -> None:
 def test_an_audit_trail_goes_on(tmp_path: Path, text: str) -> None:
     path = tmp_path / "audit.jsonl"
     path.write_text(text)
-    file = AuditFile(path)
-    file(WRITTEN)
-    file.close()
-    assert path.read_text() == f"{text}{WRITTEN.json()}\n"
+    for result in ("one", "two"):
+        file = AuditFile(path)
+        file(event(result))
+        file.close()
+        file.close()
+    assert path.read_text() == f"{text}{event('one').json()}\n{event('two').json()}\n"
+
+
+def test_only_its_owner_reads_a_file(tmp_path: Path) -> None:
+    AuditFile(tmp_path / "audit.json").close()
+    assert stat.S_IMODE((tmp_path / "audit.json").stat().st_mode) == 0o600
 
 
 def test_a_named_pipe_without_a_reader_is_refused_at_once(tmp_path: Path) -> None:
@@ -451,24 +390,20 @@ def test_a_named_pipe_without_a_reader_is_refused_at_once(tmp_path: Path) -> Non
         AuditFile(path)
 
 
-def fill(file: AuditFile) -> None:
-    for _ in range(10_000):
-        file(WRITTEN)
-
-
 def test_a_named_pipe_holds_up_nobody(tmp_path: Path) -> None:
     """Its reader is slow, and then gone, also when the file is opened again."""
     path = tmp_path / "pipe"
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     file = AuditFile(path)
-    file(WRITTEN)
-    assert os.read(reader, 1000) == WRITTEN.json().encode() + b"\n"
-    with pytest.raises(BlockingIOError):
-        fill(file)
+    file(event())
+    assert os.read(reader, 1000) == event().json().encode() + b"\n"
+    with pytest.raises(BlockingIOError):  # noqa: PT012 - it fills the pipe
+        while True:
+            file(event())
     os.close(reader)
     with pytest.raises(BrokenPipeError):
-        file(WRITTEN)
+        file(event())
     with pytest.raises(OSError, match="No such device"):
         file.reopen()
     file.close()

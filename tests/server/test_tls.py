@@ -17,7 +17,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from libmodbus_py import Access, Context, Device, Mapping, Server
+from libmodbus_py import Access, Device, Mapping, Server
 from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.role import encode_role
 from libmodbus_py.tools.certificates import Identity, make
@@ -25,6 +25,7 @@ from tests.simulation.stage import Stage
 from tests.support import certificates
 from tests.support.attacks import PATIENCE
 from tests.support.certificates import Papers
+from tests.support.events import Events, named, whose
 from tests.support.tls import ONE, VERSION, VERSIONS, TlsClient, context, serving, talking
 
 LOGGER = "libmodbus_py.server.tls"
@@ -47,33 +48,14 @@ def noting(roles: list[str | None]) -> Device:
 
 
 @pytest.fixture
-def served(stage: Stage, papers: Papers, noting: Device) -> Iterator[tuple[Server, int]]:
-    with serving(papers, noting) as served:
+def served(
+    stage: Stage, papers: Papers, noting: Device, events: Events
+) -> Iterator[tuple[Server, int]]:
+    with serving(papers, noting, audit=events.append) as served:
         yield served
 
 
 # --- roles --------------------------------------------------------------------------------------
-
-
-def test_the_role_of_a_certificate_reaches_the_hooks(
-    papers: Papers, noting: Device, roles: list[str | None]
-) -> None:
-    with serving(papers, noting) as (_, port):
-        for role in ("Operator", None, "Überwacher"):
-            url = f"tls://127.0.0.1:{port}"
-            with Context.from_url(url, security=papers.client(role)) as plc:
-                plc.write_register(3, 77)
-                assert plc.read_holding_registers(3, 1) == [77]
-    assert roles == ["Operator"] * 2 + [None] * 2 + ["Überwacher"] * 2
-
-
-def test_urls_may_say_who_one_is(papers: Papers) -> None:
-    device = Device(Mapping(holding_registers=[range(5)]))
-    listen = papers.url("tls://127.0.0.1:0", certificates.server())
-    with Server(device).background(listen) as running:
-        assert "?" not in running.urls[0]
-        with Context.from_url(papers.url(running.urls[0], certificates.client())) as plc:
-            assert plc.read_holding_registers(0, 5) == [0] * 5
 
 
 def test_an_authority_below_may_have_signed_if_it_is_shown(
@@ -233,6 +215,7 @@ def test_nobody_gets_in_with_a_bad_certificate(
     papers: Papers,
     served: tuple[Server, int],
     roles: list[str | None],
+    events: Events,
     caplog: pytest.LogCaptureFixture,
     who: str,
     version: ssl.TLSVersion,
@@ -263,6 +246,8 @@ def test_nobody_gets_in_with_a_bad_certificate(
     message = caplog.messages[-1]
     assert message.startswith(f"{peer}: ")
     assert any(each in message for each in logged.split("|")), message
+    assert [(each.event, whose(each)) for each in events] == [("handshake", named(identity))] * 2
+    assert any(each in events[-1].result for each in logged.split("|"))
     if alert is None:  # OpenSSL keeps to itself whose it was that it refused
         assert message.endswith(f"SHA-256 {digest(identity)}")
 

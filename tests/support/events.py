@@ -1,12 +1,16 @@
 """
-What an audit trail records, parted by whose events they are.
+What an audit trail records, parted by whose events they are, and the certificates in it.
 """
 
 from __future__ import annotations
 
-from libmodbus_py.serve import AuditEvent
+from cryptography import x509
+from cryptography.hazmat.primitives.hashes import SHA256
 
-__all__ = ["Events"]
+from libmodbus_py.serve import AuditEvent
+from libmodbus_py.tools.certificates import Identity
+
+__all__ = ["Events", "named", "whose"]
 
 
 class Events(list[AuditEvent]):
@@ -17,3 +21,18 @@ class Events(list[AuditEvent]):
 
     def append(self, event: AuditEvent) -> None:
         (super() if event.peer else self.own).append(event)
+
+
+def whose(event: AuditEvent) -> tuple[str | None, ...]:
+    """Return what an event has of a certificate."""
+    return event.subject, event.serial, event.issuer, event.fingerprint
+
+
+def named(identity: Identity | None) -> tuple[str | None, ...]:
+    """Return what events must have of a certificate."""
+    if identity is None:
+        return (None,) * 4
+    found = x509.load_pem_x509_certificate(identity.pem)
+    fingerprint = found.fingerprint(SHA256()).hex()
+    subject, issuer = found.subject.rfc4514_string(), found.issuer.rfc4514_string()
+    return subject, f"{found.serial_number:x}", issuer, fingerprint
