@@ -22,13 +22,10 @@ from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.sessions import ByChunk, Singles
 from libmodbus_py.server.units import TcpUnits, Units
-from tests.simulation.network import Network
 from tests.simulation.stage import Stage
 from tests.support.attacks import adu, ask, connect, receive
-from tests.support.talk import rtu
 
 ASKED, ANSWER = bytes.fromhex("03 0000 0001"), bytes.fromhex("03 02 0007")
-REFUSAL = b"\x83\x02"
 
 # What the fixture `device` is asked, and answers.
 READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
@@ -64,19 +61,16 @@ class Channel:
 
 
 class Session(Framed):
-    """Answers each request in the same way; None for not at all."""
+    """Answers each request in the same way."""
 
-    def __init__(
-        self, scheme: str = "tcp", *, answer: bytes | None = ANSWER, has_turns: bool = False
-    ) -> None:
-        self._pdu = answer
-        endpoint = parse(f"{scheme}://10.0.0.1")
+    def __init__(self, *, has_turns: bool = False) -> None:
+        endpoint = parse("tcp://10.0.0.1")
         settings = SessionSettings(endpoint, ServerStatistics(), has_turns=has_turns)
         self.channel: Channel
         super().__init__(settings, Channel(), lambda unit: unit == 1)
 
-    def answer(self, request: Frame) -> Frame | None:
-        return None if self._pdu is None else request._replace(pdu=self._pdu)
+    def answer(self, request: Frame) -> Frame:
+        return request._replace(pdu=ANSWER)
 
 
 def framed(pdu: bytes, number: int) -> bytes:
@@ -105,19 +99,6 @@ def test_each_request_is_answered_traced_and_counted() -> None:
     assert (session.statistics.requests, session.statistics.refused) == (2, 0)
     assert session.state.value == "reading"
     assert session.channel.followed == 0
-
-
-def test_a_refusal_is_counted() -> None:
-    session = Session(answer=REFUSAL)
-    session.receive(request())
-    assert (session.statistics.requests, session.statistics.refused) == (1, 1)
-
-
-def test_what_gets_no_answer_is_counted_too() -> None:
-    session = Session(answer=None)
-    assert session.receive(request()) == 1
-    assert session.channel.written == []
-    assert session.statistics.requests == 1
 
 
 def test_a_frame_whose_end_is_missing_is_waited_for() -> None:
@@ -165,37 +146,6 @@ def test_frames_that_are_not_answered_any_more_are_traced() -> None:
     received = [adu for direction, adu, _ in session.channel.traced if direction == "received"]
     assert received == [request(number) for number in range(6)]
     assert session.channel.written == [answer(number) for number in range(4)]
-
-
-class TestLine:
-    """On a line frames end with silence, and a late request replaces the one before."""
-
-    def test_only_the_last_of_several_requests_is_answered(self) -> None:
-        session = Session("rtu+tcp")
-        asked = [rtu(f"01 03 000{at} 0001") for at in range(3)]
-        assert session.receive(b"".join(asked)) == 3
-        assert session.channel.written == [rtu("01 03 02 0007")]
-        assert session.statistics.requests == 3
-
-    def test_damage_is_counted_and_traced_without_a_unit(self) -> None:
-        session = Session("rtu+tcp")
-        damaged = rtu("01 03 0000 0001")[:-1] + b"\x00"
-        network = Network()
-
-        async def main() -> None:
-            session.receive(damaged)
-            while not session.channel.followed:
-                await asyncio.sleep(0.001)
-            assert session.state.value == "behind"
-            assert session.receive(b"") == 0
-            assert session.state.value == "reading"
-
-        network.run(main)
-        assert session.statistics.bad_frames == 1
-        ((direction, adu, unit),) = session.channel.traced
-        assert (direction, unit) == ("received", None)
-        assert damaged.startswith(adu)
-        assert session.channel.written == []
 
 
 # --- requests that arrive glued together or cut in pieces ---------------------------------
