@@ -22,10 +22,10 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Access, Device, Mapping, Server, framing
+from libmodbus_py import Access, Device, Mapping, Server
 from libmodbus_py.device.reply import replier
 from libmodbus_py.serve import Running
-from tests.support.attacks import PATIENCE, READ_ONE, adu, connect, receive
+from tests.support.attacks import PATIENCE, READ_ONE, adu, ask, connect, receive
 
 URLS = ("tcp://127.0.0.1:0", "udp://127.0.0.1:0")
 
@@ -178,7 +178,7 @@ def test_the_collector_does_not_wait_for_a_forgotten_server() -> None:
         del circle
         gc.collect()
         goes_on.set()
-        assert receive(client, 11) == adu(bytes.fromhex("03 02 0000"))
+        assert receive(client, 11) == ANSWER
         assert receive(client, 1) == b""
     assert told == [True]
     assert is_left(before)
@@ -219,25 +219,25 @@ def test_a_system_without_threads_is_told(where: str, monkeypatch: pytest.Monkey
 ENDS = [SystemExit(3), KeyboardInterrupt()]
 
 
-def ending(error: BaseException, kind: str) -> Server:
+def ending(error: BaseException) -> Server:
     """Reading register 99 ends it."""
 
     def hook(access: Access) -> None:
         if access.address == 99:
             raise error
 
-    device = Device(Mapping(holding_registers=100), before_read=hook)
-    return Server(device, {None: []} if kind == "plain" else None)
+    return Server(Device(Mapping(holding_registers=100), before_read=hook))
 
 
 @contextlib.contextmanager
-def ending_with(error: BaseException) -> Iterator[None]:
-    with pytest.raises(type(error)) as raised:
+def raised(error: BaseException) -> Iterator[None]:
+    with pytest.raises(type(error)) as found:
         yield
-    assert raised.value is error
+    assert found.value is error
 
 
 END = adu(bytes.fromhex("03 0063 0001"))
+ANSWER = adu(bytes.fromhex("03 02 0000"))
 
 
 def ask_end(url: str) -> None:
@@ -254,9 +254,8 @@ def test_what_ends_the_program_is_raised_where_the_block_is_left(
     scheme: str, error: BaseException
 ) -> None:
     before = left()
-    with pytest.raises(type(error)) as raised, ending(error, "hooked").background(*URLS) as running:
+    with raised(error), ending(error).background(*URLS) as running:
         end(running, scheme)
-    assert raised.value is error
     assert is_left(before)
 
 
@@ -290,52 +289,38 @@ def test_serve_forever_and_serving_raise_it(scheme: str, error: BaseException) -
             asking.append(threading.Thread(target=end, args=(running, scheme)))
             asking[0].start()
 
-        with pytest.raises(type(error)) as raised:
-            way(ending(error, "hooked"), start)
-        assert raised.value is error
+        with raised(error):
+            way(ending(error), start)
         asking[0].join(PATIENCE)
         assert is_left(before)
 
 
 def test_what_one_asked_before_the_end_is_answered() -> None:
-    """In the same bytes: it was executed. Without transaction ids only the last has an answer."""
-    framer = framing.make_framer("tcp", "server")
-    read, end = (framing.Frame(17, bytes.fromhex(pdu)) for pdu in ("03 0001 0001", "03 0063 0001"))
-    answer = framer.encode(framing.Frame(17, bytes.fromhex("03 02 0000")))
-    server = ending(SystemExit(3), "plain")
-
-    def ask() -> None:
-        with (
-            server.background("tcp://127.0.0.1:0") as running,
-            connect(running.urls[0]) as client,
-        ):
-            client.sendall(framer.encode(read) + framer.encode(end))
-            received.append(receive(client, 100))
-
-    received: list[bytes] = []
-    with pytest.raises(SystemExit):
-        ask()
-    assert received == [answer]
+    """In the same bytes: it was executed."""
+    error = SystemExit(3)
+    server = ending(error)
+    with raised(error), server.background(*URLS) as running, connect(running.urls[0]) as client:
+        client.sendall(adu(READ_ONE) + END)
+        assert receive(client, 100) == ANSWER
     assert server.statistics.requests >= 1
 
 
 def test_a_hook_may_leave_the_block() -> None:
     before = left()
-    raised: list[BaseException] = []
+    failed: list[BaseException] = []
 
     def leave(access: Access) -> None:
         try:
             background.__exit__()
         except BaseException as error:
-            raised.append(error)
+            failed.append(error)
 
     server = Server(Device(Mapping(holding_registers=1), before_read=leave))
     background = server.background("tcp://127.0.0.1:0")
     with background as running, connect(running.urls[0]) as client:
-        client.sendall(adu(READ_ONE))
-        assert receive(client, 11) == adu(bytes.fromhex("03 02 0000"))
+        ask(client, adu(READ_ONE), ANSWER)
         assert receive(client, 1) == b""
-    assert raised == []
+    assert failed == []
     assert is_left(before)
 
 
@@ -352,7 +337,7 @@ def test_who_was_read_in_the_same_turn_is_answered(error: BaseException) -> None
             raise error
 
     server = Server(Device(Mapping(holding_registers=100), before_read=hook))
-    with ending_with(error), server.background("tcp://127.0.0.1:0") as running:
+    with raised(error), server.background("tcp://127.0.0.1:0") as running:
         clients = [connect(running.urls[0]) for _ in range(8)]
         blocker = clients.pop()
         blocker.sendall(adu(READ_ONE))
@@ -363,5 +348,4 @@ def test_who_was_read_in_the_same_turn_is_answered(error: BaseException) -> None
         answers = [receive(client, 11) for client in clients]
         for client in (blocker, *clients):
             client.close()
-    answer = adu(bytes.fromhex("03 02 0000"))
-    assert answers == [b"" if number % 3 == 1 else answer for number in range(7)]
+    assert answers == [b"" if number % 3 == 1 else ANSWER for number in range(7)]
