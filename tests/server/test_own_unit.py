@@ -18,14 +18,12 @@ from libmodbus_py import (
     Device,
     Fault,
     Mapping,
-    ModbusTimeoutError,
     Server,
     pdu,
 )
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.tools.faults.server import Faults
-from tests.simulation.stage import Stage
 from tests.support.attacks import READ_ONE, adu, ask, connect
 
 MESSAGES = pdu.SubFunction.BUS_MESSAGE_COUNT
@@ -97,6 +95,7 @@ def test_devices_that_have_these_units_are_asked_themselves(scheme: str) -> None
     assert answers(Server(devices), scheme, [0, 255, 1]) == [6, 9, 7]
     assert answers(Server(devices, own_unit=1), scheme, [0, 255]) == [6, 9]
     assert answers(Server({1: holding(7), 255: holding(9)}, own_unit=255), scheme, [0]) == [9]
+    assert answers(Server({1: holding(7), 0: holding(9)}, own_unit=0), scheme, [255]) == [9]
 
 
 @pytest.mark.parametrize(
@@ -106,11 +105,21 @@ def test_devices_that_have_these_units_are_asked_themselves(scheme: str) -> None
         ({1: holding(7)}, 255, ValueError, r"own_unit .*\(1\), not 255"),
         ({}, 0, ValueError, r"own_unit .*\(none\), not 0"),
         ({1: holding(7)}, 256, ValueError, r"own_unit must be in 0..255, not 256"),
+        ({1: holding(7)}, -1, ValueError, r"own_unit must be in 0..255, not -1"),
         ({1: holding(7)}, "1", TypeError, r"own_unit must be an integer in 0..255, not str"),
         ({1: holding(7)}, True, TypeError, r"own_unit must be an integer"),
         (holding(7), 1, ValueError, "one device answers every unit"),
     ],
-    ids=["none of two", "not the one", "none at all", "too large", "text", "bool", "all"],
+    ids=[
+        "none of two",
+        "not the one",
+        "none at all",
+        "too large",
+        "negative",
+        "text",
+        "bool",
+        "all",
+    ],
 )
 def test_units_that_the_server_cannot_be(
     devices: Any, unit: Any, error: type[Exception], message: str
@@ -218,52 +227,10 @@ def test_a_message_that_cannot_be_answered_is_one(scheme: str) -> None:
         ask(peer, adu(b"\x08\0\x0b\0\0", 2), adu(b"\x08\0\x0b\0\2", 2))
 
 
-# --- which units are answered -------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ["rtu", "ascii"])
-def test_several_units_on_one_port_and_silence_for_others(stage: Stage, kind: str) -> None:
-    devices = {unit: Device(Mapping(holding_registers=10, coils=8)) for unit in (1, 2)}
-    line = f"{kind}:///dev/line?baudrate=115200"
-    with Server(devices).background(line), Context.from_url(line, timeout=200) as context:
-        for unit in (1, 2):
-            context.for_unit(unit).write_register(0, unit)
-        begun = stage.now
-        with pytest.raises(ModbusTimeoutError):
-            context.for_unit(3).read_coils(0, 1)
-        assert stage.now - begun >= 200
-        for unit in (1, 2):
-            assert context.for_unit(unit).read_holding_registers(0, 1) == [unit]
-        context.for_unit(0).write_registers(1, [7, 8])
-        context.for_unit(0).write_coil(3, True)
-        stage.pass_time(1)
-        for device in devices.values():
-            assert device.mapping.holding_registers[1:3] == [7, 8]
-            assert device.mapping.coils[3]
-
-
-# --- which numbers units may have ---------------------------------------------------------
+# --- which faults units have --------------------------------------------------------------
 
 
 READ = b"\3\0\0\0\1"
-
-
-@pytest.mark.parametrize("unit", [0, 255])
-def test_units_are_a_byte(unit: int) -> None:
-    device = Device(Mapping(1, 1, 1, 1))
-    made = Server({unit: device}, {unit: [Fault("no_answer")]}, own_unit=unit)
-    assert made.statistics.requests == 0
-
-
-@pytest.mark.parametrize("unit", [-1, 256])
-def test_other_units_are_refused(unit: int) -> None:
-    device = Device(Mapping(1, 1, 1, 1))
-    with pytest.raises(ValueError, match="unit"):
-        Server({unit: device})
-    with pytest.raises(ValueError, match="unit"):
-        Server({1: device}, {unit: [Fault("no_answer")]})
-    with pytest.raises(ValueError, match="own_unit"):
-        Server({1: device, 2: device}, own_unit=unit)
 
 
 def test_a_fault_that_cannot_happen_leaves_others_their_turn() -> None:
@@ -273,23 +240,6 @@ def test_a_fault_that_cannot_happen_leaves_others_their_turn() -> None:
         faults = Faults({1: [transaction, answer]})
         found = faults.due(Frame(1, READ), has_transaction=has_transaction)
         assert found == expected
-
-
-def test_a_fault_of_another_function_leaves_others_their_turn() -> None:
-    faults = Faults({1: [Fault("no_answer", function=6), Fault("exception", code=2)]})
-    found = faults.due(Frame(1, READ), has_transaction=True)
-    assert found is not None
-    assert found.kind == "exception"
-
-
-def test_the_faults_of_a_unit_come_before_those_of_all() -> None:
-    faults = Faults({None: [Fault("no_answer")], 1: [Fault("exception", code=2, every=2)]})
-    kinds = []
-    for _ in range(4):
-        found = faults.due(Frame(1, READ), has_transaction=True)
-        assert found is not None
-        kinds.append(found.kind)
-    assert kinds == ["no_answer", "exception", "no_answer", "exception"]
 
 
 def test_faults_that_are_given_again_go_on_counting() -> None:

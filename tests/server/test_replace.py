@@ -102,6 +102,8 @@ def test_what_a_server_has_is_told() -> None:
     server.replace(devices)
     assert server.devices is devices
     assert server.faults == {}
+    server.replace({})  # every request is answered with exception 11
+    assert server.devices == {}
 
 
 @pytest.mark.parametrize(
@@ -112,6 +114,7 @@ def test_what_a_server_has_is_told() -> None:
         ({2: holding(1)}, None, r"own_unit must be a unit that has a device \(2\), not 1"),
         (holding(1), None, "own_unit cannot be given"),
         ({1: holding(1)}, {1: [5]}, "faults must be"),
+        ({1: holding(1)}, {-1: [Fault("no_answer")]}, r"faults: unit must be in 0..255, not -1"),
         ({1: holding(1)}, [], "faults must be"),
     ],
 )
