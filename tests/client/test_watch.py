@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gc
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import pytest
@@ -30,7 +29,9 @@ from libmodbus_py import (
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.cases import each_case
+from tests.support.clients import Simulated
 from tests.support.peers import Write, mbap
+from tests.support.reads import good
 
 METER = RegisterMap([Point("a", "holding_registers", 0), Point("b", "holding_registers", 9)])
 
@@ -46,7 +47,7 @@ TOTALS = RegisterMap(
 
 class Wall:
     """
-    A simulated device, and a client that watches it.
+    A simulated device, and clients that watch it.
 
     Attributes:
         registers: what is answered at an address, one value after the other; the last one stays.
@@ -54,15 +55,13 @@ class Wall:
         takes: how long an answer takes, in seconds.
     """
 
-    def __init__(self, kind: str, network: Network, loop: asyncio.AbstractEventLoop) -> None:
-        self.kind = kind
-        self.network = network
-        self.loop = loop
+    def __init__(self, world: Simulated) -> None:
+        self.world = world
         self.registers: dict[int, list[int]] = {}
         self.refused: set[int] = set()
         self.silent: set[int] = set()
         self.takes = 0.0
-        self.device = Scripted(network, "tcp://10.0.0.1", self.answer)
+        self.device = world.peer("tcp", self.answer)
 
     def answer(self, request: bytes, write: Write) -> None:
         address = request[9]
@@ -79,25 +78,12 @@ class Wall:
         self, most: int, *, during: Any = None, what: Any = METER, **options: Any
     ) -> list[Any]:
         """Return the first values, each with the time at which it came."""
-        if self.kind == "asyncio":
-            return self.loop.run_until_complete(self._await(most, during, what, options))
         found = []
-        with Client(self.device.url, native=False, timeout=0.5) as plc:
+        with self.world.connect(self.device.url, timeout=0.5, max_pause=0) as plc:
             for values in plc.watch(what, **options):
-                found.append((self.now, values))
+                found.append((self.world.now, values))
                 if during is not None:
                     during(plc)
-                if len(found) == most:
-                    break
-        return found
-
-    async def _await(self, most: int, during: Any, what: Any, options: Any) -> list[Any]:
-        found = []
-        async with AsyncClient(self.device.url, timeout=0.5, max_pause=0) as plc:
-            async for values in plc.watch(what, **options):
-                found.append((self.now, values))
-                if during is not None and (doing := during(plc)) is not None:
-                    await doing
                 if len(found) == most:
                     break
         return found
@@ -107,24 +93,10 @@ class Wall:
         times = zip(self.device.requests, self.device.times, strict=True)
         return [round(at - self.device.times[0]) for adu, at in times if adu[9] == address]
 
-    @property
-    def now(self) -> float:
-        return self.network.events.now
 
-    def spend(self, seconds: float) -> None:
-        until = self.now + seconds
-        while self.now < until:
-            self.network.events.advance(until)
-
-
-@pytest.fixture(params=["blocking", "asyncio"])
-def wall(request: pytest.FixtureRequest) -> Iterator[Wall]:
-    network = Network()
-    loop = network.loop()
-    with network.installed():
-        yield Wall(request.param, network, loop)
-    assert not asyncio.all_tasks(loop)
-    loop.close()
+@pytest.fixture
+def wall(world: Simulated) -> Wall:
+    return Wall(world)
 
 
 def times(found: list[Any]) -> list[float]:
@@ -146,7 +118,7 @@ def test_times_are_exact_and_do_not_drift(wall: Wall) -> None:
 
 def test_polls_that_are_late_are_left_out(wall: Wall) -> None:
     pauses = iter([0.0, 2.5, 0.2, 0.9, 0.0])
-    found = wall.watch(5, every=1, during=lambda _: wall.spend(next(pauses)))
+    found = wall.watch(5, every=1, during=lambda _: wall.world.compute(next(pauses)))
     assert times(found) == [0, 1, 4, 5, 6]
 
 
@@ -222,54 +194,53 @@ def test_it_ends_when_the_client_is_closed(wall: Wall) -> None:
     assert wall.watch(9, every=1, during=None)[0][1] == {"a": 7, "b": 7}
 
 
-def test_close_ends_a_wait_in_an_event_loop() -> None:
+def in_a_loop(use: Callable[[AsyncClient, Any], Awaitable[None]], every: float) -> None:
+    """Run a test with a client and its watch, which has given its first values."""
     network = Network()
-    loop = network.loop()
-    with network.installed():
-        wall = Wall("asyncio", network, loop)
+    peer = Scripted(network, "tcp://10.0.0.1", good)
 
-        async def ended() -> float:
-            plc = AsyncClient(wall.device.url)
-            watching = plc.watch(METER, every=100)
+    async def main() -> None:
+        async with AsyncClient(peer.url) as plc:
+            watching = plc.watch(METER, every=every)
             await anext(watching)
-            loop.call_later(5, lambda: tasks.append(loop.create_task(plc.close())))
-            with pytest.raises(StopAsyncIteration):
-                await anext(watching)
-            await tasks[0]
-            return loop.time()
+            await use(plc, watching)
 
-        tasks: list[asyncio.Task[None]] = []
-        begun = loop.time()
-        assert loop.run_until_complete(ended()) - begun == pytest.approx(5, abs=0.1)
-    loop.close()
+    network.run(main)
+
+
+def test_close_ends_a_wait_in_an_event_loop() -> None:
+    async def use(plc: AsyncClient, watching: Any) -> None:
+        async def close() -> None:
+            await asyncio.sleep(5)
+            await plc.close()
+
+        loop = asyncio.get_running_loop()
+        begun, closing = loop.time(), loop.create_task(close())
+        with pytest.raises(StopAsyncIteration):
+            await anext(watching)
+        await closing
+        assert loop.time() - begun == pytest.approx(5, abs=0.1)
+
+    in_a_loop(use, every=100)
 
 
 def test_a_wait_that_is_cancelled_can_begin_again() -> None:
-    network = Network()
-    loop = network.loop()
-    with network.installed():
-        wall = Wall("asyncio", network, loop)
+    async def use(plc: AsyncClient, watching: Any) -> None:
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(anext(watching), 4)
+        await anext(watching)
+        assert loop.time() - begun == pytest.approx(10, abs=0.1)
+        task = loop.create_task(anext(watching))
+        await asyncio.sleep(1)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        await anext(watching)
+        assert loop.time() - begun == pytest.approx(20, abs=0.1)
 
-        async def again() -> list[float]:
-            async with AsyncClient(wall.device.url) as plc:
-                watching = plc.watch(METER, every=10)
-                begun = loop.time()
-                await anext(watching)
-                with pytest.raises(TimeoutError):
-                    await asyncio.wait_for(anext(watching), 4)
-                await anext(watching)
-                first = loop.time() - begun
-                task = loop.create_task(anext(watching))
-                await asyncio.sleep(1)
-                task.cancel()
-                with pytest.raises(asyncio.CancelledError):
-                    await task
-                await anext(watching)
-                return [first, loop.time() - begun]
-
-        assert loop.run_until_complete(again()) == pytest.approx([10, 20], abs=0.1)
-        assert not asyncio.all_tasks(loop)
-    loop.close()
+    in_a_loop(use, every=10)
 
 
 @pytest.fixture
@@ -317,12 +288,6 @@ def test_a_signal_handler_may_close_and_ctrl_c_leaves(url: str) -> None:
         with pytest.raises(KeyboardInterrupt):
             next(watching)
         assert plc.read_holding_registers(0, 1) == [0]
-
-
-def test_a_loop_that_is_left_leaves_nothing(wall: Wall) -> None:
-    wall.watch(1, every=1)
-    gc.collect()
-    assert not asyncio.all_tasks(wall.loop)
 
 
 # --- points with intervals of their own, and totals that fall ---------------------------------

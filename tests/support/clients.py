@@ -84,6 +84,16 @@ class Awaited:
 
         self._run(change())
 
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> Any:
+        """Return the next value of what is for ``async for``."""
+        try:
+            return self._run(self._plc.__anext__())
+        except StopAsyncIteration:
+            raise StopIteration from None
+
     def __enter__(self) -> Self:
         try:
             self.connect()
