@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, Client, ModbusConnectionError, State, pdu
-from tests.simulation.network import Network
 from tests.simulation.ports import memory_port
 from tests.simulation.scripted import Scripted, Write
+from tests.support.in_loops import run_client
 from tests.support.peers import FakeServer, echo
 from tests.support.scripted import run
 from tests.support.talk import value
@@ -31,26 +31,19 @@ def answer_tcp(request: bytes, write: Write) -> None:
 
 @pytest.mark.parametrize("rs485", ["rts-up", "rts-down"])
 def test_a_line_that_must_be_turned_round_is_sent_to_after_its_delay(rs485: str) -> None:
-    network = Network()
-    peer = Scripted(network, "rtu:///dev/line", answer_rtu)
+    async def use(plc: AsyncClient, peer: Scripted) -> None:
+        for address in (3, 4):
+            begun = peer.network.events.now
+            assert await plc.read_holding_registers(address, 1) == [address]
+            assert peer.times[-1] - begun >= 0.25
+        assert len(peer.requests) == 2
 
-    async def main() -> None:
-        url = f"rtu:///dev/line?unit=1&rs485={rs485}&rts_delay=0.25"
-        async with AsyncClient(url) as plc:
-            for address in (3, 4):
-                begun = network.events.now
-                assert await plc.read_holding_registers(address, 1) == [address]
-                assert peer.times[-1] - begun >= 0.25
-            assert len(peer.requests) == 2
-
-    network.run(main)
+    run_client(answer_rtu, use, f"rtu:///dev/line?unit=1&rs485={rs485}&rts_delay=0.25")
 
 
 def test_a_send_that_fails_is_told_at_once_and_the_next_goes_over_another_connection(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", answer_tcp)
     kind = memory_port("tcp")
     send = kind.send
     failing = [True]
@@ -61,74 +54,60 @@ def test_a_send_that_fails_is_told_at_once_and_the_next_goes_over_another_connec
             raise ModbusConnectionError("Broken pipe", errno=32)
         send(port, adus, now)
 
-    async def main() -> None:
-        async with AsyncClient(f"{peer.url}?retries=0") as plc:
-            await plc.connect()
-            monkeypatch.setattr(kind, "send", fail)
-            begun = network.events.now
-            with pytest.raises(ModbusConnectionError, match="Broken pipe"):
-                await plc.read_holding_registers(1, 1)
-            assert network.events.now == begun
-            assert plc.statistics.lost == 1
-            assert await plc.read_holding_registers(2, 1) == [2]
-            assert peer.connections == 2
+    async def use(plc: AsyncClient, peer: Scripted) -> None:
+        monkeypatch.setattr(kind, "send", fail)
+        begun = peer.network.events.now
+        with pytest.raises(ModbusConnectionError, match="Broken pipe"):
+            await plc.read_holding_registers(1, 1)
+        assert peer.network.events.now == begun
+        assert plc.statistics.lost == 1
+        assert await plc.read_holding_registers(2, 1) == [2]
+        assert peer.connections == 2
 
-    network.run(main)
+    run_client(answer_tcp, use, retries=0)
 
 
 def test_what_the_system_does_not_take_at_once_is_sent_later() -> None:
     """A host that reads slowly: the rest follows as soon as there is room."""
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", answer_tcp)
 
-    async def main() -> None:
-        async with AsyncClient(f"{peer.url}?max_in_flight=16") as plc:
-            await plc.connect()
-            plc._driver._port._socket.capacity = 7  # type: ignore[attr-defined]
-            asked = [plc.read_holding_registers(address, 1) for address in range(20)]
-            assert await asyncio.gather(*asked) == [[address] for address in range(20)]
-            assert len(peer.requests) == 20
+    async def use(plc: AsyncClient, peer: Scripted) -> None:
+        plc._driver._port._socket.capacity = 7  # type: ignore[attr-defined]
+        asked = [plc.read_holding_registers(address, 1) for address in range(20)]
+        assert await asyncio.gather(*asked) == [[address] for address in range(20)]
+        assert len(peer.requests) == 20
 
-    network.run(main)
+    run_client(answer_tcp, use, max_in_flight=16)
 
 
 def test_who_asks_at_the_same_time_goes_out_together() -> None:
     """One turn of the loop, and as few calls of the system as can be."""
-    network = Network()
     sent: list[bytes] = []
 
     def tap(place: str, number: int, is_client: bool, data: bytes) -> None:
         if is_client:
             sent.append(data)
 
-    peer = Scripted(network, "tcp://10.0.0.1", answer_tcp)
-    network.tap = tap
+    async def use(plc: AsyncClient, peer: Scripted) -> None:
+        await plc.read_holding_registers(0, 1)
+        peer.network.tap = tap
+        await asyncio.gather(*(plc.read_holding_registers(each, 1) for each in range(8)))
+        assert len(b"".join(sent)) == 8 * 12
+        assert len(sent) <= 3
 
-    async def main() -> None:
-        async with AsyncClient(peer.url, max_in_flight=16) as plc:
-            await plc.read_holding_registers(0, 1)
-            sent.clear()
-            await asyncio.gather(*(plc.read_holding_registers(each, 1) for each in range(8)))
-            assert len(b"".join(sent)) == 8 * 12
-            assert len(sent) <= 3
-
-    network.run(main)
+    run_client(answer_tcp, use, max_in_flight=16)
 
 
 def test_a_client_that_waits_for_nothing_sets_no_alarm() -> None:
     """An idle client must not wake the machine."""
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", answer_tcp)
 
-    async def main() -> None:
-        async with AsyncClient(peer.url) as plc:
-            await plc.read_holding_registers(0, 1)
-            await asyncio.sleep(60)
-            happened = network.events.happened
-            await asyncio.sleep(3600)
-            assert network.events.happened == happened
+    async def use(plc: AsyncClient, peer: Scripted) -> None:
+        await plc.read_holding_registers(0, 1)
+        await asyncio.sleep(60)
+        happened = peer.network.events.happened
+        await asyncio.sleep(3600)
+        assert peer.network.events.happened == happened
 
-    network.run(main)
+    run_client(answer_tcp, use)
 
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)

@@ -7,58 +7,40 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import random
-from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
 
 from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError, State, pdu
-from tests.simulation.network import Network
-from tests.simulation.scripted import OnRequest, Scripted
+from tests.simulation.scripted import Scripted
+from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import TcpPeer, Write, echo
-from tests.support.reads import good
+from tests.support.reads import good, good_at
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
-
-
-def after(seconds: float) -> OnRequest:
-    """Answer late."""
-    return lambda request, write: write(echo(request), after=seconds)
-
-
-def run(on_request: OnRequest, main: Callable[[Network, Scripted], Awaitable[Any]]) -> None:
-    """Run a test in simulated time, with a peer."""
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", on_request)
-
-    async def go() -> None:
-        await main(network, peer)
-
-    network.run(go)
 
 
 # --- what it waits for ----------------------------------------------------------------------------
 
 
 def test_an_answer() -> None:
-    async def main(network: Network, peer: Scripted) -> None:
-        async with AsyncClient(peer.url, max_in_flight=2) as plc:
-            for _ in range(3):
-                with pytest.raises(TimeoutError):
-                    async with asyncio.timeout(0.02):
-                        await plc.read_holding_registers(1, 1)
-                with pytest.raises(TimeoutError):
-                    await asyncio.wait_for(plc.execute_many([REQUEST] * 9), 0.02)
-                assert await plc.read_holding_registers(2, 1) == [2]
-            assert plc.late_answers == 9
-            assert (peer.connections, plc.statistics.timeouts) == (1, 0)
-            assert len(peer.requests) == 12
+    async def use(plc: AsyncClient, peer: Scripted) -> None:
+        for _ in range(3):
+            with pytest.raises(TimeoutError):
+                async with asyncio.timeout(0.02):
+                    await plc.read_holding_registers(1, 1)
+            with pytest.raises(TimeoutError):
+                await asyncio.wait_for(plc.execute_many([REQUEST] * 9), 0.02)
+            assert await plc.read_holding_registers(2, 1) == [2]
+        assert plc.late_answers == 9
+        assert (peer.connections, plc.statistics.timeouts) == (1, 0)
+        assert len(peer.requests) == 12
 
-    run(after(0.2), main)
+    run_client(good_at("tcp", after=0.2), use, max_in_flight=2)
 
 
 def test_the_connection() -> None:
-    async def main(network: Network, peer: Scripted) -> None:
+    async def main(peer: Scripted) -> None:
         plc = AsyncClient(peer.url)
         waiting = [asyncio.create_task(plc.execute(REQUEST)) for _ in range(3)]
         joining = asyncio.create_task(plc.connect())
@@ -72,13 +54,13 @@ def test_the_connection() -> None:
         assert len(peer.requests) == 1
         await plc.close()
 
-    run(good, main)
+    run_peer(good, main)
 
 
 @pytest.mark.parametrize("options", [{"request_spacing": 0.2}, {"connect_delay": 0.2}])
 def test_a_pause(options: dict[str, Any]) -> None:
-    async def main(network: Network, peer: Scripted) -> None:
-        before = network.events.now
+    async def main(peer: Scripted) -> None:
+        before = peer.network.events.now
         async with AsyncClient(peer.url, **options) as plc:
             if "request_spacing" in options:
                 await plc.read_holding_registers(0, 1)
@@ -86,10 +68,10 @@ def test_a_pause(options: dict[str, Any]) -> None:
             await asyncio.sleep(0.02)
             waiting.cancel()
             assert await plc.read_holding_registers(2, 1) == [2]
-            assert network.events.now == pytest.approx(before + 0.2, abs=0.002)
+            assert peer.network.events.now == pytest.approx(before + 0.2, abs=0.002)
             assert 1 not in [request[9] for request in peer.requests]
 
-    run(good, main)
+    run_peer(good, main)
 
 
 # --- at any step of the loop ----------------------------------------------------------------------
@@ -98,7 +80,7 @@ def test_a_pause(options: dict[str, Any]) -> None:
 def test_a_batch_among_others() -> None:
     """Whatever the request waits for: the connection, its slot, its answer."""
 
-    async def main(network: Network, peer: Scripted) -> None:
+    async def main(peer: Scripted) -> None:
         for kept in (True, False):
             for steps in range(12):
                 async with AsyncClient(peer.url, max_in_flight=2, timeout=2) as client:
@@ -125,7 +107,7 @@ def test_a_batch_among_others() -> None:
                         assert len(await batch) == 256
                     assert await client.read_holding_registers(5, 1) == [5]
 
-    run(good, main)
+    run_peer(good, main)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -143,19 +125,18 @@ def test_many_tasks_by_chance(seed: int) -> None:
                     got = await client.read_holding_registers(address, 1)
                     assert got == [address]
 
-    async def main(network: Network, peer: Scripted) -> None:
-        async with AsyncClient(peer.url, timeout=0.04) as client:
-            await asyncio.gather(*(one(client) for _ in range(10)))
-            client.timeout = 1
-            assert await client.read_holding_registers(77, 1) == [77]
+    async def use(client: AsyncClient, peer: Scripted) -> None:
+        await asyncio.gather(*(one(client) for _ in range(10)))
+        client.timeout = 1
+        assert await client.read_holding_registers(77, 1) == [77]
 
-    run(slowly, main)
+    run_client(slowly, use, timeout=0.04)
 
 
 def test_connecting_and_whoever_is_cancelled() -> None:
     """The caller, or all tasks of the package: the client can connect again."""
 
-    async def main(network: Network, peer: Scripted) -> None:
+    async def main(peer: Scripted) -> None:
         for steps in range(8):
             for everybody in (False, True):
                 client = AsyncClient(peer.url, timeout=1)
@@ -170,7 +151,7 @@ def test_connecting_and_whoever_is_cancelled() -> None:
                 assert await client.read_holding_registers(6, 1) == [6]
                 await client.close()
 
-    run(good, main)
+    run_peer(good, main)
 
 
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
@@ -199,7 +180,7 @@ def test_a_hook_that_cancels_leaves_a_client_that_works(at: int, hook: str) -> N
 
 
 def test_closing_while_it_connects() -> None:
-    async def main(network: Network, peer: Scripted) -> None:
+    async def main(peer: Scripted) -> None:
         for turns in range(6):
             plc = AsyncClient(peer.url)
             waiting = asyncio.create_task(plc.execute(REQUEST))
@@ -209,4 +190,4 @@ def test_closing_while_it_connects() -> None:
             with contextlib.suppress(ModbusConnectionError):
                 await waiting
 
-    run(good, main)
+    run_peer(good, main)

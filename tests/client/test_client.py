@@ -14,10 +14,9 @@ import pytest
 
 from libmodbus_py import Context, Device, IllegalDataAddress, Mapping, Server, pdu
 from libmodbus_py.client.asynchronous import AsyncClient
-from tests.simulation.events import Events
-from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import Awaited, threadsafe
+from tests.support.in_loops import run_client
 from tests.support.interop import (
     TIMEOUT,
     UNIT,
@@ -29,6 +28,7 @@ from tests.support.interop import (
 )
 from tests.support.peers import Write, echo
 from tests.support.pymodbus_peers import FRAMERS, pymodbus_serving
+from tests.support.reads import echoes, reads
 from tests.support.scripted import run
 from tests.support.transports import TRANSPORTS, serving
 
@@ -84,62 +84,52 @@ def test_many_tasks_each_get_their_own_answer(transport: str, mapping: Mapping) 
 class Counting:
     """Answers in reverse order as soon as `batch` requests are there, or after a while."""
 
-    def __init__(self, events: Events, batch: int) -> None:
-        self._events = events
+    def __init__(self, batch: int) -> None:
         self._batch = batch
         self._held: list[tuple[bytes, Write]] = []
-        self._in_flight = 0
+        self._alarm: asyncio.TimerHandle | None = None
         self.most = 0
 
     def __call__(self, request: bytes, write: Write) -> None:
+        if self._alarm is not None:
+            self._alarm.cancel()
         self._held.append((request, write))
-        self._in_flight += 1
-        self.most = max(self.most, self._in_flight)
-        self._events.after(0.005, self._answer, len(self._held))
+        self.most = max(self.most, len(self._held))
         if len(self._held) >= self._batch:
-            self._answer(len(self._held))
+            self._answer()
+        else:
+            self._alarm = asyncio.get_running_loop().call_later(0.005, self._answer)
 
-    def _answer(self, size: int) -> None:
-        if len(self._held) != size:
-            return
+    def _answer(self) -> None:
         while self._held:
             request, write = self._held.pop()
-            self._in_flight -= 1
             write(echo(request))
 
 
 @pytest.mark.parametrize("limit", [1, 2, 16])
 def test_limit_of_the_client_is_used_and_honoured(limit: int) -> None:
-    network = Network()
-    counting = Counting(network.events, limit)
-    peer = Scripted(network, "tcp://10.0.0.1", counting)
+    counting = Counting(limit)
 
-    async def main() -> None:
-        async with AsyncClient(peer.url, max_in_flight=limit) as plc:
-            single = [plc.read_holding_registers(address, 1) for address in range(40)]
-            many = plc.execute_many([pdu.ReadHoldingRegisters(a, 1) for a in range(40, 100)])
-            *answers, together = await asyncio.gather(*single, many)
-            assert [*answers, *together] == [[address] for address in range(100)]
-            assert counting.most == limit
+    async def use(plc: AsyncClient, _: Scripted) -> None:
+        single = [plc.read_holding_registers(address, 1) for address in range(40)]
+        *answers, together = await asyncio.gather(*single, plc.execute_many(reads(60, 40)))
+        assert [*answers, *together] == echoes(100)
+        assert counting.most == limit
 
-    network.run(main)
+    run_client(counting, use, max_in_flight=limit)
 
 
 def test_a_single_request_need_not_wait_for_a_long_batch() -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", Counting(network.events, 4))
 
-    async def main() -> None:
-        async with AsyncClient(peer.url, max_in_flight=4) as plc:
-            requests = [pdu.ReadHoldingRegisters(address, 1) for address in range(200)]
-            batch = asyncio.create_task(plc.execute_many(requests))
-            while len(peer.requests) < 20:
-                await asyncio.sleep(0.0001)
-            assert await plc.read_holding_registers(999, 1) == [999]
-            assert not batch.done()
-            assert await batch == [[address] for address in range(200)]
+    async def use(plc: AsyncClient, peer: Scripted) -> None:
+        batch = asyncio.create_task(plc.execute_many(reads(200)))
+        while len(peer.requests) < 20:
+            await asyncio.sleep(0.0001)
+        assert await plc.read_holding_registers(999, 1) == [999]
+        assert not batch.done()
+        assert await batch == echoes(200)
 
-    network.run(main)
+    run_client(Counting(4), use, max_in_flight=4)
 
 
 # --- peers ----------------------------------------------------------------------------------

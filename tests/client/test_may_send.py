@@ -16,9 +16,9 @@ from libmodbus_py import AsyncClient, ModbusConnectionError, TcpContext
 from libmodbus_py.client.connection import Transactions
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.tools.testing.wires import SerialWire
-from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
-from tests.support.peers import Write, answer
+from tests.support.in_loops import run_client, run_peer
+from tests.support.reads import good, good_at
 from tests.support.talk import Talk
 
 
@@ -37,24 +37,14 @@ class Gate:
         self.is_open = False
 
 
-def peer_at(network: Network, scheme: str = "tcp", after: float = 0.0) -> Scripted:
-    """Return a peer that answers reads."""
-
-    def on_request(request: bytes, write: Write) -> None:
-        write(answer(request, scheme), after=after)
-
-    return Scripted(network, f"{scheme}://10.0.0.1", on_request)
-
-
 def refused(outcome: object) -> bool:
     return isinstance(outcome, ModbusConnectionError) and outcome.errno == errno.EPERM
 
 
 def test_nothing_connects_or_is_sent_until_it_may() -> None:
-    network, gate = Network(), Gate(is_open=False)
-    peer = peer_at(network)
+    gate = Gate(is_open=False)
 
-    async def main() -> None:
+    async def main(peer: Scripted) -> None:
         plc = AsyncClient(peer.url, may_send=gate)
         with pytest.raises(ModbusConnectionError, match="may_send allows no request") as caught:
             await plc.read_holding_registers(7, 1)
@@ -71,7 +61,7 @@ def test_nothing_connects_or_is_sent_until_it_may() -> None:
         await plc.close()
         assert len(peer.requests) == 2
 
-    network.run(main)
+    run_peer(good, main)
 
 
 @pytest.mark.parametrize(
@@ -79,19 +69,17 @@ def test_nothing_connects_or_is_sent_until_it_may() -> None:
 )
 def test_those_that_wait_are_not_sent_once_it_is_over(options: Any, sent: int) -> None:
     """They wait for a slot, or for the delay after connecting: asked at their start it was yes."""
-    network, gate = Network(), Gate()
-    peer = peer_at(network, after=0.1)
+    gate = Gate()
 
-    async def main() -> None:
-        async with AsyncClient(peer.url, may_send=gate, **options) as plc:
-            asking = [asyncio.create_task(plc.read_holding_registers(7, 1)) for _ in range(3)]
-            await asyncio.sleep(0.03)
-            gate.shut()
-            outcomes = await asyncio.gather(*asking, return_exceptions=True)
-            assert len(peer.requests) == sent
-            assert sum(map(refused, outcomes)) == 3 - sent
+    async def use(plc: AsyncClient, peer: Scripted) -> None:
+        asking = [asyncio.create_task(plc.read_holding_registers(7, 1)) for _ in range(3)]
+        await asyncio.sleep(0.03)
+        gate.shut()
+        outcomes = await asyncio.gather(*asking, return_exceptions=True)
+        assert len(peer.requests) == sent
+        assert sum(map(refused, outcomes)) == 3 - sent
 
-    network.run(main)
+    run_client(good_at("tcp", after=0.1), use, may_send=gate, **options)
 
 
 def test_false_is_no_mistake_and_all_but_true_and_false_is(
@@ -120,8 +108,7 @@ def test_it_is_for_asyncio_alone() -> None:
 def test_nothing_goes_once_the_frames_were_made(
     scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    network, gate = Network(), Gate()
-    peer = peer_at(network, scheme)
+    gate = Gate()
     start: Callable[..., Any] = Transactions.start
 
     def stopping(self: Transactions, *arguments: Any) -> Any:
@@ -131,14 +118,14 @@ def test_nothing_goes_once_the_frames_were_made(
 
     monkeypatch.setattr(Transactions, "start", stopping)
 
-    async def main() -> None:
+    async def main(peer: Scripted) -> None:
         plc = AsyncClient(peer.url, may_send=gate, timeout=10)
         asking = [plc.read_holding_registers(address, 1) for address in range(3)]
         assert all(map(refused, await asyncio.gather(*asking, return_exceptions=True)))
         await plc.close()
+        assert peer.requests == []
 
-    network.run(main)
-    assert peer.requests == []
+    run_peer(good, main, f"{scheme}://10.0.0.1")
 
 
 @pytest.mark.parametrize("when", ["before", "after"])

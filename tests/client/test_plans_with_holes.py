@@ -18,16 +18,15 @@ from libmodbus_py import (
     Point,
     RegisterMap,
 )
-from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import EVERYWHERE, Simulated, World
+from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import Write, mbap
 
 H = "holding_registers"
 
 
-def meter() -> RegisterMap:
-    return RegisterMap(Point(f"p{at}", H, at) for at in range(20))
+POINTS = RegisterMap(Point(f"p{at}", H, at) for at in range(20))
 
 
 class Meter:
@@ -67,42 +66,42 @@ def good(found: dict[str, Any]) -> dict[str, Any]:
 
 @EVERYWHERE
 def test_a_hole_costs_ten_requests_once(world: World) -> None:
-    device, points = Meter(7), meter()
+    device = Meter(7)
     with world.connect(world.peer("tcp", device).url) as plc:
         counts = []
         for _ in range(10):
-            found = plc.read_map(points, return_exceptions=True)
+            found = plc.read_map(POINTS, return_exceptions=True)
             assert good(found) == values(7)
             assert isinstance(found["p7"], IllegalDataAddress)
             counts.append(device.taken())
         assert counts[0] <= 1 + 10
         assert counts[1:] == [2] * 9
-        (hole,) = plc.unreadable(points)
+        (hole,) = plc.unreadable(POINTS)
         assert (hole.name, hole.table, hole.cells) == ("p7", H, range(7, 8))
         assert hole.device == f"{plc.url}, unit {plc.unit}"
         # Other names of the same map profit from it.
-        found = plc.read_map(points, ["p6", "p7", "p8"], return_exceptions=True)
+        found = plc.read_map(POINTS, ["p6", "p7", "p8"], return_exceptions=True)
         assert good(found) == {"p6": 6, "p8": 8}
         assert device.taken() == 2
 
 
 def test_a_plan_of_nothing_is_read_whatever_is_known(world: World) -> None:
     with world.connect(world.peer("tcp", Meter(7)).url) as plc:
-        plc.read_map(meter(), return_exceptions=True)
+        plc.read_map(POINTS, return_exceptions=True)
         assert plc.read_many(Plan([])) == plc.read_many(Plan([]), return_exceptions=True) == []
 
 
 @EVERYWHERE
 def test_without_return_exceptions_the_point_is_named(world: World) -> None:
-    device, points = Meter(7, 12), meter()
+    device = Meter(7, 12)
     with world.connect(world.peer("tcp", device).url) as plc:
         for most in (1 + 6, 2, 2):
             with pytest.raises(IllegalDataAddress, match=r"p7: illegal data address") as caught:
-                plc.read_map(points)
+                plc.read_map(POINTS)
             assert caught.value.names == ("p7",)
             assert device.taken() <= most
         device.missing.clear()
-        assert plc.read_map(points) == values()
+        assert plc.read_map(POINTS) == values()
         assert device.taken() == 1
 
 
@@ -158,17 +157,17 @@ def test_a_plan_learns_for_each_device_by_itself(world: Simulated) -> None:
 @EVERYWHERE
 def test_another_client_knows_nothing(world: World) -> None:
     """A map and a plan are what they were, whatever one client was told."""
-    device, points = Meter(7), meter()
+    device = Meter(7)
     peer = world.peer("tcp", device)
     with world.connect(peer.url) as plc:
-        plc.read_map(points, return_exceptions=True)
-        assert [each.name for each in plc.unreadable(points)] == ["p7"]
+        plc.read_map(POINTS, return_exceptions=True)
+        assert [each.name for each in plc.unreadable(POINTS)] == ["p7"]
     device.missing.clear()
     device.taken()
     with world.connect(peer.url) as plc:
-        assert plc.read_map(points, return_exceptions=True) == values()
+        assert plc.read_map(POINTS, return_exceptions=True) == values()
         assert device.taken() == 1
-        assert plc.unreadable(points) == []
+        assert plc.unreadable(POINTS) == []
 
 
 def test_only_plans_and_maps_have_unreadable_items(world: World) -> None:
@@ -188,42 +187,41 @@ def test_items_that_are_no_plan_are_read_as_they_are(world: World) -> None:
 
 
 def test_it_is_tried_again_when_it_is_time(world: World) -> None:
-    device, points = Meter(7), meter()
+    device = Meter(7)
     peer = world.peer("tcp", device)
     with world.connect(peer.url) as plc:
-        plc.read_map(points, return_exceptions=True)
+        plc.read_map(POINTS, return_exceptions=True)
         device.taken()
         counts = []
         for _ in range(125):
             world.sleep(10)
-            plc.read_map(points, return_exceptions=True)
+            plc.read_map(POINTS, return_exceptions=True)
             counts.append(device.taken())
         assert [10 * (at + 1) for at, count in enumerate(counts) if count == 3] == [600, 1200]
         # So it is after another connection, once it is there.
         device.missing.clear()
         peer.drop_all()
         for _ in range(3):
-            found = plc.read_map(points, return_exceptions=True)
+            found = plc.read_map(POINTS, return_exceptions=True)
         assert found == values()
-        assert plc.unreadable(points) == []
+        assert plc.unreadable(POINTS) == []
 
 
 def test_silence_is_no_hole(world: World) -> None:
-    device, points = Meter(), meter()
+    device = Meter()
     device.silent.add(7)
     with world.connect(world.peer("tcp", device).url, timeout=0.5) as plc:
         for _ in range(3):
-            found = plc.read_map(points, return_exceptions=True)
+            found = plc.read_map(POINTS, return_exceptions=True)
             assert all(isinstance(each, ModbusTimeoutError) for each in found.values())
             assert device.taken() == 1
 
 
 def test_what_is_found_is_logged_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "libmodbus_py.client.procedures")
-    points = meter()
     with world.connect(world.peer("tcp", Meter(7)).url) as plc:
         for _ in range(3):
-            plc.read_map(points, return_exceptions=True)
+            plc.read_map(POINTS, return_exceptions=True)
         assert caplog.messages == [
             f"{plc.url}, unit 1: cannot be read: p7, holding_registers 7 (1 register): "
             "illegal data address (exception 2)"
@@ -232,39 +230,30 @@ def test_what_is_found_is_logged_once(world: World, caplog: pytest.LogCaptureFix
 
 def test_cancelled_in_the_midst_of_halving() -> None:
     """At each request: what is known then is true, and the next poll completes it."""
-    for stop in range(1, 12):
-        network, device, points = Network(), Meter(7), meter()
-        peer = Scripted(network, "tcp://10.0.0.1", device)
 
-        async def main(
-            stop: int = stop,
-            device: Meter = device,
-            points: RegisterMap = points,
-            url: str = peer.url,
-        ) -> None:
-            async with AsyncClient(url) as plc:
-                reading = asyncio.create_task(plc.read_map(points, return_exceptions=True))
+    async def main(peer: Scripted) -> None:
+        for stop in range(1, 12):
+            async with AsyncClient(peer.url) as plc:
+                device.taken()
+                reading = asyncio.create_task(plc.read_map(POINTS, return_exceptions=True))
                 while len(device.asked) < stop and not reading.done():
                     await asyncio.sleep(1e-5)
                 reading.cancel()
                 await asyncio.gather(reading, return_exceptions=True)
-                assert {each.name for each in plc.unreadable(points)} <= {"p7"}
-                found = await plc.read_map(points, return_exceptions=True)
+                assert {each.name for each in plc.unreadable(POINTS)} <= {"p7"}
+                found = await plc.read_map(POINTS, return_exceptions=True)
                 assert good(found) == values(7)
 
-        network.run(main)
+    device = Meter(7)
+    run_peer(device, main)
 
 
 def test_two_tasks_poll_one_plan_at_once() -> None:
-    network, device, points = Network(), Meter(7, 15), meter()
-    peer = Scripted(network, "tcp://10.0.0.1", device)
+    async def use(plc: AsyncClient, _: Scripted) -> None:
+        for _ in range(2):
+            polls = [plc.read_map(POINTS, return_exceptions=True) for _ in range(5)]
+            for found in await asyncio.gather(*polls):
+                assert good(found) == values(7, 15)
+        assert [each.name for each in plc.unreadable(POINTS)] == ["p7", "p15"]
 
-    async def main() -> None:
-        async with AsyncClient(peer.url) as plc:
-            for _ in range(2):
-                polls = [plc.read_map(points, return_exceptions=True) for _ in range(5)]
-                for found in await asyncio.gather(*polls):
-                    assert good(found) == values(7, 15)
-            assert [each.name for each in plc.unreadable(points)] == ["p7", "p15"]
-
-    network.run(main)
+    run_client(Meter(7, 15), use)

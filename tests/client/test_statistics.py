@@ -15,10 +15,10 @@ import pytest
 from libmodbus_py import AsyncClient, ModbusError, TcpContext, pdu
 from libmodbus_py.client.statistics import RESULTS, TIME_BOUNDS, Statistics
 from tests.simulation import network
-from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.simulation.sockets import DELAY
 from tests.support.clients import BLOCKING, EVERYWHERE, Connect, Simulated, World, asking
+from tests.support.in_loops import run_client
 from tests.support.peers import FakeServer, TcpPeer, answering, echo, mbap
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
@@ -104,21 +104,16 @@ def test_what_was_not_sent_is_told_from_the_rest(world: World) -> None:
 
 
 def test_a_cancelled_request_is_counted_so() -> None:
-    world = Network()
-    peer = Scripted(world, "tcp://10.0.0.1", answering(silent, good))
+    async def use(plc: AsyncClient, _: Scripted) -> None:
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.1):
+                await plc.execute(REQUEST)
+        assert plc.statistics.results == {(3, "cancelled"): 1}
+        await plc.execute(REQUEST)
+        assert plc.statistics.results == {(3, "cancelled"): 1, (3, "ok"): 1}
+        check(plc.statistics)
 
-    async def cancel() -> Statistics:
-        async with AsyncClient(peer.url, timeout=5) as plc:
-            with pytest.raises(TimeoutError):
-                async with asyncio.timeout(0.1):
-                    await plc.execute(REQUEST)
-            assert plc.statistics.results == {(3, "cancelled"): 1}
-            await plc.execute(REQUEST)
-            return plc.statistics
-
-    statistics = world.run(cancel)
-    assert statistics.results == {(3, "cancelled"): 1, (3, "ok"): 1}
-    check(statistics)
+    run_client(answering(silent, good), use, timeout=5)
 
 
 @BLOCKING

@@ -5,8 +5,6 @@ Requests that are submitted: told of once, whatever happens, and never waited fo
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from typing import Any
 
 import pytest
 
@@ -17,29 +15,18 @@ from libmodbus_py import (
     ModbusTimeoutError,
     pdu,
 )
-from tests.simulation.network import Network
-from tests.simulation.scripted import OnRequest, Scripted
+from tests.simulation.scripted import Scripted
+from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import Write, answering, echo, ignore, mbap
 
 READ = pdu.ReadHoldingRegisters(7, 1)
-
-
-def run(on_request: OnRequest, use: Callable[[AsyncClient], Any], **options: Any) -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", on_request)
-
-    async def main() -> None:
-        async with AsyncClient(peer.url, **options) as client:
-            await use(client)
-
-    network.run(main)
 
 
 def test_many_are_told_of_once_each() -> None:
     def up_to_nine(request: bytes, write: Write) -> None:
         write(echo(request) if request[9] < 10 else mbap(request, b"\x83\x02"))
 
-    async def use(client: AsyncClient) -> None:
+    async def use(client: AsyncClient, _: Scripted) -> None:
         told: list[int] = []
         made = [
             client.submit(1, pdu.ReadHoldingRegisters(at % 12, 1), lambda at=at: told.append(at))
@@ -53,11 +40,11 @@ def test_many_are_told_of_once_each() -> None:
             else:
                 assert isinstance(each.outcome, IllegalDataAddress)
 
-    run(up_to_nine, use)
+    run_client(up_to_nine, use)
 
 
 def test_one_that_is_withdrawn_is_not_told_of_and_its_answer_dropped() -> None:
-    async def use(client: AsyncClient) -> None:
+    async def use(client: AsyncClient, _: Scripted) -> None:
         told: list[str] = []
         first = client.submit(1, READ, lambda: told.append("first"))
         await asyncio.sleep(0.05)
@@ -75,15 +62,12 @@ def test_one_that_is_withdrawn_is_not_told_of_and_its_answer_dropped() -> None:
         return []
 
     held: list[bytes] = []
-    run(answering(late, lambda request: [*held, echo(request)]), use, timeout=5)
+    run_client(answering(late, lambda request: [*held, echo(request)]), use, timeout=5)
 
 
 @pytest.mark.parametrize("kind", ["nobody", "silence", "closed"])
 def test_failures_are_told_of_too(kind: str) -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", ignore)
-
-    async def main() -> None:
+    async def main(peer: Scripted) -> None:
         client = AsyncClient("tcp://10.0.0.9" if kind == "nobody" else peer.url, timeout=0.2)
         if kind == "closed":
             await client.close()
@@ -94,7 +78,7 @@ def test_failures_are_told_of_too(kind: str) -> None:
         assert isinstance(submitted.outcome, expected)
         await client.close()
 
-    network.run(main)
+    run_peer(ignore, main)
 
 
 def test_what_cannot_be_sent_is_refused_at_once() -> None:

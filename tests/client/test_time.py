@@ -25,9 +25,9 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.ports.schemes import SCHEMES
-from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import ALL, BLOCKING, EVERYWHERE, World, asking, read
+from tests.support.in_loops import run_client
 from tests.support.peers import Write, answering, dead, echo, ignore, peer_at, until
 from tests.support.reads import good
 
@@ -185,18 +185,14 @@ def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(
 def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(
     unit: Any, error: type[Exception]
 ) -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", good)
+    async def use(plc: AsyncClient, _: Scripted) -> None:
+        waiting = asyncio.create_task(plc.read_holding_registers(7, 1))
+        await asyncio.sleep(0)
+        with pytest.raises(error, match=r"unit must be .*0\.\.255"):
+            plc.submit(unit, pdu.ReadHoldingRegisters(1, 1), lambda: None)
+        assert await waiting == [7]
 
-    async def main() -> None:
-        async with AsyncClient(peer.url) as plc:
-            waiting = asyncio.create_task(plc.read_holding_registers(7, 1))
-            await asyncio.sleep(0)
-            with pytest.raises(error, match=r"unit must be .*0\.\.255"):
-                plc.submit(unit, pdu.ReadHoldingRegisters(1, 1), lambda: None)
-            assert await waiting == [7]
-
-    network.run(main)
+    run_client(good, use)
 
 
 class Silent(pdu.WriteRegister):

@@ -22,11 +22,12 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.ports.schemes import SCHEMES
-from tests.simulation.network import Network
 from tests.simulation.scripted import OnRequest, Scripted
 from tests.support.cases import each_case
 from tests.support.clients import ALL, BLOCKING, World, asking, making, read
+from tests.support.in_loops import run_client
 from tests.support.peers import FakeServer, Write, address_of, answer, has_header
+from tests.support.reads import good
 from tests.support.urls import rules_of
 
 each_scheme = pytest.mark.parametrize("scheme", SCHEMES)
@@ -103,19 +104,15 @@ def test_a_mistake_in_a_class_is_met_by_its_caller(
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("outcome", ["answer", "silence", "close"])
 def test_a_mistake_in_a_class_leaves_the_callers_beside_it_alone(name: str, outcome: str) -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", replying("tcp", outcome))
+    async def use(plc: AsyncClient, _: Scripted) -> None:
+        reads = [plc.read_holding_registers(address, 1) for address in (1, 2, 3)]
+        *others, mistaken = await asyncio.gather(
+            *reads, plc.execute(with_mistake(name)), return_exceptions=True
+        )
+        assert others == [[1], [2], [3]]
+        assert mistaken == [5] or isinstance(mistaken, Mistake | ModbusError)
 
-    async def main() -> None:
-        async with AsyncClient(peer.url, timeout=0.5, retries=1) as plc:
-            reads = [plc.read_holding_registers(address, 1) for address in (1, 2, 3)]
-            *others, mistaken = await asyncio.gather(
-                *reads, plc.execute(with_mistake(name)), return_exceptions=True
-            )
-            assert others == [[1], [2], [3]]
-            assert mistaken == [5] or isinstance(mistaken, Mistake | ModbusError)
-
-    network.run(main)
+    run_client(replying("tcp", outcome), use, timeout=0.5, retries=1)
 
 
 class Broken(logging.Handler):
@@ -195,20 +192,17 @@ def test_a_trace_of_a_request_comes_before_its_answer(world: World) -> None:
 
 def submitting(act: Callable[[AsyncClient, list[Any]], object]) -> list[Any]:
     """Submit two reads, the first with an `on_done` of the test; return what was told."""
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", replying("tcp", "answer"))
     told: list[Any] = []
 
-    async def main() -> None:
-        async with AsyncClient(peer.url) as plc:
-            done = asyncio.Event()
-            plc.submit(1, pdu.ReadHoldingRegisters(1, 1), lambda: act(plc, told))
-            second = plc.submit(1, pdu.ReadHoldingRegisters(2, 1), done.set)
-            await done.wait()
-            told.append(second.outcome)
-            await asyncio.sleep(1)
+    async def use(plc: AsyncClient, _: Scripted) -> None:
+        done = asyncio.Event()
+        plc.submit(1, pdu.ReadHoldingRegisters(1, 1), lambda: act(plc, told))
+        second = plc.submit(1, pdu.ReadHoldingRegisters(2, 1), done.set)
+        await done.wait()
+        told.append(second.outcome)
+        await asyncio.sleep(1)
 
-    network.run(main)
+    run_client(good, use)
     return told
 
 
@@ -239,19 +233,15 @@ class Submitting(pdu.ReadHoldingRegisters):
 
 
 def test_a_class_may_use_the_client_while_it_decodes() -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", replying("tcp", "answer"))
+    async def use(plc: AsyncClient, _: Scripted) -> None:
+        told: list[Any] = []
+        kind: Any = type("Own", (Submitting,), {"plc": plc, "told": told, "__slots__": ()})
+        results = await asyncio.gather(*(plc.execute(kind(at, 1)) for at in (1, 2, 3)))
+        await asyncio.sleep(1)
+        assert results == [[1], [2], [3]]
+        assert told == [[6], [6], [6]]
 
-    async def main() -> None:
-        async with AsyncClient(peer.url) as plc:
-            told: list[Any] = []
-            kind: Any = type("Own", (Submitting,), {"plc": plc, "told": told, "__slots__": ()})
-            results = await asyncio.gather(*(plc.execute(kind(at, 1)) for at in (1, 2, 3)))
-            await asyncio.sleep(1)
-            assert results == [[1], [2], [3]]
-            assert told == [[6], [6], [6]]
-
-    network.run(main)
+    run_client(good, use)
 
 
 # --- hooks, and classes of requests, on the real system --------------------------------------

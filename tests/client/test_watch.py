@@ -26,10 +26,10 @@ from libmodbus_py import (
     RegisterMap,
     Server,
 )
-from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.cases import each_case
 from tests.support.clients import Simulated
+from tests.support.in_loops import run_client
 from tests.support.peers import Write, mbap
 from tests.support.reads import good
 
@@ -196,16 +196,13 @@ def test_it_ends_when_the_client_is_closed(wall: Wall) -> None:
 
 def in_a_loop(use: Callable[[AsyncClient, Any], Awaitable[None]], every: float) -> None:
     """Run a test with a client and its watch, which has given its first values."""
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", good)
 
-    async def main() -> None:
-        async with AsyncClient(peer.url) as plc:
-            watching = plc.watch(METER, every=every)
-            await anext(watching)
-            await use(plc, watching)
+    async def begun(plc: AsyncClient, _: Scripted) -> None:
+        watching = plc.watch(METER, every=every)
+        await anext(watching)
+        await use(plc, watching)
 
-    network.run(main)
+    run_client(good, begun)
 
 
 def test_close_ends_a_wait_in_an_event_loop() -> None:

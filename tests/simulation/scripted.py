@@ -94,7 +94,7 @@ class Scripted(Party):
         self.requests: list[bytes] = []
         self.times: list[float] = []
         self.connections: int = 0
-        self._network = network
+        self.network = network
         self.ends: list[MemorySocket | SecureEnd] = []
         endpoint = parse(url)
         self._has_header = endpoint.framing == "tcp"
@@ -123,7 +123,7 @@ class Scripted(Party):
     def _later(self, after: float, call: Callable[..., object], *args: Any) -> None:
         """Do it now, or in so many seconds; simultaneous events have no order, but writes do."""
         if after:
-            self._network.events.after(after, call, *args)
+            self.network.events.after(after, call, *args)
         else:
             call(*args)
 
@@ -156,7 +156,7 @@ class Scripted(Party):
 
     def _note(self, request: bytes, write: Write) -> None:
         self.requests.append(request)
-        self.times.append(self._network.events.now)
+        self.times.append(self.network.events.now)
         self.on_request(request, write)
 
 

@@ -8,14 +8,19 @@ from typing import Any
 
 from libmodbus_py import pdu
 
-from .peers import Write, echo
+from .peers import OnRequest, Write, answer, echo
 
-__all__ = ["echoes", "good", "reads"]
+__all__ = ["echoes", "good", "good_at", "reads"]
 
 
 def good(request: bytes, write: Write) -> None:
     """Answer a read over TCP at once."""
     write(echo(request))
+
+
+def good_at(scheme: str, after: float = 0.0) -> OnRequest:
+    """Return what answers a read over any transport, after so many seconds."""
+    return lambda request, write: write(answer(request, scheme), after=after)
 
 
 def reads(count: int, first: int = 0) -> list[pdu.Request[Any]]:
