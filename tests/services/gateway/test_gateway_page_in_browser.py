@@ -12,22 +12,16 @@ from libmodbus_py.services.gateway.shown_gateway import ShownGateway
 from libmodbus_py.tools.page import samples
 from libmodbus_py.tools.page.page import table_page
 from libmodbus_py.tools.page.table_source import TableSource
-from tests.tools.page.browsers import Person, browser, console, missing, resize
+from tests.tools.page.browsers import IN_BROWSER, person_at
 from tests.tools.page.watching import until
 
-pytestmark = [
-    pytest.mark.skipif(bool(missing()), reason=missing()),
-    pytest.mark.timeout(300),  # Chromium on a busy machine
-]
+pytestmark = IN_BROWSER
 
 
 def test_a_person_looks_at_a_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(samples, "SAMPLED", 0.0)
-    with (
-        Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as behind,
-        browser() as driver,
-    ):
-        place, person = behind.urls[0], Person(driver)
+    with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as behind:
+        place = behind.urls[0]
         gateway = Gateway([Route(place, units="1-9")])
         shown = ShownGateway("<b>house</b>", gateway)
         with (
@@ -35,10 +29,10 @@ def test_a_person_looks_at_a_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
             gateway.background("tcp://127.0.0.1:0") as running,
             table_page(TableSource(shown)) as page,
             Context.from_url(running.urls[0], unit=3, timeout=10) as plc,
+            person_at(page.url) as person,
         ):
-            driver.get(page.url)
             person.sees("#status", "no line is down")
-            until(lambda: driver.title == "<b>house</b> - gateway")
+            until(lambda: person.driver.title == "<b>house</b> - gateway")
             for at in range(5):
                 plc.write_register(at, 7)
                 plc.read_holding_registers(0, 2)
@@ -56,21 +50,19 @@ def test_a_person_looks_at_a_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
                 person.sees("#charted", f"{name}  rate")
                 person.sees("#read", "requests/s")
                 assert until(lambda: person.attribute("#plot .line", "d"))
-            driver.execute_script(
-                "document.querySelectorAll('#rows tr[data-at=\"1\"] .spark')[1].click()"
-            )
+            person.run("document.querySelectorAll('#rows tr[data-at=\"1\"] .spark')[1].click()")
             person.sees("#charted", "unit 3  time")
             person.click("#close-chart")
             person.click("#rows tr[data-at='2'] button")
-            assert driver.execute_script("return document.querySelector('#chart').hidden")
+            assert person.run("return document.querySelector('#chart').hidden")
             person.sees("#log", "illegal data address")
             until(lambda: len(person.all("#log li")) == 11)
 
             # On a telephone, nothing sticks out.
-            resize(driver, 360, 740)
-            sizes = driver.execute_script(
+            person.resize(360, 740)
+            sizes = person.run(
                 "const box = document.querySelector('#scroll');"
                 "return [document.documentElement.scrollWidth, box.scrollWidth - box.clientWidth]"
             )
             assert sizes == [360, 0]
-            assert [each["message"] for each in console(driver)] == []
+            assert person.complaints() == []

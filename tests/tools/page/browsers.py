@@ -14,10 +14,12 @@ import tempfile
 from collections.abc import Iterator
 from typing import Any
 
+import pytest
+
 from tests.support import programs
 from tests.tools.page.watching import until
 
-__all__ = ["Person", "browser", "console", "missing", "resize"]
+__all__ = ["IN_BROWSER", "Person", "person_at"]
 
 PROGRAMS = {"chromium": "chromium", "chromedriver": "chromium-driver"}
 
@@ -42,7 +44,7 @@ OPTIONS = (
 )
 
 
-def missing() -> str:
+def _missing() -> str:
     """Return what is not installed, and the Debian packages of it; nothing if all is."""
     lacking = programs.missing(*PROGRAMS)
     if not lacking:
@@ -51,9 +53,16 @@ def missing() -> str:
     return f"{' and '.join(lacking)} not installed (Debian: {packages})"
 
 
+IN_BROWSER = [
+    pytest.mark.skipif(bool(_missing()), reason=_missing()),
+    pytest.mark.timeout(300),  # Chromium on a busy machine
+]
+"""The marks of tests that use a browser."""
+
+
 @contextlib.contextmanager
-def browser(width: int = 1200, height: int = 800) -> Iterator[Any]:
-    """Start a browser; when the block is left, it has ended, and all that it wrote is deleted."""
+def person_at(url: str = "about:blank", width: int = 1200, height: int = 800) -> Iterator[Person]:
+    """Open a URL in a new browser; after the block it has ended, and all that it wrote is gone."""
     from selenium import webdriver
     from selenium.webdriver.chrome.remote_connection import ChromeRemoteConnection
 
@@ -62,15 +71,17 @@ def browser(width: int = 1200, height: int = 800) -> Iterator[Any]:
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     with (
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
-        _chromedriver(folder) as url,
+        _chromedriver(folder) as chromedriver,
     ):
         for each in (*OPTIONS, f"--user-data-dir={folder}/profile"):
             options.add_argument(each)
-        connection = ChromeRemoteConnection(url, ignore_proxy=True)
+        connection = ChromeRemoteConnection(chromedriver, ignore_proxy=True)
         driver = webdriver.Remote(connection, options=options)
         try:
-            resize(driver, width, height)
-            yield driver
+            person = Person(driver)
+            person.resize(width, height)
+            driver.get(url)
+            yield person
         finally:
             driver.quit()
 
@@ -125,24 +136,38 @@ def _port(output: Iterator[str]) -> int:
     raise RuntimeError(f"chromedriver did not start: {''.join(said)}")
 
 
-def resize(driver: Any, width: int, height: int) -> None:
-    """Set the size of the view, also to less than the least width of a window."""
-    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-    command = {"cmd": "Emulation.setDeviceMetricsOverride", "params": metrics}
-    driver.execute("executeCdpCommand", command)
-
-
-def console(driver: Any) -> list[dict[str, Any]]:
-    """Return what pages wrote to the browser's console since this was last asked."""
-    found: list[dict[str, Any]] = driver.execute("getLog", {"type": "browser"})["value"]
-    return found
-
-
 class Person:
     """Looks, clicks and types."""
 
     def __init__(self, driver: Any) -> None:
         self.driver = driver
+
+    def resize(self, width: int, height: int) -> None:
+        """Set the size of the view, also to less than the least width of a window."""
+        metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        command = {"cmd": "Emulation.setDeviceMetricsOverride", "params": metrics}
+        self.driver.execute("executeCdpCommand", command)
+
+    def complaints(self) -> list[str]:
+        """Return what pages wrote to the browser's console since this was last asked."""
+        found = self.driver.execute("getLog", {"type": "browser"})["value"]
+        return [each["message"] for each in found]
+
+    def run(self, script: str, *arguments: str) -> Any:
+        """Return what a script in the page returns."""
+        return self.driver.execute_script(script, *arguments)
+
+    def focus(self, selector: str) -> None:
+        self.run("document.querySelector(arguments[0]).focus()", selector)
+
+    def focused(self, name: str) -> Any:
+        """Return an attribute of the element that has the focus."""
+        return self.driver.switch_to.active_element.get_attribute(name)
+
+    def enters(self, selector: str, text: str) -> None:
+        """Put a text in place of that in a field."""
+        self.one(selector).clear()
+        self.one(selector).send_keys(text)
 
     def all(self, selector: str) -> list[Any]:
         found: list[Any] = self.driver.find_elements("css selector", selector)
@@ -153,7 +178,7 @@ class Person:
 
     def text(self, selector: str) -> str:
         """As it stands there, also where it is scrolled out of sight."""
-        found: str = self.driver.execute_script(
+        found: str = self.run(
             "return [...document.querySelectorAll(arguments[0])].map(e => e.textContent).join('|')",
             selector,
         )
@@ -161,7 +186,7 @@ class Person:
 
     def attribute(self, selector: str, name: str) -> Any:
         """In one step, for the element may be drawn again between finding and asking it."""
-        return self.driver.execute_script(
+        return self.run(
             "return document.querySelector(arguments[0])?.getAttribute(arguments[1])",
             selector,
             name,

@@ -26,15 +26,12 @@ from libmodbus_py.page import live_page
 from libmodbus_py.tools.page.page import table_page
 from libmodbus_py.tools.page.table_source import TableSource
 from libmodbus_py.tools.simulator.device_file import load
-from tests.tools.page.browsers import Person, browser, console, missing, resize
+from tests.tools.page.browsers import IN_BROWSER, person_at
 from tests.tools.page.tables import HOSTILE, Plant
 from tests.tools.page.test_changes import PLANT
 from tests.tools.page.watching import Visitor, is_served, made_server, until
 
-pytestmark = [
-    pytest.mark.skipif(bool(missing()), reason=missing()),
-    pytest.mark.timeout(300),  # Chromium on a busy machine
-]
+pytestmark = IN_BROWSER
 
 
 def test_a_person_uses_the_page() -> None:
@@ -45,13 +42,11 @@ def test_a_person_uses_the_page() -> None:
         live_page(server) as page,
         server.background("tcp://127.0.0.1:0") as running,
         Context.from_url(running.urls[0], unit=1, timeout=5) as plc,
-        browser() as driver,
+        person_at(page.url) as person,
     ):
-        person = Person(driver)
-        driver.get(page.url)
         person.sees("#state", "connected")
-        assert "token" not in driver.current_url
-        assert driver.execute_script("return document.cookie") == ""
+        assert "token" not in person.driver.current_url
+        assert person.run("return document.cookie") == ""
 
         # Names are text, whatever stands in them.
         person.sees("#units", "tank <script>alert(1)</script>")
@@ -65,15 +60,13 @@ def test_a_person_uses_the_page() -> None:
 
         # Somebody types a value, and the client reads it.
         person.click('[data-point="1"]')
-        person.one("#text").clear()
-        person.one("#text").send_keys("12.5")
+        person.enters("#text", "12.5")
         person.click("#set")
         until(lambda: plc.read_holding_registers(2, 1) == [125])
         person.sees("#answer", "set")
 
         # What cannot be is told beside the field.
-        person.one("#text").clear()
-        person.one("#text").send_keys("hot")
+        person.enters("#text", "hot")
         person.click("#set")
         person.sees("#answer", "value must be a number, not 'hot'")
         assert person.one("#text").get_attribute("aria-invalid") == "true"
@@ -88,30 +81,28 @@ def test_a_person_uses_the_page() -> None:
         until(reads)
 
         # With the keyboard alone: to the tab of the coils, along them, and one is on.
-        driver.execute_script("document.querySelector('#tables button').focus()")
+        person.focus("#tables button")
         person.types(Keys.TAB, Keys.ENTER)
-        until(lambda: driver.execute_script("return location.hash") == "#1/coils")
+        until(lambda: person.run("return location.hash") == "#1/coils")
         person.sees('[data-cell="3"]', "0")
-        driver.execute_script("document.querySelector('#scroll').focus()")
+        person.focus("#scroll")
         person.types(Keys.TAB, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT, Keys.SPACE)
         until(lambda: plc.read_coils(3, 1) == [True])
         person.sees('[data-cell="3"]', "1")
-        width = driver.execute_script(
-            "return getComputedStyle(document.activeElement).outlineWidth"
-        )
+        width = person.run("return getComputedStyle(document.activeElement).outlineWidth")
         assert width == "2px"
 
         # Registers with a type, from the keyboard, and away with Escape.
         person.click("#tables button", "Holding")
         until(lambda: person.all('[data-cell="100"]'))
-        driver.execute_script("document.querySelector('[data-cell=\"100\"]').focus()")
+        person.focus('[data-cell="100"]')
         person.types(Keys.ENTER)
-        until(lambda: driver.switch_to.active_element.get_attribute("id") == "text")
-        driver.execute_script("document.querySelector('#type').value = 'float32'")
+        until(lambda: person.focused("id") == "text")
+        person.run("document.querySelector('#type').value = 'float32'")
         person.types("1.5", Keys.ENTER)
         until(lambda: plc.read_values("holding_registers", 100, "float32") == [1.5])
         person.types(Keys.ESCAPE)
-        until(lambda: driver.switch_to.active_element.get_attribute("data-cell") == "100")
+        until(lambda: person.focused("data-cell") == "100")
 
         # The log is paused, cleared, and goes on.
         person.click("#pause")
@@ -122,32 +113,31 @@ def test_a_person_uses_the_page() -> None:
         person.sees("#log", "read holding registers 7")
 
         # A narrow window: nothing sticks out, and all is there.
-        resize(driver, 360, 740)
+        person.resize(360, 740)
         person.click("#tables button", "Points")
         person.sees('[data-point="0"]', "-7.25")
-        assert driver.execute_script("return document.documentElement.scrollWidth") <= 360
+        assert person.run("return document.documentElement.scrollWidth") <= 360
         person.click("#tables button", "Holding")
         person.sees('[data-cell="0"]', "0")
-        assert driver.execute_script("return document.documentElement.scrollWidth") <= 360
+        assert person.run("return document.documentElement.scrollWidth") <= 360
 
         # Nothing was blocked, and nothing was missing but the value that was refused.
-        told = [each["message"] for each in console(driver)]
+        told = person.complaints()
         assert [each for each in told if "/value - " not in each] == []
 
 
 def test_large_tables_and_a_server_that_goes() -> None:
     mapping = Mapping(coils=65536, holding_registers=65536)
     mapping.holding_registers[65535] = 4711
-    with browser() as driver:
-        person = Person(driver)
+    with person_at() as person:
         with live_page(Server(Device(mapping))) as page:
-            driver.get(f"{page.url}#every/holding_registers")
+            person.driver.get(f"{page.url}#every/holding_registers")
             person.sees("#state", "connected")
             person.sees('[data-cell="0"]', "0")
             assert len(person.all("[data-cell]")) < 1000  # only what is seen is there
             person.one("#address").send_keys("65535\n")
             person.sees('[data-cell="65535"]', "4711")
-            assert driver.switch_to.active_element.get_attribute("data-cell") == "65535"
+            assert person.focused("data-cell") == "65535"
         person.sees("#state", "no connection")
 
 
@@ -158,12 +148,10 @@ def test_a_person_holds_a_value_and_reads_the_log(tmp_path: Path) -> None:
         live_page(server) as page,
         server.background("tcp://127.0.0.1:0") as running,
         Context.from_url(running.urls[0], unit=1, timeout=5) as plc,
-        browser(1400) as driver,
+        person_at(page.url, 1400) as person,
     ):
-        person = Person(driver)
-        driver.get(page.url)
         person.sees("#state", "connected")
-        until(lambda: driver.title == "Unit 1 - libmodbus-py")
+        until(lambda: person.driver.title == "Unit 1 - libmodbus-py")
 
         # Values are a table, also to those who cannot see them.
         for tab, head in (("olding", "+1"), ("oints", "Last written")):
@@ -185,8 +173,7 @@ def test_a_person_holds_a_value_and_reads_the_log(tmp_path: Path) -> None:
         person.click("#hold", "Hold")
         person.sees("#answer", "held")
         until(lambda: "held" in person.attribute("#rows tr[data-at]", "class"))
-        person.one("#text").clear()
-        person.one("#text").send_keys("5\n")
+        person.enters("#text", "5\n")
         person.sees('[data-point="0"]', "5")
         assert plc.read_holding_registers(0, 1) == [5]
         person.click("#hold", "Release")
@@ -204,7 +191,7 @@ def test_a_person_holds_a_value_and_reads_the_log(tmp_path: Path) -> None:
         person.click("#only-writes")
         until(lambda: len(person.all("#log li")) == 2)
         assert person.attribute("#save", "href") == "/log.csv?writes=1&errors=1"
-        assert [each["message"] for each in console(driver)] == []
+        assert person.complaints() == []
 
 
 # --- a page with a table --------------------------------------------------------------------------
@@ -231,14 +218,12 @@ def test_a_person_looks_at_a_fleet() -> None:
 
     plant = plant_of(3000)
     moved(plant)
-    with table_page(TableSource(plant)) as page, browser() as driver:
-        person = Person(driver)
-        driver.get(page.url)
+    with table_page(TableSource(plant)) as page, person_at(page.url) as person:
         person.sees("#state", "connected")
         person.sees("#status", "0 of 1 devices down")
         person.sees("#title", "plant.toml")
-        until(lambda: driver.title == "plant.toml - fleet")
-        assert "token" not in driver.current_url
+        until(lambda: person.driver.title == "plant.toml - fleet")
+        assert "token" not in person.driver.current_url
 
         # A real table, of which only the visible rows exist.
         person.sees("#rows tr[data-at='3'] .value", "109V")
@@ -256,7 +241,7 @@ def test_a_person_looks_at_a_fleet() -> None:
         plant.meters["meter"].reason = "no answer within 1 s"
         plant.counts["down"] = 1
         person.sees("#status.problem", "1 of 1 devices down")
-        until(lambda: driver.title == "1 down - plant.toml - fleet")
+        until(lambda: person.driver.title == "1 down - plant.toml - fleet")
         person.click("#problems")
         until(lambda: person.attribute("#grid", "aria-rowcount") == "2")
         person.sees("#rows .state", "no answer within 1 s")
@@ -264,7 +249,7 @@ def test_a_person_looks_at_a_fleet() -> None:
 
         # The last rows, and those that were searched for.
         person.sees("#rows tr[data-at='3'] .value", "109")
-        driver.execute_script("document.querySelector('#scroll').scrollTop = 1e9")
+        person.run("document.querySelector('#scroll').scrollTop = 1e9")
         person.sees("#rows", "p2999")
         person.one("#find").send_keys("p1234")
         until(lambda: person.attribute("#grid", "aria-rowcount") == "2")
@@ -273,18 +258,18 @@ def test_a_person_looks_at_a_fleet() -> None:
         person.sees("#rows tr[data-at='3'] .value", "109")
 
         # With the keyboard: along the rows, and to the chart.
-        driver.execute_script("document.querySelector('#rows [data-at=\"1\"] button').focus()")
+        person.focus('#rows [data-at="1"] button')
         person.types(Keys.ARROW_DOWN, Keys.ARROW_DOWN, Keys.ENTER)
         person.sees("#charted", "meter  p2")
         person.sees("#read", "lowest 100 V, highest 109 V")
         path = until(lambda: person.attribute("#plot .line", "d"))
         assert path.count("M") == 2  # the gap
-        driver.execute_script("document.querySelector('#plot').focus()")
+        person.focus("#plot")
         person.types(Keys.ARROW_LEFT)
         person.sees("#read", "109 V")
         person.types(Keys.ESCAPE)
-        until(lambda: driver.execute_script("return document.querySelector('#chart').hidden"))
-        assert [each["message"] for each in console(driver)] == []
+        until(lambda: person.run("return document.querySelector('#chart').hidden"))
+        assert person.complaints() == []
 
 
 class HeldSource(TableSource):
@@ -306,13 +291,11 @@ class HeldSource(TableSource):
 def test_searches_do_not_overtake_each_other() -> None:
     """The server would go on showing the view of the one that came last."""
     source = HeldSource(plant_of(3000))
-    with table_page(source) as page, browser() as driver:
-        person = Person(driver)
-        driver.get(page.url)
+    with table_page(source) as page, person_at(page.url) as person:
         person.sees("#rows", "p1")
         person.one("#find").send_keys("p1234")
         until(lambda: source.searched)
-        typed = driver.execute_script("return document.querySelector('#find').value")
+        typed = person.run("return document.querySelector('#find').value")
         assert typed == "p1234"
         assert source.searched == ["p"]
         source.go.set()
@@ -326,15 +309,13 @@ def test_hours_of_the_journal_and_values_that_come_when_they_change() -> None:
     hours = [(now - 20_000 + at * 100, float(at)) for at in range(150)]
     plant = plant_of(3, every=None, older=lambda *given: hours)
     moved(plant)
-    with table_page(TableSource(plant)) as page, browser() as driver:
-        person = Person(driver)
-        driver.get(page.url)
+    with table_page(TableSource(plant)) as page, person_at(page.url) as person:
         person.click("#rows tr[data-at='3'] button")
         person.sees("#read", "lowest 100 V, highest 109 V")
         path = until(lambda: person.attribute("#plot .line", "d"))
         assert "L" not in path  # a line would show values that there were not
         assert path.count("H") > path.count("V") > 40
-        right = float(driver.execute_script("return document.querySelector('#plot').clientWidth"))
+        right = float(person.run("return document.querySelector('#plot').clientWidth"))
         assert float(path.rpartition("H")[2]) > right - 30  # the last value holds until now
         person.click("#spans button", "6 h")
         person.sees("#read", "lowest 0 V, highest 149 V")
@@ -366,45 +347,42 @@ def test_names_and_reasons_are_text_and_shown_as_a_whole(width: int) -> None:
     plant.put("meter", "p1", None, reason="GatewayTargetFailedToRespond")
     meter = plant.meters["meter"]
     meter.reason = "cannot connect to tcp://192.0.2.10: Connection refused"
-    with table_page(TableSource(plant)) as page, browser() as driver:
-        person = Person(driver)
-        resize(driver, width, 740)
-        driver.get(page.url)
+    with table_page(TableSource(plant)) as page, person_at(page.url, width, 740) as person:
         person.sees("#rows", HOSTILE[0])
         person.sees("#rows", "__proto__")
         person.click("#rows tr[data-at='1'] button")
         person.sees("#plot", "no numbers in this period")
         assert person.all("#values script, #values img") == []
-        assert driver.title == "<script>document.title='hit'</script> - fleet"
-        assert driver.execute_script("return ({}).polluted") is None
-        assert driver.execute_script(WIDER) == [False, False]
+        assert person.driver.title == "<script>document.title='hit'</script> - fleet"
+        assert person.run("return ({}).polluted") is None
+        assert person.run(WIDER) == [False, False]
 
         person.click("#close-chart")
         person.one("#find").send_keys("meter")
+        until(lambda: person.attribute("#grid", "aria-rowcount") == "3")
         person.sees("#rows tr.trouble .state", "192.0.2.10: Connection refused")
-        assert driver.execute_script(CUT) == []
+        assert person.run(CUT) == []
         person.click("#problems")  # there, rows have room for more words
         meter.reason = f"cannot connect to {'a-long-name.' * 8}: Connection refused"
         person.sees("#rows tr.trouble .state", "a-long-name.: Connection refused")
-        assert driver.execute_script(CUT) == []
+        assert person.run(CUT) == []
         meter.reason = ""
         person.sees("#rows tr.trouble .state", "gateway target failed to respond")
-        assert driver.execute_script(CUT) == []
-        assert [each["message"] for each in console(driver)] == []
+        assert person.run(CUT) == []
+        assert person.complaints() == []
 
 
 def test_a_page_that_lost_its_server_is_grey_and_returns_by_itself() -> None:
-    with browser() as driver:
-        person = Person(driver)
+    with person_at() as person:
         with table_page(TableSource(plant_of(5)), token=TOKEN) as page:
             port = Visitor(page.url).address[1]
-            driver.get(page.url)
+            person.driver.get(page.url)
             person.sees("#rows", "p4")
         person.sees("#state", "no connection to the server since")
         assert "lost" in person.attribute("body", "class")
         with table_page(TableSource(plant_of(2, title="another")), "127.0.0.1", port, TOKEN):
             person.sees("#state", "connected")
-            until(lambda: driver.title == "another - fleet")
+            until(lambda: person.driver.title == "another - fleet")
             until(lambda: "p4" not in person.text("#rows"))
             assert "lost" not in person.attribute("body", "class")
         person.sees("#state", "no connection")
