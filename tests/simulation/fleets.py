@@ -5,22 +5,20 @@ Casts with fleets: whole workers share devices through an engine, and something 
 from __future__ import annotations
 
 import asyncio
+import itertools
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from libmodbus_py import Device, Gateway, Mapping, Route, Server
-from libmodbus_py.fleet import DeviceConfig
+from libmodbus_py import Gateway, Route
 from libmodbus_py.services.workers.records import FleetSettings
-from tests.services.workers.trial import MAP, Asked
+from tests.services.workers.trial import LEASE, Trial
 
-from .engine import Engine
-from .workers import SimulatedWorker, push_fleet
 from .world import World, clients
 
 __all__ = ["fleet", "plant"]
 
-# Of the workers of a small fleet, and of a plant; seconds.
-LEASE, LONG_LEASE = 2.0, 30.0
+# Of the workers of a plant; seconds.
+LONG_LEASE = 30.0
 
 # Within how many leases all devices must be asked again after the last fault: by who is there, or
 # by whoever takes over, at its next poll.
@@ -31,106 +29,74 @@ BEHIND_GATEWAY, PLACES, UNITS = 20, 10, 10
 
 
 class Fleet:
-    """Devices, an engine, and workers that come and go."""
+    """A `Trial` whose workers come and go, and whose engine fails."""
 
     def __init__(
         self, world: World, places: int, units: int, interval: float, lease: float = LEASE
     ) -> None:
-        self.asked = Asked(lambda: world.events.now)
         self._world = world
-        self._engine = Engine(world.network)
-        self._interval = interval
         self._lease = lease
-        self._places = [f"tcp://10.0.2.{1 + at}:502" for at in range(places)]
-        self._units = units
-        self._workers: list[SimulatedWorker] = []
-        self._names = 0
+        self._trial = Trial(
+            places,
+            settings=FleetSettings(lease),
+            network=world.network,
+            units=units,
+            interval=interval,
+        )
+        self._names = (f"w{number}" for number in itertools.count(1))
 
     @asynccontextmanager
     async def polling(self, workers: int) -> AsyncIterator[None]:
         """Let so many workers poll."""
-        registers = Mapping(holding_registers=2)
-        units = {unit: Device(registers) for unit in range(1, 1 + self._units)}
-        async with Server(units, trace=self.asked.note).serving(*self._places):
-            await push_fleet(self._engine, self._devices(), FleetSettings(self._lease))
+        async with self._trial.served():
             for _ in range(workers):
-                await self.start()
-            try:
-                yield
-            finally:
-                for worker in list(self._workers):
-                    await self.kill(worker)
+                await self._start()
+            yield
 
-    def _devices(self) -> list[DeviceConfig]:
-        return [
-            DeviceConfig(
-                name=f"d{at}-{unit}",
-                url=url,
-                unit=unit,
-                map=MAP,
-                interval=self._interval,
-                timeout=0.2,
-            )
-            for at, url in enumerate(self._places)
-            for unit in range(1, 1 + self._units)
-        ]
-
-    async def start(self) -> None:
-        """Start another worker."""
-        self._names += 1
-        random = self._world.random
-        worker = SimulatedWorker(
-            self._world.network, self._engine, f"w{self._names}", rate=random.uniform(0.97, 1.03)
-        )
-        await worker.start()
-        self._workers.append(worker)
-
-    async def kill(self, worker: SimulatedWorker) -> None:
-        """Kill a worker, as SIGKILL does."""
-        self._workers.remove(worker)
-        worker.kill()
-        await worker.ended()
+    async def _start(self) -> None:
+        await self._trial.start(next(self._names), rate=self._world.random.uniform(0.97, 1.03))
 
     async def disturb(self) -> None:
         """Let something happen to a worker or to the engine, and wait a while."""
-        random = self._world.random
-        worker = random.choice(self._workers)
+        random, engine = self._world.random, self._trial.engine
+        name = random.choice(list(self._trial.workers))
+        worker = self._trial.workers[name]
         what = random.choice(["kill", "stop", "cut", "break", "lose", "restart"])
         pause = random.uniform(0.1, 3 * self._lease)
         if what == "kill":
-            await self.kill(worker)
-            await self.start()
+            self._trial.kill(name)
+            await self._start()
         elif what == "stop":
             worker.process.stop()
         elif what == "cut":
-            self._engine.cut(worker.client)
+            engine.cut(worker.client)
         elif what == "break":
-            self._engine.break_off(worker.client)
+            engine.break_off(worker.client)
         elif what == "lose":
-            self._engine.losses = random.choice([0.1, 0.5])
+            engine.losses = random.choice([0.1, 0.5])
         else:
-            self._engine.stop()
+            engine.stop()
         await asyncio.sleep(pause)
-        self._engine.losses = 0.0
-        self._engine.start()
+        engine.losses = 0.0
+        engine.start()
         if what == "stop":
             worker.process.go_on()
         elif what == "cut":
-            self._engine.mend(worker.client)
+            engine.mend(worker.client)
 
     def look(self) -> None:
         """No device is asked by two."""
-        if self.asked.doubles:
-            url, at, peer = self.asked.doubles[0]
+        if self._trial.asked.doubles:
+            url, at, peer = self._trial.asked.doubles[0]
             self._world.witness.fail("no device is asked by two", f"{url} by {peer} at {at:.3f}")
 
     async def recover(self) -> None:
         """Everything is there again: each device must be asked."""
-        now, count = self._world.events.now, len(self._places) * self._units
-        patience = RECOVERY * self._lease + self._interval
-        while self.asked.since(now) < count:
+        now, count = self._world.events.now, self._trial.count
+        patience = RECOVERY * self._lease + self._trial.interval
+        while self._trial.asked.since(now) < count:
             if self._world.events.now > now + patience:
-                missing = count - self.asked.since(now)
+                missing = count - self._trial.asked.since(now)
                 text = f"{missing} of {count} devices are not asked"
                 self._world.witness.fail("everybody is served when the faults are over", text)
                 return

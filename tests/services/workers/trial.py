@@ -90,14 +90,24 @@ class Asked:
 
 
 class Trial:
-    """All of it: so many connections with two units each, and the workers that were started."""
+    """All of it: so many connections with some units each, and the workers that were started."""
 
-    def __init__(self, connections: int, *, settings: FleetSettings | None = None, seed: int = 1):
-        self.network = Network(seed)
+    def __init__(
+        self,
+        connections: int,
+        *,
+        settings: FleetSettings | None = None,
+        seed: int = 1,
+        network: Network | None = None,
+        units: int = UNITS,
+        interval: float = INTERVAL,
+    ) -> None:
+        self.network = network or Network(seed)
         self.engine = Engine(self.network)
         self.asked = Asked(lambda: self.now)
         self.settings = settings or FleetSettings(LEASE)
-        self.places = [f"tcp://10.0.0.{at + 1}:502" for at in range(connections)]
+        self.places = [f"tcp://10.0.2.{at + 1}:502" for at in range(connections)]
+        self.units, self.interval = units, interval
         self.workers: dict[str, SimulatedWorker] = {}
         self._killed: list[SimulatedWorker] = []
         self.levels = Mapping(holding_registers=2)
@@ -109,7 +119,7 @@ class Trial:
     @property
     def count(self) -> int:
         """How many devices there are."""
-        return len(self.places) * UNITS
+        return len(self.places) * self.units
 
     def devices(self, places: int | None = None, zone: str = "") -> list[DeviceConfig]:
         return [
@@ -118,33 +128,36 @@ class Trial:
                 url=url,
                 unit=unit,
                 map=MAP,
-                interval=INTERVAL,
+                interval=self.interval,
                 timeout=0.2,
                 zone=zone,
             )
             for at, url in enumerate(self.places[:places])
-            for unit in range(1, UNITS + 1)
+            for unit in range(1, self.units + 1)
         ]
 
     def run(self, main: Callable[[], Awaitable[None]]) -> None:
         """Run a test; no device may have been asked by two."""
 
         async def whole() -> None:
-            async with self._served():
+            async with self.served():
                 await main()
-                for name in list(self.workers):
-                    self.kill(name)
-                await asyncio.gather(*(each.ended() for each in self._killed))
 
         self.network.run(whole)
         assert not self.asked.doubles
 
     @asynccontextmanager
-    async def _served(self) -> AsyncIterator[None]:
-        units = {unit: Device(self.levels) for unit in range(1, UNITS + 1)}
+    async def served(self) -> AsyncIterator[None]:
+        """Serve the devices, and kill all workers in the end."""
+        units = {unit: Device(self.levels) for unit in range(1, self.units + 1)}
         async with Server(units, trace=self.asked.note).serving(*self.places):
             await push_fleet(self.engine, self.devices(), self.settings)
-            yield
+            try:
+                yield
+            finally:
+                for name in list(self.workers):
+                    self.kill(name)
+                await asyncio.gather(*(each.ended() for each in self._killed))
 
     def kill(self, name: str) -> None:
         """Kill a worker, as SIGKILL does."""
