@@ -138,10 +138,7 @@ async def _past_silent_unit(world: World) -> None:
         clients("tcp://10.0.1.1", options.clients, timeout=5.0) as plcs,
     ):
         asks = [world.asking(plc, 5.0, is_direct=False) for plc in plcs]
-        until = world.events.now + options.seconds
-        await asyncio.gather(*(world.act(ask, numbers, until) for ask in asks))
-        world.witness.resting.clear()
-        await _serve_all(world, asks, numbers)
+        await _play(world, asks, numbers)
 
 
 async def _crowd(world: World) -> None:

@@ -114,35 +114,30 @@ class StoppableLoop(VirtualLoop):
         for process in self.stopped:
             process.go_on(self)
 
-    def call_soon(
-        self,
-        callback: Callable[..., object],
-        *args: Any,
-        context: contextvars.Context | None = None,
-    ) -> asyncio.Handle:
-        process = _PROCESS.get() if context is None else context.get(_PROCESS)
-        if process is None:
-            return super().call_soon(callback, *args, context=context)
-        context = context or contextvars.copy_context()
-        gate = _Gate(process, self, callback, context)
-        gate.handle = super().call_soon(gate, *args, context=context)
-        return gate.handle
+    def call_soon(self, callback: Callable[..., object], *args: Any, context: Any = None) -> Any:
+        return self._gate(super().call_soon, (), callback, args, context)
 
     def call_at(
+        self, when: float, callback: Callable[..., object], *args: Any, context: Any = None
+    ) -> Any:
+        return self._gate(super().call_at, (when,), callback, args, context)
+
+    def _gate(
         self,
-        when: float,
+        call: Callable[..., Any],
+        when: tuple[float, ...],
         callback: Callable[..., object],
-        *args: Any,
-        context: contextvars.Context | None = None,
-    ) -> asyncio.TimerHandle:
+        args: tuple[Any, ...],
+        context: contextvars.Context | None,
+    ) -> Any:
+        """Ask the loop for a callback, which waits while its process is stopped."""
         process = _PROCESS.get() if context is None else context.get(_PROCESS)
         if process is None:
-            return super().call_at(when, callback, *args, context=context)
+            return call(*when, callback, *args, context=context)
         context = context or contextvars.copy_context()
         gate = _Gate(process, self, callback, context)
-        handle = super().call_at(when, gate, *args, context=context)
-        gate.handle = handle
-        return handle
+        gate.handle = call(*when, gate, *args, context=context)
+        return gate.handle
 
     def add_reader(self, fd: Any, callback: Callable[..., object], *args: Any) -> None:
         gated = self._gated(self.remove_reader, self.add_reader, fd, callback, args)

@@ -117,8 +117,9 @@ class World:
         return host.url
 
     def calm(self) -> None:
-        """End all faults."""
+        """End all faults, and with them the rests of silent units."""
         self.is_calm = True
+        self.witness.resting.clear()
         for unit in self.units:
             unit.behave()
         for host in self.hosts:
