@@ -17,7 +17,6 @@ from libmodbus_py.ports.schemes import (
     SECURITY_OPTIONS,
     SERIAL_OPTIONS,
 )
-from libmodbus_py.tools.testing.wires import SerialWire
 from tests.cli.serving import serving
 from tests.docs.test_other_tools import rows
 from tests.support.cases import each_case
@@ -50,16 +49,6 @@ def test_a_gateway_has_options_for_its_devices_and_prints_frames(device: str) ->
     assert " <   7  WriteRegister " in asked
     assert " >   7  WriteRegister " in answered
     assert answered.endswith("07 06 00 00 02 2b\n")
-
-
-def test_serial_settings_are_those_of_the_server_too() -> None:
-    with (
-        SerialWire() as wire,
-        serving("serve", f"rtu://{wire.server}", "-b", "115200") as (_, url),
-    ):
-        assert url == f"rtu://{wire.server}?baudrate=115200"
-        done = run("read", wire.client, "holding", "5", "-b", "115200", "-p", "even")
-        assert (done.code, done.out, done.err) == (0, "    5  0\n", "")
 
 
 # --- endpoints -----------------------------------------------------------------------

@@ -130,15 +130,6 @@ def test_it_writes_and_prints_the_same(folder: Path) -> None:
     assert sorted(os.listdir(folder)) == ["meter.csv", "plant.py"]
 
 
-def test_the_names_of_files_stay_texts(folder: Path) -> None:
-    for name in ('x"""\nimport os #', "a\\", "import", "7-Eleven \u2028 x", "Any", "ä ö"):
-        path = folder / f"{name}.csv"
-        path.write_text(MAP)
-        done = run("map", "class", path)
-        assert done.code == 0, done.err
-        compile(done.out, "made.py", "exec")
-
-
 # --- map from-sunspec -------------------------------------------------------------
 
 

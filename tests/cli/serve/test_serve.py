@@ -48,10 +48,14 @@ def test_serve_has_all_tables_and_files_for_every_unit(url: str) -> None:
 
 @pytest.mark.parametrize("kind", ["rtu", "ascii"])
 def test_serial_ports_are_served_and_read(kind: str) -> None:
-    with SerialWire() as wire, serving("serve", f"{kind}://{wire.server}?baudrate=115200"):
+    with (
+        SerialWire() as wire,
+        serving("serve", f"{kind}://{wire.server}", "-b", "115200") as (_, url),
+    ):
+        assert url == f"{kind}://{wire.server}?baudrate=115200"
         client = f"{kind}://{wire.client}?baudrate=115200"
         assert run("write", client, "holding", "5", "42").code == 0
-        assert run("read", client, "holding", "5").out == "    5  42\n"
+        assert run("read", client, "holding", "5", "-p", "even") == (0, "    5  42\n", "")
 
 
 def test_serve_says_when_a_port_is_taken(url: str) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from libmodbus_py import Client, Device, Point, RegisterMap, Server, load_map
@@ -154,6 +154,8 @@ def test_any_text_stays_a_text(name: str, description: str) -> None:
 
 
 @given(st.text(min_size=0, max_size=20))
+@example('x"""\nimport os #')
+@example("a\\")
 def test_any_name_of_a_file_gives_a_class(stem: str) -> None:
     if any(0xD800 <= ord(each) <= 0xDFFF for each in stem):
         return  # no file has such a name

@@ -157,31 +157,6 @@ def test_tables_of_vendors(tmp_path: Path, text: str, points: list[Point]) -> No
     assert list(loaded(tmp_path, text).values()) == points
 
 
-def test_toml(tmp_path: Path) -> None:
-    text = """
-    # a boiler
-    [[point]]
-    name = "setpoint"
-    table = "holding_registers"
-    address = 0x10
-    scale = 0.1
-    minimum = 5
-    units = "°C"
-
-    [[point]]
-    name = "serial"
-    table = "input_registers"
-    address = 7
-    type = "string:8"
-    encoding = "latin-1"
-    padding = " "
-    """
-    assert list(loaded(tmp_path, text, "BOILER.TOML").values()) == [
-        Point("setpoint", H, 16, scale=0.1, minimum=5, units="°C"),
-        Point("serial", I, 7, type="string:8", encoding="latin-1", padding=" "),
-    ]
-
-
 HEAD = "name,table,address,type,scale,access\n"
 
 
@@ -258,7 +233,7 @@ POINTS = st.builds(
 @given(st.lists(POINTS, min_size=1, max_size=5, unique_by=lambda point: point.name))
 def test_what_is_written_is_read(tmp_path: Path, points: list[Point]) -> None:
     assert list(loaded(tmp_path, csv_text(points)).values()) == points
-    assert list(loaded(tmp_path, toml_text(points), "meter.toml").values()) == points
+    assert list(loaded(tmp_path, toml_text(points), "METER.TOML").values()) == points
 
 
 JUNK = st.sampled_from(
