@@ -19,7 +19,7 @@ from libmodbus_py.services.engine.buckets import Watch
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.tasks import AGAIN, FINISHING_S, end_tasks, finish
-from tests.simulation.network import Network
+from tests.support.given import simulated
 from tests.support.outputs import Picky, reading
 
 
@@ -39,22 +39,21 @@ class Careless(Picky):
         await asyncio.Event().wait()
 
 
-def test_an_output_that_loses_cancellations_ends_with_the_fleet() -> None:
-    async def go() -> float:
-        pump = Pump(Careless(2))
-        pump.buffer.put([reading("a", "one")])
-        pump.start()
-        await asyncio.sleep(1)
-        pump.close()
-        before = asyncio.get_running_loop().time()
-        with pytest.raises(asyncio.CancelledError):
-            await pump.task
-        return asyncio.get_running_loop().time() - before
-
-    assert Network().run(go) == FINISHING_S + 2 * AGAIN
+@simulated
+async def test_an_output_that_loses_cancellations_ends_with_the_fleet() -> None:
+    pump = Pump(Careless(2))
+    pump.buffer.put([reading("a", "one")])
+    pump.start()
+    await asyncio.sleep(1)
+    pump.close()
+    before = asyncio.get_running_loop().time()
+    with pytest.raises(asyncio.CancelledError):
+        await pump.task
+    assert asyncio.get_running_loop().time() - before == FINISHING_S + 2 * AGAIN
 
 
-def test_tasks_that_lose_cancellations_are_ended() -> None:
+@simulated
+async def test_tasks_that_lose_cancellations_are_ended() -> None:
     async def careless(count: int) -> None:
         while count >= 0:
             try:
@@ -62,14 +61,11 @@ def test_tasks_that_lose_cancellations_are_ended() -> None:
             except asyncio.CancelledError:
                 count -= 1
 
-    async def go() -> None:
-        tasks = [asyncio.create_task(careless(count)) for count in (0, 1, 4)]
-        await asyncio.sleep(0)
-        await end_tasks(tasks)
-        assert all(task.done() for task in tasks)
-        await end_tasks([])
-
-    Network().run(go)
+    tasks = [asyncio.create_task(careless(count)) for count in (0, 1, 4)]
+    await asyncio.sleep(0)
+    await end_tasks(tasks)
+    assert all(task.done() for task in tasks)
+    await end_tasks([])
 
 
 async def cancelled_at_once(waiting: Awaitable[Any], happens: asyncio.Future[None]) -> bool:
@@ -110,21 +106,20 @@ def test_a_cancellation_is_not_lost_when_the_last_word_is_said(
     assert asyncio.run(go())
 
 
-def test_a_cancellation_is_not_lost_while_a_pump_rests() -> None:
-    async def go() -> bool:
-        pump = Pump(Picky(refused=("a",), error=OSError("away")))
-        pump.buffer.put([reading("a", "one")])
-        pump.start()
-        await asyncio.sleep(0.1)
-        pump.close(is_patient=True)
-        pump.task.cancel()
-        await asyncio.wait([pump.task])
-        return pump.task.cancelled()
-
-    assert Network().run(go)
+@simulated
+async def test_a_cancellation_is_not_lost_while_a_pump_rests() -> None:
+    pump = Pump(Picky(refused=("a",), error=OSError("away")))
+    pump.buffer.put([reading("a", "one")])
+    pump.start()
+    await asyncio.sleep(0.1)
+    pump.close(is_patient=True)
+    pump.task.cancel()
+    await asyncio.wait([pump.task])
+    assert pump.task.cancelled()
 
 
-def test_what_is_closed_in_a_cancelled_task_is_closed_to_its_end() -> None:
+@simulated
+async def test_what_is_closed_in_a_cancelled_task_is_closed_to_its_end() -> None:
     """`asyncio.timeout` of Python 3.11.2 ends such a task before its last lines."""
     seen: list[str] = []
 
@@ -145,11 +140,8 @@ def test_what_is_closed_in_a_cancelled_task_is_closed_to_its_end() -> None:
             await finish(fails(), 1.0)
             seen.append("closed")
 
-    async def scenario() -> None:
-        task = asyncio.create_task(work())
-        await asyncio.sleep(0)
-        task.cancel()
-        await asyncio.wait([task])
-
-    Network().run(scenario)
+    task = asyncio.create_task(work())
+    await asyncio.sleep(0)
+    task.cancel()
+    await asyncio.wait([task])
     assert seen == ["given up", "closed"]

@@ -5,7 +5,7 @@ Who may ask next on a connection that many share, in simulated time, with a clie
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Any, cast
 
 from libmodbus_py import ModbusTimeoutError
@@ -13,8 +13,8 @@ from libmodbus_py.client.asynchronous import AsyncClient
 from libmodbus_py.pdu import ReadCoils
 from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.line import FairQueue, LineRequest, SharedLine, rest_after
-from tests.simulation.network import Network
 from tests.support.cases import each_case
+from tests.support.given import simulated
 from tests.support.talk import little_kept
 
 TIMEOUT = 1.0
@@ -44,10 +44,7 @@ def order(queue: FairQueue[LineRequest]) -> str:
     ("given", "expected"),
     [
         ("a0 a1 a2 a3 b0 c0 b1", "a0 b0 c0 a1 b1 a2 a3"),  # clients take turns
-        (
-            "a0 b0 c0 d0 x0 x1",
-            "a0 x0 b0 x1 c0 d0",
-        ),  # and hosts do
+        ("a0 b0 c0 d0 x0 x1", "a0 x0 b0 x1 c0 d0"),  # and hosts do
         ("a0 a1 a2", "a0 a1 a2"),
     ],
 )
@@ -178,15 +175,6 @@ class Line(SharedLine[LineRequest]):
         (each,) = self.put(unit)
         await asyncio.sleep(seconds)
         await self.answer(each)
-
-
-def simulated(test: Callable[[], Awaitable[None]]) -> Callable[[], None]:
-    def run() -> None:
-        Network().run(test)
-
-    run.__name__ = test.__name__
-    run.__doc__ = test.__doc__
-    return run
 
 
 @simulated
@@ -339,15 +327,13 @@ async def test_or_after_a_timeout_but_not_twice_in_a_row() -> None:
 
 
 @each_case(("most", "expected"), [(9, 3), (2, 2), (1, 1)])
-def test_as_many_trials_are_made_as_may_be(most: int, expected: int) -> None:
-    async def go() -> None:
-        line = Line(room=9, most_trials=most)
-        trials = line.put(1, 2, 3, is_trial=True)
-        assert line.log == [1, 2, 3][:expected]
-        await line.answer(trials[0])
-        assert line.log == [1, 2, 3][: expected + 1]
-
-    Network().run(go)
+@simulated
+async def test_as_many_trials_are_made_as_may_be(most: int, expected: int) -> None:
+    line = Line(room=9, most_trials=most)
+    trials = line.put(1, 2, 3, is_trial=True)
+    assert line.log == [1, 2, 3][:expected]
+    await line.answer(trials[0])
+    assert line.log == [1, 2, 3][: expected + 1]
 
 
 @simulated

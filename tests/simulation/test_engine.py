@@ -5,8 +5,6 @@ The simulated engine: whole workers run on it, and it fails in the ways it is to
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
-from typing import Any
 
 import pytest
 
@@ -15,6 +13,7 @@ from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.engine.connection import EngineError
 from libmodbus_py.services.workers.records import FleetSettings
+from tests.support.given import with_engine
 
 from .engine import Engine, EngineClient
 from .network import Network
@@ -62,33 +61,13 @@ def test_workers_are_stopped_and_killed_and_equal_seeds_have_equal_traces() -> N
     assert exchange(seed=4) == exchange(seed=4) != exchange(seed=5)
 
 
-Script = Callable[[Engine, EngineClient], Coroutine[Any, Any, None]]
-
-
-def with_client(script: Script) -> Callable[[], None]:
-    """Make a test of what happens to an engine and a client of it."""
-
-    def test() -> None:
-        network = Network()
-        engine = Engine(network)
-
-        async def main() -> None:
-            client = engine.client()
-            await script(engine, client)
-            await client.close()
-
-        network.run(main)
-
-    return test
-
-
 async def unheard(client: EngineClient) -> None:
     """Let a request fail."""
     with pytest.raises(EngineError):
         await client.engine.bucket(client).put("settings", b"2", 0)
 
 
-@with_client
+@with_engine
 async def test_what_waits_at_a_cut_arrives_when_it_is_mended_soon(
     engine: Engine, client: EngineClient
 ) -> None:
@@ -102,29 +81,28 @@ async def test_what_waits_at_a_cut_arrives_when_it_is_mended_soon(
 
 
 @pytest.mark.parametrize("breaks", ["stop", "cut"])
-def test_a_lost_connection_is_noticed_and_made_again(breaks: str) -> None:
-    @with_client
-    async def script(engine: Engine, client: EngineClient) -> None:
-        changes: list[bool] = []
-        client.on_change = lambda: changes.append(client.is_connected)
-        if breaks == "stop":
-            engine.stop()
-        else:
-            engine.cut(client)
-        await asyncio.sleep(7)
-        assert changes == [False]
-        await unheard(client)
-        engine.start()
-        engine.mend(client)
-        engine.write("slot._.1", b"{}")
-        await asyncio.sleep(1)
-        assert changes == [False, True]
-        assert await engine.bucket(client).put("settings", b"", 0) == 2
+@with_engine
+async def test_a_lost_connection_is_noticed_and_made_again(
+    engine: Engine, client: EngineClient, breaks: str
+) -> None:
+    changes: list[bool] = []
+    client.on_change = lambda: changes.append(client.is_connected)
+    if breaks == "stop":
+        engine.stop()
+    else:
+        engine.cut(client)
+    await asyncio.sleep(7)
+    assert changes == [False]
+    await unheard(client)
+    engine.start()
+    engine.mend(client)
+    engine.write("slot._.1", b"{}")
+    await asyncio.sleep(1)
+    assert changes == [False, True]
+    assert await engine.bucket(client).put("settings", b"", 0) == 2
 
-    script()
 
-
-@with_client
+@with_engine
 async def test_whoever_watches_is_told_all_and_knows_of_gaps(
     engine: Engine, client: EngineClient
 ) -> None:
@@ -145,7 +123,7 @@ async def test_whoever_watches_is_told_all_and_knows_of_gaps(
     assert watch.is_broken
 
 
-@with_client
+@with_engine
 async def test_the_server_goes_back_and_a_write_rests_on_the_revision_of_its_key(
     engine: Engine, client: EngineClient
 ) -> None:

@@ -5,7 +5,6 @@ Buckets on a simulated server of NATS.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,38 +13,20 @@ import pytest
 from libmodbus_py.services.engine.buckets import Change, Watch
 from libmodbus_py.services.engine.connection import EngineGone
 from tests.simulation.engine import Engine, EngineClient
-from tests.simulation.network import Network
 from tests.support.cases import each_case
+from tests.support.given import with_engine
 
 
-def on_engine(test: Callable[[Engine, EngineClient], Awaitable[None]]) -> Callable[[], None]:
-    """Decorate a test that has a simulated server, and a client of it."""
-
-    def run() -> None:
-        network = Network()
-        engine = Engine(network)
-
-        async def main() -> None:
-            client = engine.client()
-            await test(engine, client)
-            await client.close()
-
-        network.run(main)
-
-    return run
-
-
-@on_engine
+@with_engine
 async def test_a_watch_that_could_not_begin_is_told_nothing_more(
-    engine: Engine, client: EngineClient
+    engine: Engine, client: EngineClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    begin = engine.begin_consumer
+    monkeypatch.setattr(engine, "begin_consumer", lambda reply, *who: begin(lambda _: None, *who))
     engine.write("settings", b"1")
     told: list[Change | None] = []
-    with pytest.MonkeyPatch.context() as deaf:
-        begin = engine.begin_consumer
-        deaf.setattr(engine, "begin_consumer", lambda reply, *who: begin(lambda _: None, *who))
-        with pytest.raises(EngineGone, match="no answer"):
-            await engine.bucket(client).watch(told.append)
+    with pytest.raises(EngineGone, match="no answer"):
+        await engine.bucket(client).watch(told.append)
     assert told
     told.clear()
     engine.write("settings", b"2")
@@ -53,7 +34,7 @@ async def test_a_watch_that_could_not_begin_is_told_nothing_more(
     assert told == []
 
 
-@on_engine
+@with_engine
 async def test_contents_from_a_server_that_lags_behind_are_complete_with_the_newest_change(
     engine: Engine, client: EngineClient
 ) -> None:
@@ -73,7 +54,7 @@ async def test_contents_from_a_server_that_lags_behind_are_complete_with_the_new
     assert [each and each.key for each in told] == ["a", "b", None, "c"]
 
 
-@on_engine
+@with_engine
 async def test_an_empty_bucket_is_complete_at_once(engine: Engine, client: EngineClient) -> None:
     told: list[Change | None] = []
     await engine.bucket(client).watch(told.append)
@@ -115,7 +96,7 @@ def test_a_change_that_comes_twice_or_too_late_is_a_gap_and_ends_the_watch(
     assert (len(missed), watch.is_broken) == (gaps, bool(gaps))
 
 
-@on_engine
+@with_engine
 async def test_a_write_that_was_answered_too_late_is_not_done_again(
     engine: Engine, client: EngineClient
 ) -> None:

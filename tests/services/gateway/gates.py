@@ -5,8 +5,6 @@ Gateways between clients and devices, and lines of a gateway without one.
 from __future__ import annotations
 
 import contextlib
-import functools
-import inspect
 import struct
 from collections.abc import Awaitable, Callable, Hashable, Iterator
 from typing import Any, NamedTuple
@@ -19,6 +17,7 @@ from libmodbus_py.services.gateway.statistics import LineStatistics
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.stage import Stage
+from tests.support.given import giving
 from tests.support.talk import rtu
 
 READ_ONE = bytes.fromhex("03 0000 0001")
@@ -193,17 +192,11 @@ class Plant:
 def on_line(*given: str, **options: Any) -> Callable[[Any], Any]:
     """Let a test run on a plant, its first argument, in simulated time."""
 
-    def decorated(test: Any) -> Any:
-        @functools.wraps(test)
-        def run(**others: Any) -> None:
-            plant = Plant(*given, **options)
-            plant.run(lambda: test(plant, **others))
+    def run(test: Callable[[Plant], Awaitable[None]]) -> None:
+        plant = Plant(*given, **options)
+        plant.run(lambda: test(plant))
 
-        _, *parameters = inspect.signature(test).parameters.values()
-        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-        return run
-
-    return decorated
+    return giving(run)
 
 
 def answer_of(unit: int, number: int) -> str:

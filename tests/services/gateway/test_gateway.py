@@ -25,9 +25,9 @@ from libmodbus_py import (
 from libmodbus_py.services.gateway.line import GatewayLine
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
-from tests.simulation.network import Network
 from tests.simulation.stage import Stage
 from tests.support.gateways import passage
+from tests.support.given import simulated
 from tests.support.peers import until
 
 ONE, SEVEN = bytes.fromhex("03 02 0000"), bytes.fromhex("03 02 0007")
@@ -194,17 +194,13 @@ def test_closing_it_in_the_middle_leaves_nothing(stage: Stage) -> None:
         assert server.statistics.connections == 0
 
 
-def test_routes_that_change_while_it_stops_are_those_of_the_next_run() -> None:
-    network = Network()
-
-    async def main() -> None:
-        made = Gateway([Route("tcp://10.0.0.9", [1])])
-        async with made.serving("tcp://10.0.0.1:502"):
-            made.change_routes([Route("tcp://10.0.0.8", [1])])
-        async with made.serving("tcp://10.0.0.1:502"):
-            assert list(made.traffic.lines) == ["tcp://10.0.0.8:502"]
-
-    network.run(main)
+@simulated
+async def test_routes_that_change_while_it_stops_are_those_of_the_next_run() -> None:
+    made = Gateway([Route("tcp://10.0.0.9", [1])])
+    async with made.serving("tcp://10.0.0.1:502"):
+        made.change_routes([Route("tcp://10.0.0.8", [1])])
+    async with made.serving("tcp://10.0.0.1:502"):
+        assert list(made.traffic.lines) == ["tcp://10.0.0.8:502"]
 
 
 def test_a_gateway_can_serve_again_but_not_twice_at_once() -> None:

@@ -4,6 +4,7 @@ A fleet file that is pushed into a bucket: what is written, what is counted, wha
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
@@ -13,8 +14,8 @@ from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.engine.connection import EngineError, EngineGone
 from libmodbus_py.services.workers.pushing import Pushed, connections_of, push, seen_now
 from libmodbus_py.services.workers.records import SETTINGS, FleetSettings
-from tests.simulation.engine import Engine
-from tests.simulation.network import Network
+from tests.simulation.engine import Engine, EngineClient
+from tests.support.given import with_engine
 
 LEASE = 10.0
 MAP = RegisterMap([Point("level", "holding_registers", 0)])
@@ -28,74 +29,57 @@ async def pushed(bucket: Any, *devices: DeviceConfig, lease: float = LEASE) -> P
     return await push(bucket, FleetSettings(lease), connections_of(devices, lease))
 
 
-def test_only_what_differs_is_written_and_counted() -> None:
-    network = Network()
-    engine = Engine(network)
-
-    async def main() -> None:
-        client = engine.client()
-        bucket = engine.bucket(client)
-        assert engine.latest is not None
-        assert await pushed(bucket) == Pushed(0, 0, 0)
-        assert engine.latest.keys() == {SETTINGS}
-        for expected in (Pushed(3, 0, 0), Pushed(0, 0, 0)):
-            assert await pushed(bucket, *map(device, range(1, 4))) == expected
-            assert engine.revision == 4  # the settings, too
-        changed = device(2, interval=60)
-        assert await pushed(bucket, device(1), changed, device(4), device(5)) == Pushed(2, 1, 1)
-        assert engine.revision == 8
-        last = max(engine.latest.values(), key=lambda each: each.revision)
-        assert last.value is None  # deletions come last
-        assert await pushed(bucket, device(3)) == Pushed(1, 0, 4)
-        assert await pushed(bucket, device(3), lease=20.0) == Pushed(0, 0, 0)
-        assert engine.latest[SETTINGS].revision == engine.revision
-        many = [device(host) for host in range(1, 131)]
-        assert (await pushed(bucket, *many)).new == 129
-        assert len((await seen_now(bucket)).all_connections) == 130
-        await client.close()
-
-    network.run(main)
-
-
-def test_nothing_is_pushed_where_others_do_at_the_same_time(
-    monkeypatch: pytest.MonkeyPatch,
+@with_engine
+async def test_only_what_differs_is_written_and_counted(
+    engine: Engine, client: EngineClient
 ) -> None:
-    network = Network()
-    engine = Engine(network)
+    bucket = engine.bucket(client)
+    assert engine.latest is not None
+    assert await pushed(bucket) == Pushed(0, 0, 0)
+    assert engine.latest.keys() == {SETTINGS}
+    for expected in (Pushed(3, 0, 0), Pushed(0, 0, 0)):
+        assert await pushed(bucket, *map(device, range(1, 4))) == expected
+        assert engine.revision == 4  # the settings, too
+    changed = device(2, interval=60)
+    assert await pushed(bucket, device(1), changed, device(4), device(5)) == Pushed(2, 1, 1)
+    assert engine.revision == 8
+    last = max(engine.latest.values(), key=lambda each: each.revision)
+    assert last.value is None  # deletions come last
+    assert await pushed(bucket, device(3)) == Pushed(1, 0, 4)
+    assert await pushed(bucket, device(3), lease=20.0) == Pushed(0, 0, 0)
+    assert engine.latest[SETTINGS].revision == engine.revision
+    many = [device(host) for host in range(1, 131)]
+    assert (await pushed(bucket, *many)).new == 129
+    assert len((await seen_now(bucket)).all_connections) == 130
+
+
+@with_engine
+async def test_nothing_is_pushed_where_others_do_at_the_same_time(
+    engine: Engine, client: EngineClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
     put, leases = engine.put, iter(range(11, 99))
 
     def overtaken(*given: Any) -> None:
         engine.write(SETTINGS, FleetSettings(next(leases)).encode())
         put(*given)
 
-    async def main() -> None:
-        client = engine.client()
-        monkeypatch.setattr(engine, "put", overtaken)
-        with pytest.raises(EngineError, match="other programs change the bucket"):
-            await pushed(engine.bucket(client))
-        assert next(leases) == 16  # after five attempts
-        await client.close()
-
-    network.run(main)
+    monkeypatch.setattr(engine, "put", overtaken)
+    with pytest.raises(EngineError, match="other programs change the bucket"):
+        await pushed(engine.bucket(client))
+    assert next(leases) == 16  # after five attempts
 
 
-def test_a_bucket_that_does_not_arrive_is_given_up_after_ten_seconds(
-    monkeypatch: pytest.MonkeyPatch,
+@with_engine
+async def test_a_bucket_that_does_not_arrive_is_given_up_after_ten_seconds(
+    engine: Engine, client: EngineClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    network = Network()
-    engine = Engine(network)
     engine.write(SETTINGS, FleetSettings(LEASE).encode())
     monkeypatch.setattr(engine, "_feed", lambda consumer: None)
-
-    async def main() -> None:
-        client = engine.client()
-        begun = network.events.now
-        with pytest.raises(EngineGone, match="within 10 s"):
-            await seen_now(engine.bucket(client))
-        assert network.events.now - begun == pytest.approx(10.0, abs=0.1)
-        await client.close()
-
-    network.run(main)
+    begun = engine.events.now
+    with pytest.raises(EngineGone, match="within 10 s"):
+        await seen_now(engine.bucket(client))
+    assert engine.events.now - begun == pytest.approx(10.0, abs=0.1)
+    await asyncio.sleep(1)
     assert engine._consumers == []
 
 

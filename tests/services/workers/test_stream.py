@@ -9,29 +9,24 @@ from typing import Any, cast
 
 from libmodbus_py.services.fleet.readings import Reading
 from libmodbus_py.services.workers.messages import Stream
-from tests.simulation.engine import Engine
-from tests.simulation.network import Network
+from tests.simulation.engine import Engine, EngineClient
+from tests.support.given import with_engine
 
 
 def reading(name: str, value: Any, *, time: float = 100.0) -> Reading:
     return Reading(time, "kälte", name, value, "m", "good", "")
 
 
-def test_the_readings_of_a_poll_are_one_message_and_a_repeated_one_is_dropped() -> None:
-    network = Network()
-    engine = Engine(network)
-
-    async def main() -> None:
-        client = engine.client()
-        stream = Stream(cast(Any, client), {})
-        await stream.open()
-        poll = [reading("level", 1.5), reading("höhe", 2)]
-        await stream.write(poll)
-        await stream.write([])
-        await stream.write([*poll, reading("level", 3, time=101.0)])
-        await client.close()
-
-    network.run(main)
+@with_engine
+async def test_the_readings_of_a_poll_are_one_message_and_a_repeated_one_is_dropped(
+    engine: Engine, client: EngineClient
+) -> None:
+    stream = Stream(cast(Any, client), {})
+    await stream.open()
+    poll = [reading("level", 1.5), reading("höhe", 2)]
+    await stream.write(poll)
+    await stream.write([])
+    await stream.write([*poll, reading("level", 3, time=101.0)])
     first, second = (json.loads(data) for _, _, data in engine.stream)
     assert first["device"] == "kälte"
     assert {name: each["value"] for name, each in first["values"].items()} == {

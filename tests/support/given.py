@@ -1,0 +1,58 @@
+"""
+Tests that are coroutines: each is given first what was made for it, and then its fixtures.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from tests.simulation.engine import Engine
+from tests.simulation.network import Network
+
+__all__ = ["giving", "simulated", "with_engine"]
+
+Test = Callable[..., Coroutine[Any, Any, None]]
+
+
+def giving(run: Callable[[Test], None], count: int = 1) -> Callable[[Test], Callable[..., None]]:
+    """
+    Return a decorator of tests.
+
+    Args:
+        run: calls what it is given with what it has made, and runs the coroutine to its end.
+        count: of the arguments with which `run` calls it; all further ones are fixtures.
+    """
+
+    def decorate(test: Test) -> Callable[..., None]:
+        @functools.wraps(test)
+        def whole(**fixtures: Any) -> None:
+            run(functools.partial(test, **fixtures))
+
+        fixtures = list(inspect.signature(test).parameters.values())[count:]
+        whole.__signature__ = inspect.Signature(fixtures)  # type: ignore[attr-defined]
+        return whole
+
+    return decorate
+
+
+simulated = giving(lambda test: Network().run(test), count=0)
+"""Run a test in simulated time; it is given nothing but its fixtures."""
+
+
+def _run_with_engine(test: Test) -> None:
+    network = Network()
+    engine = Engine(network)
+
+    async def main() -> None:
+        client = engine.client()
+        await test(engine, client)
+        await client.close()
+
+    network.run(main)
+
+
+with_engine = giving(_run_with_engine, count=2)
+"""Let a test have a server of NATS on simulated time, and a client of it."""
