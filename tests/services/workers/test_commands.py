@@ -20,6 +20,7 @@ from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.trial import INTERVAL, LEASE, Trial, tried
 from tests.simulation.engine import EngineClient
 from tests.simulation.workers import push_fleet
+from tests.support.given import giving
 
 INBOX = "_INBOX.u9ii73oAyVwgjXVUkC6cqN"
 
@@ -75,82 +76,82 @@ def timeless(data: bytes) -> dict[str, Any]:
     return outcome
 
 
-def commanded(main: Callable[[Listener], Awaitable[None]], connections: int = 2) -> Trial:
-    """Run a test with two workers that carry out commands, and a listener."""
-    trial = Trial(connections, settings=FleetSettings(LEASE, commands=True))
+def commanded(connections: int = 2) -> Callable[[Any], Any]:
+    """Let a test have two workers that carry out commands, and a listener, its first argument."""
 
-    async def whole() -> None:
-        await trial.start("a", "b")
-        await trial.settle()
-        listener = Listener(trial)
-        await listener.begin()
-        await main(listener)
-        await listener.client.close()
+    def run(test: Callable[[Listener], Awaitable[None]]) -> None:
+        trial = Trial(connections, settings=FleetSettings(LEASE, commands=True))
 
-    trial.run(whole)
-    return trial
+        async def whole() -> None:
+            await trial.start("a", "b")
+            await trial.settle()
+            listener = Listener(trial)
+            await listener.begin()
+            await test(listener)
+            await listener.client.close()
+
+        trial.run(whole)
+
+    return giving(run)
 
 
 def no_worker(device: str) -> dict[str, Any]:
     return {"ok": False, "error": f"no worker polls {device!r} now"}
 
 
-def test_commands_are_carried_out_by_who_has_the_device() -> None:
-    async def main(to: Listener) -> None:
-        for at in range(4):
-            assert await to.ask(f"d{at}-1.setpoint", 20 + at) == {"ok": True}
-            assert to.trial.levels.holding_registers[1] == 20 + at
-        refused = await to.ask("d0-1.setpoint", {"value": 99, "id": "x"})
-        assert refused.pop("error").endswith("must be in 10..30, not 99")
-        assert refused == {"ok": False, "id": "x"}
-        unknown = await to.ask("d0-1.setpoin", 20)
-        assert unknown == {"ok": False, "error": "d0-1 has no point 'setpoin'"}
-
-    assert commanded(main, 4).levels.holding_registers[1] == 23
-
-
-def test_one_worker_answers_for_a_device_that_nobody_has() -> None:
-    async def main(to: Listener) -> None:
-        outcome = {"ok": False, "error": "there is no device 'no.one'", "id": 7}
-        told = await to.heard("no%2Eone.setpoint", b'{"value": 1, "id": 7}')
-        assert told == [("modbus.written.no%2Eone.setpoint", outcome)]
-        await to.heard("kälte.setpoint", b"1")
-        assert "there is no device 'kälte'".encode() in to.raw
-        await push_fleet(to.trial.engine, to.trial.devices(zone="north"), to.trial.settings)
-        await asyncio.sleep(1)
-        told = await to.heard("d0-1.setpoint", b"20")
-        assert told == [("modbus.written.d0-1.setpoint", no_worker("d0-1"))]
-
-    commanded(main)
+@commanded(4)
+async def test_commands_are_carried_out_by_who_has_the_device(to: Listener) -> None:
+    for at in range(4):
+        assert await to.ask(f"d{at}-1.setpoint", 20 + at) == {"ok": True}
+        assert to.trial.levels.holding_registers[1] == 20 + at
+    refused = await to.ask("d0-1.setpoint", {"value": 99, "id": "x"})
+    assert refused.pop("error").endswith("must be in 10..30, not 99")
+    assert refused == {"ok": False, "id": "x"}
+    unknown = await to.ask("d0-1.setpoin", 20)
+    assert unknown == {"ok": False, "error": "d0-1 has no point 'setpoin'"}
+    assert to.trial.levels.holding_registers[1] == 23
 
 
-def test_a_command_to_a_device_of_a_dead_worker_is_answered_when_another_one_has_it() -> None:
+@commanded()
+async def test_one_worker_answers_for_a_device_that_nobody_has(to: Listener) -> None:
+    outcome = {"ok": False, "error": "there is no device 'no.one'", "id": 7}
+    told = await to.heard("no%2Eone.setpoint", b'{"value": 1, "id": 7}')
+    assert told == [("modbus.written.no%2Eone.setpoint", outcome)]
+    await to.heard("kälte.setpoint", b"1")
+    assert "there is no device 'kälte'".encode() in to.raw
+    await push_fleet(to.trial.engine, to.trial.devices(zone="north"), to.trial.settings)
+    await asyncio.sleep(1)
+    told = await to.heard("d0-1.setpoint", b"20")
+    assert told == [("modbus.written.d0-1.setpoint", no_worker("d0-1"))]
+
+
+@commanded(8)
+async def test_a_command_to_a_device_of_a_dead_worker_is_answered_when_another_one_has_it(
+    to: Listener,
+) -> None:
     """Until then no worker knows whether it was carried out."""
-
-    async def main(to: Listener) -> None:
-        device = to.device_of("a")
-        to.trial.kill("a")
-        with pytest.raises(nats.errors.TimeoutError):
-            await to.ask(f"{device}.setpoint", 20, LEASE)
-        await to.trial.all_asked(60)
-        assert await to.ask(f"{device}.setpoint", 20) == {"ok": True}
-
-    commanded(main, 8)
+    device = to.device_of("a")
+    to.trial.kill("a")
+    with pytest.raises(nats.errors.TimeoutError):
+        await to.ask(f"{device}.setpoint", 20, LEASE)
+    await to.trial.all_asked(60)
+    assert await to.ask(f"{device}.setpoint", 20) == {"ok": True}
 
 
 @pytest.mark.parametrize("seconds", [0.6 * LEASE, 2 * LEASE])
-def test_one_worker_answers_though_the_other_one_was_stopped(seconds: float) -> None:
-    async def main(to: Listener) -> None:
-        device, process = to.device_of("a"), to.trial.workers["a"].process
-        process.stop()
-        await asyncio.sleep(seconds)
-        await to.client.publish(f"modbus.write.{device}.setpoint", b"20")
-        await asyncio.sleep(0.1)
-        process.go_on()
-        await asyncio.sleep(LEASE)
-        assert to.messages == [(f"modbus.written.{device}.setpoint", {"ok": True})]
-
-    assert commanded(main, 8).levels.holding_registers[1] == 20
+@commanded(8)
+async def test_one_worker_answers_though_the_other_one_was_stopped(
+    to: Listener, seconds: float
+) -> None:
+    device, process = to.device_of("a"), to.trial.workers["a"].process
+    process.stop()
+    await asyncio.sleep(seconds)
+    await to.client.publish(f"modbus.write.{device}.setpoint", b"20")
+    await asyncio.sleep(0.1)
+    process.go_on()
+    await asyncio.sleep(LEASE)
+    assert to.messages == [(f"modbus.written.{device}.setpoint", {"ok": True})]
+    assert to.trial.levels.holding_registers[1] == 20
 
 
 async def switch(trial: Trial, commands: bool) -> None:
@@ -158,76 +159,75 @@ async def switch(trial: Trial, commands: bool) -> None:
     await push_fleet(trial.engine, trial.devices(), settings)
 
 
-def test_a_flood_of_commands_does_not_keep_devices_from_being_asked() -> None:
-    async def main(to: Listener) -> None:
-        for _ in range(1000):
-            await to.client.publish("modbus.write.d0-1.setpoint", b"20")
-        await asyncio.sleep(2)
-        assert to.trial.asked.gap < 2 * INTERVAL
-        assert await to.ask("d0-1.setpoint", 21) == {"ok": True}
-
-    commanded(main)
+@commanded()
+async def test_a_flood_of_commands_does_not_keep_devices_from_being_asked(to: Listener) -> None:
+    for _ in range(1000):
+        await to.client.publish("modbus.write.d0-1.setpoint", b"20")
+    await asyncio.sleep(2)
+    assert to.trial.asked.gap < 2 * INTERVAL
+    assert await to.ask("d0-1.setpoint", 21) == {"ok": True}
 
 
-def test_workers_follow_whether_commands_are_taken() -> None:
-    async def main(to: Listener) -> None:
-        for value in (20, 21, 22, 23):
-            if value % 2:
-                with pytest.raises(nats.errors.TimeoutError):
-                    await to.ask("d0-1.setpoint", value, 2)
-            else:
-                assert await to.ask("d0-1.setpoint", value) == {"ok": True}
-            assert to.trial.levels.holding_registers[1] == value - value % 2
-            await switch(to.trial, bool(value % 2))
-            await asyncio.sleep(0.1)
-
-    commanded(main)
+@commanded()
+async def test_workers_follow_whether_commands_are_taken(to: Listener) -> None:
+    for value in (20, 21, 22, 23):
+        if value % 2:
+            with pytest.raises(nats.errors.TimeoutError):
+                await to.ask("d0-1.setpoint", value, 2)
+        else:
+            assert await to.ask("d0-1.setpoint", value) == {"ok": True}
+        assert to.trial.levels.holding_registers[1] == value - value % 2
+        await switch(to.trial, bool(value % 2))
+        await asyncio.sleep(0.1)
 
 
-def test_a_subscription_that_fails_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    subscribe, failures = EngineClient.subscribe, [nats.errors.ConnectionClosedError()] * 2
+@pytest.fixture
+def failures(monkeypatch: pytest.MonkeyPatch) -> list[Exception]:
+    """Errors of the next subscriptions to commands."""
+    subscribe, errors = EngineClient.subscribe, [nats.errors.ConnectionClosedError()] * 2
 
     async def fail_first(client: EngineClient, subject: str, cb: Any = None) -> Any:
-        if failures and subject.startswith("modbus.write"):
-            raise failures.pop()
+        if errors and subject.startswith("modbus.write"):
+            raise errors.pop()
         return await subscribe(client, subject, cb)
 
-    async def main(to: Listener) -> None:
-        assert await to.ask("d0-1.setpoint", 20) == {"ok": True}
-
     monkeypatch.setattr(EngineClient, "subscribe", fail_first)
-    commanded(main)
+    return errors
+
+
+@commanded()
+async def test_a_subscription_that_fails_is_tried_again(
+    to: Listener, failures: list[Exception]
+) -> None:
+    assert await to.ask("d0-1.setpoint", 20) == {"ok": True}
     assert failures == []
 
 
-def test_commands_that_wait_are_bounded_and_not_carried_out_any_more(
-    monkeypatch: pytest.MonkeyPatch,
+@commanded()
+async def test_commands_that_wait_are_bounded_and_not_carried_out_any_more(
+    to: Listener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(messages, "MOST_WAITING", 5)
+    worker = next(each for each in to.trial.workers if to.device_of(each) == "d0-1")
+    polling = to.trial.workers[worker].polling
+    written: list[int] = []
+    # The device takes as long for a write as the push takes to arrive.
+    may_end = asyncio.Event()
 
-    async def main(to: Listener) -> None:
-        worker = next(each for each in to.trial.workers if to.device_of(each) == "d0-1")
-        polling = to.trial.workers[worker].polling
-        written: list[int] = []
-        # The device takes as long for a write as the push takes to arrive.
-        may_end = asyncio.Event()
+    async def slow(device: str, values: dict[str, int]) -> None:
+        written.extend(values.values())
+        await may_end.wait()
 
-        async def slow(device: str, values: dict[str, int]) -> None:
-            written.extend(values.values())
-            await may_end.wait()
-
-        polling.fleet.write = slow  # type: ignore[method-assign,assignment]
-        for value in range(20, 40):
-            await to.client.publish("modbus.write.d0-1.setpoint", str(value).encode())
-        await asyncio.sleep(0.5)
-        assert len(polling._service._tasks) == 5
-        await switch(to.trial, False)
-        await asyncio.sleep(0.1)
-        may_end.set()
-        await asyncio.sleep(1)
-        assert written == [20]
-
-    commanded(main)
+    polling.fleet.write = slow  # type: ignore[method-assign,assignment]
+    for value in range(20, 40):
+        await to.client.publish("modbus.write.d0-1.setpoint", str(value).encode())
+    await asyncio.sleep(0.5)
+    assert len(polling._service._tasks) == 5
+    await switch(to.trial, False)
+    await asyncio.sleep(0.1)
+    may_end.set()
+    await asyncio.sleep(1)
+    assert written == [20]
 
 
 class Broker:
@@ -273,66 +273,60 @@ async def test_one_of_two_workers_answers_what_comes_over_a_broker(trial: Trial)
 # --- strangers -----------------------------------------------------------------------------------
 
 
-def test_outcomes_are_sent_to_inboxes_only() -> None:
+@commanded()
+async def test_outcomes_are_sent_to_inboxes_only(to: Listener) -> None:
     """A worker may purge streams, and must not do so because a command has such a reply."""
-
-    async def main(to: Listener) -> None:
-        told = ("modbus.written.d0-1.setpoint", {"ok": True})
-        for reply in (
-            "$JS.API.STREAM.PURGE.modbus-readings",
-            "$KV.modbus-fleet.settings",
-            "modbus.write.d0-1.setpoint",
-            "up.and.away",
-            f"_INBOX.{'x' * 4000}",
-            "_GR_.a.b.$JS.API.STREAM.PURGE.modbus-readings",
-        ):
-            assert await to.heard("d0-1.setpoint", b"20", reply) == [told]
-        for reply in (INBOX, f"{INBOX}.9", "_INBOX_operator.x", "_R_.a.b", f"_GR_.a.b.{INBOX}"):
-            heard = await to.heard("d0-1.setpoint", b"20", reply)
-            assert [each for each in heard if each[0] != reply] == [told]
-        assert await to.heard("d0-1.setpoint", b"20", INBOX) == [(INBOX, {"ok": True}), told]
-
-    commanded(main)
+    told = ("modbus.written.d0-1.setpoint", {"ok": True})
+    for reply in (
+        "$JS.API.STREAM.PURGE.modbus-readings",
+        "$KV.modbus-fleet.settings",
+        "modbus.write.d0-1.setpoint",
+        "up.and.away",
+        f"_INBOX.{'x' * 4000}",
+        "_GR_.a.b.$JS.API.STREAM.PURGE.modbus-readings",
+    ):
+        assert await to.heard("d0-1.setpoint", b"20", reply) == [told]
+    for reply in (INBOX, f"{INBOX}.9", "_INBOX_operator.x", "_R_.a.b", f"_GR_.a.b.{INBOX}"):
+        heard = await to.heard("d0-1.setpoint", b"20", reply)
+        assert [each for each in heard if each[0] != reply] == [told]
+    assert await to.heard("d0-1.setpoint", b"20", INBOX) == [(INBOX, {"ok": True}), told]
 
 
-def test_names_are_taken_in_one_spelling_only() -> None:
+@commanded()
+async def test_names_are_taken_in_one_spelling_only(to: Listener) -> None:
     """A broker that denies modbus.write.d0-1.> does not know that d%30-1 is the same."""
-
-    async def main(to: Listener) -> None:
-        for subject in (
-            "d%30-1.setpoint",
-            "d0-1.se%74point",
-            "d0%2d1.setpoint",
-            "d0-1.setpoint%",
-            "d0-1.%FF",
-            "d0-1.set%0Apoint",
-            f"{'d' * 101}.setpoint",
-            f"{'%25' * 1500}.setpoint",
-        ):
-            assert await to.heard(subject, b"20", INBOX) == []
-        assert await to.heard("d0-1.setpoint", b"21", INBOX)
-
-    assert commanded(main).levels.holding_registers[1] == 21
+    for subject in (
+        "d%30-1.setpoint",
+        "d0-1.se%74point",
+        "d0%2d1.setpoint",
+        "d0-1.setpoint%",
+        "d0-1.%FF",
+        "d0-1.set%0Apoint",
+        f"{'d' * 101}.setpoint",
+        f"{'%25' * 1500}.setpoint",
+    ):
+        assert await to.heard(subject, b"20", INBOX) == []
+    assert await to.heard("d0-1.setpoint", b"21", INBOX)
+    assert to.trial.levels.holding_registers[1] == 21
 
 
-def test_values_that_are_no_json_are_refused() -> None:
-    async def main(to: Listener) -> None:
-        for data in (
-            b"NaN",
-            b"[1, -Infinity]",
-            b"1e999",
-            b'{"value": 1e999}',
-            b'{"value": 20, "id": "\\ud800"}',
-            b'"\\udfff"',
-            "20".encode("utf-16"),
-            b"\xff",
-            b"[" * 4000,
-            b'{"a":' * 800,
-            b"[[[" + b'"\\' * 2000,
-        ):
-            (answer, told) = await to.heard("d0-1.setpoint", data, INBOX)
-            assert answer[0] == INBOX
-            assert answer[1]["error"].startswith("it must be a value in JSON, not ")
-            assert told[1] == answer[1]
-
-    assert commanded(main).levels.holding_registers[1] == 0
+@commanded()
+async def test_values_that_are_no_json_are_refused(to: Listener) -> None:
+    for data in (
+        b"NaN",
+        b"[1, -Infinity]",
+        b"1e999",
+        b'{"value": 1e999}',
+        b'{"value": 20, "id": "\\ud800"}',
+        b'"\\udfff"',
+        "20".encode("utf-16"),
+        b"\xff",
+        b"[" * 4000,
+        b'{"a":' * 800,
+        b"[[[" + b'"\\' * 2000,
+    ):
+        (answer, told) = await to.heard("d0-1.setpoint", data, INBOX)
+        assert answer[0] == INBOX
+        assert answer[1]["error"].startswith("it must be a value in JSON, not ")
+        assert told[1] == answer[1]
+    assert to.trial.levels.holding_registers[1] == 0

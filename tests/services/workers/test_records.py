@@ -19,7 +19,7 @@ from libmodbus_py.services.workers.records import (
     decode,
     digest_of,
 )
-from tests.services.workers.trial import LEASE, Trial
+from tests.services.workers.trial import LEASE, Trial, tried
 
 LINE = "serial:/dev/ttyUSB0"
 DIGEST = digest_of(LINE)
@@ -102,18 +102,16 @@ KEY = "tcp:192.0.2.99:502"
     [[], 7, {}, {"devices": 7}, {"devices": [7, None, {"name": {}}], "maps": []}],
     ids=str,
 )
-def test_devices_in_any_form_cost_no_answer_and_no_poll(devices: object) -> None:
-    trial = Trial(2, settings=FleetSettings(LEASE, commands=True))
-
-    async def main() -> None:
-        await trial.start("a", "b")
-        await trial.settle()
-        value = {"connection": KEY, "timeout": 0.1, "devices": devices}
-        trial.engine.write(f"connection._.{digest_of(KEY)}", json.dumps(value).encode())
-        await trial.settle()
-        client = trial.engine.client()
-        answer = await client.request("modbus.write.nobody.setpoint", b"20", timeout=5)
-        assert json.loads(answer.data)["error"] == "there is no device 'nobody'"
-        await client.close()
-
-    trial.run(main)
+@tried(2, settings=FleetSettings(LEASE, commands=True))
+async def test_devices_in_any_form_cost_no_answer_and_no_poll(
+    trial: Trial, devices: object
+) -> None:
+    await trial.start("a", "b")
+    await trial.settle()
+    value = {"connection": KEY, "timeout": 0.1, "devices": devices}
+    trial.engine.write(f"connection._.{digest_of(KEY)}", json.dumps(value).encode())
+    await trial.settle()
+    client = trial.engine.client()
+    answer = await client.request("modbus.write.nobody.setpoint", b"20", timeout=5)
+    assert json.loads(answer.data)["error"] == "there is no device 'nobody'"
+    await client.close()

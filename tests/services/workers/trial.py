@@ -5,8 +5,6 @@ A fleet on a simulated network: devices that note who asks them, an engine, and 
 from __future__ import annotations
 
 import asyncio
-import functools
-import inspect
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
@@ -18,6 +16,7 @@ from libmodbus_py.services.workers.records import FleetSettings
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 from tests.simulation.workers import SimulatedWorker, push_fleet
+from tests.support.given import giving
 
 __all__ = ["INTERVAL", "LEASE", "UNITS", "Asked", "Trial", "tried"]
 
@@ -191,17 +190,11 @@ class Trial:
         self.asked.forget()
 
 
-def tried(connections: int, **options: Any) -> Callable[..., Callable[..., None]]:
+def tried(connections: int, **options: Any) -> Callable[[Any], Any]:
     """Make a test of a coroutine that is given a `Trial` first; no device is asked by two."""
 
-    def decorate(test: Callable[..., Awaitable[None]]) -> Callable[..., None]:
-        @functools.wraps(test)
-        def whole(**fixtures: Any) -> None:
-            trial = Trial(connections, **options)
-            trial.run(lambda: test(trial, **fixtures))
+    def run(test: Callable[[Trial], Awaitable[None]]) -> None:
+        trial = Trial(connections, **options)
+        trial.run(lambda: test(trial))
 
-        _, *others = inspect.signature(test).parameters.values()
-        whole.__signature__ = inspect.Signature(others)  # type: ignore[attr-defined]
-        return whole
-
-    return decorate
+    return giving(run)
