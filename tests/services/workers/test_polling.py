@@ -37,13 +37,6 @@ def _logged(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING, logger="libmodbus_py.services.workers")
 
 
-async def alone(trial: Trial) -> Polling:
-    """Start a worker that polls all devices."""
-    await trial.start("a")
-    await trial.settle()
-    return trial.workers["a"].polling
-
-
 def record_of(trial: Trial) -> dict[str, Any]:
     """Return the record that the worker wrote last."""
     latest = trial.engine.latest or {}
@@ -69,21 +62,20 @@ async def test_it_waits_for_the_longest_lease_reports_and_says_that_it_has_ended
     assert record_of(trial)["state"] == "ended"
 
 
-@tried(1)
+@tried(1, "a")
 async def test_it_leaves_within_seconds_although_the_engine_is_gone(trial: Trial) -> None:
-    await alone(trial)
     trial.engine.stop()
     since = trial.now
     await trial.workers.pop("a").leave()
     assert trial.now - since == pytest.approx(TIMEOUT_S, abs=0.2)
 
 
-@tried(1)
+@tried(1, "a")
 async def test_a_connection_that_is_closed_for_good_or_the_end_of_an_output_ends_it(
     trial: Trial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A worker that cannot reach NATS any more must not look alive."""
-    polling = await alone(trial)
+    polling = trial.workers["a"].polling
     monkeypatch.setattr(trial.workers["a"].client, "is_closed", True)
     polling.engine_changed()
     with pytest.raises(EngineError, match="the connection to NATS was closed"):
@@ -114,11 +106,11 @@ def test_a_lease_goes_on_while_the_machine_sleeps() -> None:
     assert before <= default() <= time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
-@tried(1)
+@tried(1, "a")
 async def test_it_watches_again_when_the_bucket_is_not_told_whole(
     trial: Trial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    polling = await alone(trial)
+    polling = trial.workers["a"].polling
     with monkeypatch.context() as patched:
         # Only the first change of each watch arrives.
         tell = Engine._tell
@@ -138,7 +130,7 @@ async def test_it_watches_again_when_the_bucket_is_not_told_whole(
     await trial.all_asked(2 * LEASE)
 
 
-@tried(1)
+@tried(1, "a")
 async def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(
     trial: Trial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,7 +140,6 @@ async def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(
         decided.append(at)
         return step(worker, at, report)
 
-    await alone(trial)
     monkeypatch.setattr(polling, "step", counted)
     revision = trial.engine.revision
     await asyncio.sleep(10 * LEASE)
@@ -156,14 +147,13 @@ async def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(
     assert len(decided) <= 210  # and when its value is seen
 
 
-@tried(1)
+@tried(1, "a")
 async def test_an_engine_that_is_gone_is_told_once_a_minute_and_the_lease_when_it_changes(
     trial: Trial, caplog: pytest.LogCaptureFixture
 ) -> None:
     def told() -> list[str]:
         return [each.message for each in caplog.records if "workers" in each.name]
 
-    await alone(trial)
     trial.engine.stop()
     gone = "the engine: modbus-fleet: no server responds"
     ended = "a: the lease has expired: NATS does not respond"
@@ -193,7 +183,8 @@ async def test_what_cannot_be_read_is_told_and_polled_by_nobody(
     # Of two devices of one name, one is polled.
     for each in (*bad, connection(4, "valve", "fan"), connection(5, "fan")):
         trial.engine.write(each.bucket_key, each.encode())
-    worker = await alone(trial)
-    assert sorted(worker.fleet.devices) == ["d0-1", "d0-2", "fan", "valve"]
+    await trial.start("a")
+    await trial.settle()
+    assert sorted(trial.workers["a"].polling.fleet.devices) == ["d0-1", "d0-2", "fan", "valve"]
     told = sorted(text[: text.find(": ", 12)] for text in caplog.messages)
     assert told == sorted([f"the bucket: {key}" for key in wrong] + [each.key for each in bad])

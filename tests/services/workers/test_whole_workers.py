@@ -22,14 +22,8 @@ TAKEN_OVER = 1.05 * LEASE + 0.1 + INTERVAL
 OWN_LEASE = 0.9 * LEASE
 
 
-async def three(trial: Trial) -> None:
-    await trial.start("a", "b", "c")
-    await trial.settle()
-
-
-@tried(6)
+@tried(6, "a", "b", "c")
 async def test_who_is_killed_is_replaced_when_its_lease_is_over(trial: Trial) -> None:
-    await three(trial)
     trial.kill("b")
     assert OWN_LEASE - INTERVAL < await trial.all_asked(60) < TAKEN_OVER
     await asyncio.sleep(5)
@@ -39,10 +33,8 @@ async def test_who_is_killed_is_replaced_when_its_lease_is_over(trial: Trial) ->
     assert len(trial.asked.hosts()) == 3
 
 
-@tried(6)
+@tried(6, "a", "b")
 async def test_who_joins_gets_its_share_soon_and_without_a_gap(trial: Trial) -> None:
-    await trial.start("a", "b")
-    await trial.settle()
     await trial.start("c")
     assert await trial.until(lambda: len(trial.asked.hosts()) == 3, 60) < 2.0
     await asyncio.sleep(2)
@@ -50,9 +42,8 @@ async def test_who_joins_gets_its_share_soon_and_without_a_gap(trial: Trial) -> 
     assert trial.asked.gap < 2 * INTERVAL
 
 
-@tried(6)
+@tried(6, "a", "b", "c")
 async def test_who_leaves_is_replaced_at_once(trial: Trial) -> None:
-    await three(trial)
     await trial.workers.pop("b").leave()
     assert await trial.all_asked(60) < 2 * INTERVAL
     await asyncio.sleep(2 * LEASE)
@@ -62,12 +53,10 @@ async def test_who_leaves_is_replaced_at_once(trial: Trial) -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
-@tried(6)
+@tried(6, "a", "b", "c")
 async def test_who_is_stopped_for_a_while_asks_nothing_that_others_have(
     trial: Trial, seconds: float
 ) -> None:
-
-    await three(trial)
     process = trial.workers["b"].process
     process.stop()
     await asyncio.sleep(seconds)
@@ -77,9 +66,8 @@ async def test_who_is_stopped_for_a_while_asks_nothing_that_others_have(
 
 
 @pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
-@tried(6)
+@tried(6, "a", "b", "c")
 async def test_who_is_cut_off_asks_no_longer_than_its_lease(trial: Trial, seconds: float) -> None:
-    await three(trial)
     cut = trial.workers["a"]
     host = cut.process.host
     since = trial.now
@@ -95,12 +83,10 @@ async def test_who_is_cut_off_asks_no_longer_than_its_lease(trial: Trial, second
 
 
 @pytest.mark.parametrize("seconds", [0.3, 5 * LEASE])
-@tried(6)
+@tried(6, "a", "b", "c")
 async def test_without_the_engine_nobody_asks_beyond_the_lease(
     trial: Trial, seconds: float
 ) -> None:
-
-    await three(trial)
     trial.engine.stop()
     since = trial.now
     await asyncio.sleep(seconds)
@@ -113,13 +99,10 @@ async def test_without_the_engine_nobody_asks_beyond_the_lease(
     assert len(trial.asked.hosts()) == 3
 
 
-@tried(2, settings=FleetSettings(LEASE, "continue"))
+@tried(2, "a", settings=FleetSettings(LEASE, "continue"))
 async def test_it_goes_on_without_the_engine_if_told_so_and_keeps_what_it_read(
     trial: Trial,
 ) -> None:
-
-    await trial.start("a")
-    await trial.settle()
     trial.engine.stop()
     gone = trial.now
     await asyncio.sleep(10)
@@ -136,9 +119,8 @@ async def test_it_goes_on_without_the_engine_if_told_so_and_keeps_what_it_read(
     assert len(times) >= (back - gone) / INTERVAL
 
 
-@tried(6)
+@tried(6, "a", "b", "c")
 async def test_a_slow_engine_loses_leases_and_no_device(trial: Trial) -> None:
-    await three(trial)
     for worker in trial.workers.values():
         worker.client.link.delay = (0.3, 0.6)
     await asyncio.sleep(10)
@@ -148,9 +130,8 @@ async def test_a_slow_engine_loses_leases_and_no_device(trial: Trial) -> None:
 
 
 @pytest.mark.parametrize("losses", [0.02, 0.2])
-@tried(6)
+@tried(6, "a", "b", "c")
 async def test_an_engine_that_loses_messages_is_watched_anew(trial: Trial, losses: float) -> None:
-    await three(trial)
     trial.engine.losses = losses
     await asyncio.sleep(10)
     trial.engine.losses = 0.0
@@ -159,9 +140,8 @@ async def test_an_engine_that_loses_messages_is_watched_anew(trial: Trial, losse
 
 
 @pytest.mark.parametrize("seconds", [0.5, LEASE, 3 * LEASE])
-@tried(6)
+@tried(6, "a", "b", "c")
 async def test_an_engine_that_goes_back_has_none_asked_by_two(trial: Trial, seconds: float) -> None:
-    await three(trial)
     await trial.start("d")
     await asyncio.sleep(seconds / 2)
     trial.engine.forget(seconds)
@@ -181,13 +161,11 @@ async def test_clocks_may_go_wrong(trial: Trial) -> None:
         await trial.settle()
 
 
-@tried(4)
+@tried(4, "a", "b")
 async def test_the_time_of_day_may_be_set_to_any_time(
     trial: Trial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Leases do not end or grow, and no reading is taken for one that was sent before."""
-    await trial.start("a", "b")
-    await trial.settle()
     for hours in (-1, 2):
         monkeypatch.setattr(network, "EPOCH", network.EPOCH + 3600 * hours)
         trial.engine.stream.clear()
@@ -198,13 +176,11 @@ async def test_the_time_of_day_may_be_set_to_any_time(
     assert await trial.all_asked(60) < LEASE + INTERVAL + 1.5
 
 
-@tried(6)
+@tried(6, "a", "b", "c")
 async def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(
     trial: Trial,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-
-    await three(trial)
     trial.engine.delete_bucket()
     since = trial.now
     await asyncio.sleep(2 * LEASE)
@@ -238,10 +214,8 @@ async def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_
     assert trial.asked.since(now) == UNITS
 
 
-@tried(4)
+@tried(4, "a")
 async def test_a_zone_that_nobody_serves_waits_for_a_worker_of_it(trial: Trial) -> None:
-    await trial.start("a")
-    await trial.settle()
     await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
     await asyncio.sleep(1)
     now = trial.now

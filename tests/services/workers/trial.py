@@ -5,13 +5,14 @@ A fleet on a simulated network: devices that note who asks them, an engine, and 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
 from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
-from libmodbus_py.fleet import DeviceConfig
+from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.ports.trace import Traced
+from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
@@ -88,8 +89,30 @@ class Asked:
         return found
 
 
+class _Told:
+    """An output as those of a broker: it keeps what each worker reports, and when."""
+
+    name = "told"
+
+    def __init__(self, trial: Trial, worker: str) -> None:
+        self._trial = trial
+        self._worker = worker
+
+    async def open(self) -> None: ...
+
+    async def write(self, readings: Sequence[Reading]) -> None:
+        self._trial.told += [(self._trial.now, self._worker, each) for each in readings]
+
+    async def close(self) -> None: ...
+
+
 class Trial:
-    """All of it: so many connections with some units each, and the workers that were started."""
+    """
+    All of it: so many connections with some units each, and the workers that were started.
+
+    Attributes:
+        told: what was reported of each device: when, by which worker, and the reading.
+    """
 
     def __init__(
         self,
@@ -108,6 +131,7 @@ class Trial:
         self.places = [f"tcp://10.0.2.{at + 1}:502" for at in range(connections)]
         self.units, self.interval = units, interval
         self.workers: dict[str, SimulatedWorker] = {}
+        self.told: list[tuple[float, str, Reading]] = []
         self._killed: list[SimulatedWorker] = []
         self.levels = Mapping(holding_registers=2)
 
@@ -164,9 +188,12 @@ class Trial:
         worker.kill()
         self._killed.append(worker)
 
-    async def start(self, *names: str, **options: Any) -> None:
+    async def start(
+        self, *names: str, outputs: Sequence[Output] | None = None, **options: Any
+    ) -> None:
         for name in names:
-            worker = SimulatedWorker(self.network, self.engine, name, **options)
+            own = outputs or [_Told(self, name)]
+            worker = SimulatedWorker(self.network, self.engine, name, outputs=own, **options)
             self.workers[name] = worker
             await worker.start()
 
@@ -189,12 +216,34 @@ class Trial:
         await self.all_asked(LEASE + INTERVAL)
         self.asked.forget()
 
+    def qualities(self) -> list[str]:
+        """Return the qualities that the points of all devices were reported to have last."""
+        last = {(each.device, each.name): each.quality for _, _, each in self.told}
+        assert len(last) == 2 * self.count
+        return sorted(set(last.values()))
 
-def tried(connections: int, **options: Any) -> Callable[[Any], Any]:
-    """Make a test of a coroutine that is given a `Trial` first; no device is asked by two."""
+    def offline(self) -> list[tuple[str, str]]:
+        """Return which worker reported which device as offline, a row for each point."""
+        return [(by, each.device) for _, by, each in self.told if each.quality == "offline"]
+
+
+def tried(connections: int, *workers: str, **options: Any) -> Callable[[Any], Any]:
+    """
+    Make a test of a coroutine that is given a `Trial` first; no device is asked by two.
+
+    Args:
+        workers: the names of those that share the devices when the test begins.
+    """
 
     def run(test: Callable[[Trial], Awaitable[None]]) -> None:
         trial = Trial(connections, **options)
-        trial.run(lambda: test(trial))
+
+        async def settled() -> None:
+            if workers:
+                await trial.start(*workers)
+                await trial.settle()
+            await test(trial)
+
+        trial.run(settled)
 
     return giving(run)
