@@ -30,10 +30,12 @@ from tests.support.c_programs import compile_c
 from tests.support.cases import each
 from tests.support.interop import (
     BAUDRATE,
+    TIMEOUT,
     UNIT,
     Exchange,
     Record,
     c_serving,
+    call,
     case_id,
     cells,
     coil,
@@ -110,89 +112,52 @@ def test_context_raises_what_c_server_refuses(
                 assert context.read_holding_registers(399, 1) == [1399]
 
 
-# What libmodbus has no answer for. It thinks that a request of a code which it does not
-# know is the code alone: so the first two are whole, and the others are not.
-WITHOUT_DATA: dict[int, Callable[[Context], object]] = {
-    11: lambda context: context.read_comm_event_counter(),
-    12: lambda context: context.read_comm_event_log(),
+LACKING: dict[int, Callable[[Context], object]] = {
+    7: call("read_exception_status"),
+    8: call("diagnostics", 0, 0xA537),
+    11: call("read_comm_event_counter"),
+    12: call("read_comm_event_log"),
+    20: call("read_file_records", [(4, 0, 2)]),
+    21: call("write_file_records", [(4, 0, [1])]),
+    24: call("read_fifo_queue", 100),
+    43: call("read_device_identification"),
 }
-WITH_DATA: dict[int, Callable[[Context], object]] = {
-    8: lambda context: context.diagnostics(0, 0xA537),
-    20: lambda context: context.read_file_records([(4, 0, 2)]),
-    21: lambda context: context.write_file_records([(4, 0, [1])]),
-    24: lambda context: context.read_fifo_queue(100),
-    43: lambda context: context.read_device_identification(),
-}
+"""Functions that libmodbus does not have."""
+
+PATIENCE = {"refused": TIMEOUT, "pinned": 0.2}
 
 
-def lacking(
-    *cases: tuple[str, dict[int, Callable[[Context], object]]], word: str = "refused"
-) -> Any:
-    """Run a test with functions that libmodbus lacks, over a transport."""
-    return pytest.mark.parametrize(
-        ("transport", "function", "ask"),
-        [
-            pytest.param(
-                transport,
-                function,
-                ask,
-                id=case_id("libmodbus", "client", transport, function, word),
-            )
-            for transport, functions in cases
-            for function, ask in functions.items()
-        ],
-    )
+def what_it_lacks(transport: str) -> Iterator[Exchange]:
+    """Yield each request with the errors that may come of it in place of an answer."""
+    for function, ask in LACKING.items():
+        if function == 7:
+            # modbus_reply names it, and does nothing with it: "FIXME Not implemented" in 3.1.6;
+            # newer ones refuse it as they should.
+            yield Exchange(function, "pinned", ask, (ModbusTimeoutError, IllegalFunction))
+        elif transport == "rtu" and function not in (11, 12):
+            # It thinks that a request of a code which it does not know is the code alone: it takes
+            # the two bytes after that for the CRC, finds it wrong, and says nothing.
+            yield Exchange(function, "pinned", ask, ModbusTimeoutError)
+        else:
+            # Over TCP, it reads one byte of such a request, answers after its response timeout of
+            # half a second, and throws the rest away: in step again.
+            look = call("read_holding_registers", 100, 1)
+            yield Exchange(function, "refused", ask, IllegalFunction, look, [1100])
 
 
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-@lacking(("tcp", WITHOUT_DATA | WITH_DATA), ("rtu", WITHOUT_DATA))
-def test_what_libmodbus_lacks_is_refused_and_the_connection_goes_on(
-    compiled: Callable[[str], Path],
-    transport: str,
-    function: int,
-    ask: Callable[[Context], object],
-    way: bool,
+@each_transport
+def test_what_libmodbus_lacks_is_refused_or_not_answered(
+    compiled: Callable[[str], Path], transport: str, record_property: Record
 ) -> None:
-    # Over TCP, the C server reads one byte of a request that it does not know, answers after
-    # its response timeout of half a second, and throws the rest away: in step again.
-    with c_server(compiled("server"), transport, native=way) as context:
-        with pytest.raises(IllegalFunction) as caught:
-            ask(context)
-        assert caught.value.function == function
-        assert context.read_holding_registers(100, 1) == [1100]
-
-
-@lacking(("rtu", WITH_DATA), word="pinned")
-def test_what_libmodbus_lacks_times_out_over_rtu(
-    compiled: Callable[[str], Path],
-    transport: str,
-    function: int,
-    ask: Callable[[Context], object],
-) -> None:
-    # libmodbus has no length for these codes: it takes the two bytes after the code
-    # for the CRC, finds it wrong, and says nothing.
-    with (
-        c_server(compiled("server"), transport, timeout=0.2) as context,
-        pytest.raises(ModbusTimeoutError),
-    ):
-        ask(context)
-
-
-@pytest.mark.parametrize(
-    "transport",
-    [
-        pytest.param(each, id=case_id("libmodbus", "client", each, 7, "pinned"))
-        for each in TRANSPORTS
-    ],
-)
-def test_exception_status_is_not_answered(compiled: Callable[[str], Path], transport: str) -> None:
-    # modbus_reply names function 7, and does nothing with it: "FIXME Not implemented"
-    # in 3.1.6; newer ones refuse it as they should.
-    with (
-        c_server(compiled("server"), transport, timeout=0.2) as context,
-        pytest.raises((ModbusTimeoutError, IllegalFunction)),
-    ):
-        context.read_exception_status()
+    cases = to_c_server(what_it_lacks(transport), transport)
+    for check, (exchange, way) in tried(record_property, cases):
+        options: dict[str, Any] = {"native": way, "timeout": PATIENCE[exchange.name]}
+        with check, c_server(compiled("server"), transport, **options) as context:
+            errors: Any = exchange.answer
+            with pytest.raises(errors) as caught:
+                exchange.ask(context)
+            assert caught.value.function == exchange.function
+            assert exchange.look(context) == exchange.seen
 
 
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
@@ -284,9 +249,8 @@ def test_c_carries_every_function_of_a_native_context(
 
     monkeypatch.setattr(blocking_driver, "lib", Counting)
     asks = {each.function: each.ask for each in (*exchanges(), *who_it_is())}
-    asks |= {7: lambda context: context.read_exception_status(), **WITHOUT_DATA, **WITH_DATA}
     with our_server(transport, {UNIT: make_device()}) as place:
-        for check, (function, ask) in each(asks.items()):
+        for check, (function, ask) in each((asks | LACKING).items()):
             for native in (True, False):
                 with check, connected(str(place.end), native=native) as context:
                     carried.clear()
