@@ -1,6 +1,7 @@
 """
 Whole workers, with their fleets, on simulated time: none of the devices is asked by two, and gaps
-are as promised, whoever dies, stops, leaves or hears nothing.
+are as promised, whoever dies, stops, leaves or hears nothing. A device that a worker does not poll
+any more is reported "offline" if no other one polls it, and not late.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ async def test_who_leaves_is_replaced_at_once(trial: Trial) -> None:
     # Nobody waited for a lease.
     assert trial.asked.gap < 2 * INTERVAL
     assert len(trial.asked.hosts()) == 2
+    assert trial.offline() == []
 
 
 @pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
@@ -63,6 +65,8 @@ async def test_who_is_stopped_for_a_while_asks_nothing_that_others_have(
     process.go_on()
     await trial.settle()
     assert len(trial.asked.hosts()) == 3
+    assert trial.offline() == []
+    assert trial.qualities() == ["good"]
 
 
 @pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
@@ -74,12 +78,15 @@ async def test_who_is_cut_off_asks_no_longer_than_its_lease(trial: Trial, second
     trial.engine.cut(cut.client)
     await asyncio.sleep(seconds)
     if seconds > 2 * LEASE:
+        assert {worker for _, worker, _ in trial.offline()} == {"a"}
+        assert max(trial.offline())[0] < since + LEASE
         its = [at for at, peer in trial.asked.last.values() if peer.startswith(host)]
         assert max(its, default=0) < since + OWN_LEASE
         assert await trial.all_asked(60) < 2 * INTERVAL
     trial.engine.mend(cut.client)
     await trial.settle()
     assert len(trial.asked.hosts()) == 3
+    assert trial.qualities() == ["good"]
 
 
 @pytest.mark.parametrize("seconds", [0.3, 5 * LEASE])
@@ -92,11 +99,14 @@ async def test_without_the_engine_nobody_asks_beyond_the_lease(
     await asyncio.sleep(seconds)
     if seconds > LEASE:
         assert since + 0.5 * LEASE < trial.asked.latest < since + OWN_LEASE
+        assert trial.qualities() == ["offline"]
+        assert max(trial.offline())[0] < since + LEASE
     trial.engine.start()
     # A lost connection is tried again each quarter of a second, and so is watching.
     assert await trial.all_asked(60) < TAKEN_OVER + LEASE
     await trial.settle()
     assert len(trial.asked.hosts()) == 3
+    assert trial.qualities() == ["good"]
 
 
 @tried(2, "a", settings=FleetSettings(LEASE, "continue"))
@@ -223,3 +233,43 @@ async def test_a_zone_that_nobody_serves_waits_for_a_worker_of_it(trial: Trial) 
     assert trial.asked.since(now) == 0
     await trial.start("b", zones=["north"])
     assert await trial.all_asked(60) < TAKEN_OVER + LEASE
+
+
+# --- devices that no worker polls ---------------------------------------------------------------
+
+
+@tried(2, "a", "b")
+async def test_a_device_that_is_pushed_away_is_offline(trial: Trial) -> None:
+    await push_fleet(trial.engine, trial.devices(1), trial.settings)
+    await trial.until(trial.offline, LEASE)
+    assert len(trial.offline()) == 2 * UNITS
+    assert {device for *_, device in trial.offline()} == {"d1-1", "d1-2"}
+    # Into a zone without workers.
+    await push_fleet(trial.engine, trial.devices(zone="north"))
+    await trial.until(lambda: trial.qualities() == ["offline"], LEASE)
+
+
+@tried(2, "a")
+async def test_the_last_worker_that_leaves_takes_all_back(trial: Trial) -> None:
+    await trial.workers.pop("a").leave()
+    assert trial.qualities() == ["offline"]
+
+
+@tried(2)
+async def test_devices_of_a_dead_worker_whose_zone_nobody_has_are_offline(trial: Trial) -> None:
+    await push_fleet(trial.engine, trial.devices(zone="north"), trial.settings)
+    await trial.start("north", zones=["north"])
+    await trial.start("a", "b")
+    await asyncio.sleep(3 * LEASE)
+    assert trial.qualities() == ["good"]
+    trial.kill("north")
+    assert await trial.until(lambda: trial.qualities() == ["offline"], 60) < 3 * LEASE
+    await asyncio.sleep(5 * LEASE)
+    # Reported once, by one of those that are left.
+    assert len(trial.offline()) == 2 * trial.count
+    assert len({worker for _, worker, _ in trial.offline()}) == 1
+    await trial.start("north", zones=["north"])
+    await asyncio.sleep(3 * LEASE)
+    assert trial.qualities() == ["good"]
+    trial.kill("north")
+    await trial.until(lambda: trial.qualities() == ["offline"], 60)

@@ -222,9 +222,9 @@ class Trial:
         assert len(last) == 2 * self.count
         return sorted(set(last.values()))
 
-    def offline(self) -> list[tuple[str, str]]:
-        """Return which worker reported which device as offline, a row for each point."""
-        return [(by, each.device) for _, by, each in self.told if each.quality == "offline"]
+    def offline(self) -> list[tuple[float, str, str]]:
+        """Return when which worker reported which device as offline, a row for each point."""
+        return [(at, by, each.device) for at, by, each in self.told if each.quality == "offline"]
 
 
 def tried(connections: int, *workers: str, **options: Any) -> Callable[[Any], Any]:
