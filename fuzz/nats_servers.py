@@ -12,13 +12,18 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from tests.support.programs import program
 
 __all__ = ["NatsServers", "Way", "free_ports"]
+
+Result = TypeVar("Result")
+
+ANSWER_S = 90.0
+"""Servers elect a leader within ten seconds, on a machine that does nothing else."""
 
 
 def free_ports(count: int) -> list[int]:
@@ -106,24 +111,32 @@ class NatsServers:
             process.wait()
             self._processes[number] = None
 
-    def leader(self, stream: str) -> int:
-        """The number of the server that leads a stream."""
-        return asyncio.run(self._leader(stream))
-
-    async def _leader(self, stream: str) -> int:
+    def ask(self, script: Callable[[Any], Awaitable[Result]], **options: Any) -> Result:
+        """Return what a coroutine returns that is given a client; options: of `nats.connect`."""
         import nats
 
-        client = await nats.connect(self.urls.split(","), connect_timeout=2)
-        try:
-            for _ in range(100):
+        async def main() -> Result:
+            client = await nats.connect(self.urls.split(","), **options)
+            try:
+                async with asyncio.timeout(ANSWER_S):
+                    return await script(client)
+            finally:
+                await client.close()
+
+        return asyncio.run(main())
+
+    def leader(self, stream: str, **options: Any) -> int:
+        """The number of the server that leads a stream; options: of `nats.connect`."""
+
+        async def find(client: Any) -> int:
+            while True:  # while another one is elected there is none, or no answer
                 with contextlib.suppress(Exception):
                     info = await client.jetstream(timeout=2).stream_info(stream)
                     if info.cluster is not None and info.cluster.leader:
                         return int(info.cluster.leader[1:])
                 await asyncio.sleep(0.1)
-        finally:
-            await client.close()
-        raise RuntimeError(f"{stream} has no leader")
+
+        return self.ask(find, connect_timeout=2, **options)
 
 
 class Way:

@@ -6,7 +6,6 @@ they are; and what their own tools say to them.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import re
 import shutil
@@ -16,6 +15,7 @@ import subprocess
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,7 +24,7 @@ from fuzz.nats_servers import NatsServers, free_ports
 from libmodbus_py.cli.main import main
 from libmodbus_py.services.workers.records import BUCKET
 
-nats = pytest.importorskip("nats")
+pytest.importorskip("nats")
 
 # Servers elect a leader within ten seconds, on a machine that does nothing else.
 PATIENCE = 90.0
@@ -40,6 +40,8 @@ def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, cap
     assert main(["certificates", str(tmp_path), "127.0.0.1"]) == 0
     certificates = tmp_path / "127.0.0.1"
     ca = tmp_path / "ca.pem"
+    trusting = ssl.create_default_context(cafile=ca)
+    trusting.verify_flags |= ssl.VERIFY_X509_STRICT  # as from Python 3.13 on
     for name in ("POLLER_PASSWORD", "VIEWER_PASSWORD"):
         monkeypatch.setenv(name, f"{name}-x")
     for name in ("NATS_NAME", "NATS_ROUTE_1", "NATS_ROUTE_2"):
@@ -98,9 +100,17 @@ def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, cap
             looking += ["--cafile", str(ca), "-C", "1", "-W", "90"]
             heard = subprocess.run(looking, capture_output=True, text=True, timeout=120)
             assert json.loads(heard.stdout)["values"]["level"]["quality"] == "good", heard.stderr
-            asyncio.run(_viewer_may_only_look(engine, ca))
+            refused: asyncio.Queue[Exception] = asyncio.Queue()
+            login: dict[str, Any] = {"user": "viewer", "password": "VIEWER_PASSWORD-x"}
+            servers.ask(
+                partial(viewer_may_only_look, refused=refused),
+                **login,
+                tls=trusting,
+                error_cb=refused.put,
+            )
 
-            servers.kill(asyncio.run(_leader(engine, ca)))
+            login = {"user": POLLER["NATS_USER"], "password": POLLER["NATS_PASSWORD"]}
+            servers.kill(servers.leader(f"KV_{BUCKET}", **login, tls=trusting))
             # A lease that nobody confirms is over by then.
             lost = time.monotonic() + 2.0
             until(lambda: asked.since(lost) == UNITS, PATIENCE)
@@ -114,53 +124,10 @@ def _is_waiting(workers: Workers, name: str) -> bool:
     return "waiting for the engine" in said and ("no leader" in said or "no answer" in said)
 
 
-async def _leader(engine: str, ca: Path) -> int:
-    """Return the number of the server that leads the bucket of the fleet."""
-    client = await nats.connect(
-        engine.split(","),
-        user=POLLER["NATS_USER"],
-        password=POLLER["NATS_PASSWORD"],
-        tls=ssl.create_default_context(cafile=ca),
-    )
-    try:
-        async with asyncio.timeout(PATIENCE):
-            while True:  # while another is elected there is none, or no answer
-                with contextlib.suppress(nats.errors.Error):
-                    info = await client.jetstream().stream_info(f"KV_{BUCKET}")
-                    if info.cluster.leader:
-                        return int(info.cluster.leader[1:])
-                await asyncio.sleep(0.1)
-    finally:
-        await client.close()
-
-
-async def _viewer_may_only_look(engine: str, ca: Path) -> None:
-    refused: list[str] = []
-    both_refused = asyncio.Event()
-    trusting = ssl.create_default_context(cafile=ca)
-    trusting.verify_flags |= ssl.VERIFY_X509_STRICT  # as from Python 3.13 on
-
-    async def note(error: Exception) -> None:
-        refused.append(str(error))
-        if len(refused) == 2:
-            both_refused.set()
-
-    client = await nats.connect(
-        engine.split(","),
-        user="viewer",
-        password="VIEWER_PASSWORD-x",
-        tls=trusting,
-        error_cb=note,
-    )
-    try:
-        for subject in ("modbus.write.d0-1.setpoint", "$KV.modbus-fleet.settings"):
-            await client.publish(subject, b"20")
-        await client.flush()
-        async with asyncio.timeout(PATIENCE):
-            await both_refused.wait()
-        assert all("permissions violation" in each.lower() for each in refused)
-    finally:
-        await client.close()
+async def viewer_may_only_look(client: Any, refused: asyncio.Queue[Exception]) -> None:
+    for subject in ("modbus.write.d0-1.setpoint", "$KV.modbus-fleet.settings"):
+        await client.publish(subject, b"20")
+        assert "permissions violation" in str(await refused.get()).lower()
 
 
 @pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="no systemd here")

@@ -4,12 +4,12 @@ What people meet of the engine: errors in one line, changes, results over MQTT, 
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import json
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from fuzz.asked_devices import UNITS, Workers, asked_devices, fleet_file, until
 from fuzz.nats_servers import NatsServers, free_ports
 from tests.support.commands import run
 
-nats = pytest.importorskip("nats")
+pytest.importorskip("nats")
 
 MQTT = """
 server_name: test
@@ -73,27 +73,23 @@ def test_an_engine_without_jetstream_or_with_another_bucket_is_refused(file):
         status = ("fleet", "status", "--engine", server.urls)
         line = failed(*status)
         assert "there is no fleet yet; put it there with --push" in line
-        asyncio.run(_bucket(server.urls, history=5))
+        server.ask(partial(make_bucket, history=5))
         line = failed("poll", file, "--engine", server.urls)
         assert "bucket modbus-fleet has unexpected settings: history 5, not 1" in line
-        asyncio.run(_bucket(server.urls, history=1))
-        asyncio.run(_write(server.urls, "settings", b'{"format": 7}'))
+        server.ask(partial(make_bucket, history=1))
+        server.ask(partial(write, key="settings", value=b'{"format": 7}'))
         assert "format 7 is not supported; this version reads format 1" in failed(*status)
 
 
-async def _bucket(url: str, history: int) -> None:
-    client = await nats.connect(url)
+async def make_bucket(client: Any, history: int) -> None:
     js = client.jetstream()
     with contextlib.suppress(Exception):
         await js.delete_key_value("modbus-fleet")
     await js.create_key_value(bucket="modbus-fleet", history=history)
-    await client.close()
 
 
-async def _write(url: str, key: str, value: bytes) -> None:
-    client = await nats.connect(url)
+async def write(client: Any, key: str, value: bytes) -> None:
     await (await client.jetstream().key_value("modbus-fleet")).put(key, value)
-    await client.close()
 
 
 @pytest.mark.parametrize(
@@ -116,12 +112,9 @@ def test_wrong_usage_is_told_before_anything_is_sent(file, options, told):
 # --- what it does ------------------------------------------------------------------------------
 
 
-async def _requested(url: str, subject: str, value: bytes) -> dict[str, Any]:
-    client = await nats.connect(url)
-    try:
-        return json.loads((await client.request(subject, value, timeout=10)).data)
-    finally:
-        await client.close()
+async def requested(client: Any, subject: str, value: bytes) -> dict[str, Any]:
+    answer: dict[str, Any] = json.loads((await client.request(subject, value, timeout=10)).data)
+    return answer
 
 
 def mosquitto(port: int, topic: str) -> subprocess.Popen[str]:
@@ -160,8 +153,8 @@ def test_results_commands_and_status(tmp_path):
             assert reading["values"]["level"]["quality"] == "good"
 
             # Commands: one with an answer, and one over MQTT, whose outcome is heard there.
-            subject = "modbus.write.d0-3.setpoint"
-            assert asyncio.run(_requested(server.urls, subject, b"21"))["ok"] is True
+            command_to_write = partial(requested, subject="modbus.write.d0-3.setpoint", value=b"21")
+            assert server.ask(command_to_write)["ok"] is True
             outcome = mosquitto(mqtt, "modbus/written/d0-4/setpoint")
             publish = ["mosquitto_pub", "-h", "127.0.0.1", "-p", str(mqtt)]
             publish += ["-t", "modbus/write/d0-4/setpoint", "-m", "12"]
@@ -175,7 +168,7 @@ def test_results_commands_and_status(tmp_path):
             assert json.loads(outcome.communicate(timeout=30)[0])["ok"] is True
 
             # What cannot be read is told.
-            asyncio.run(_write(server.urls, "worker.x.y", b"[" * 5000))
+            server.ask(partial(write, key="worker.x.y", value=b"[" * 5000))
             command = ("fleet", "status", "--engine", server.urls)
             status = json.loads(run(*command, "--json").out)
             assert len(status["unreadable"]) == 1
@@ -190,6 +183,6 @@ def test_results_commands_and_status(tmp_path):
             assert done.code == 1
             assert "no worker polls zone 'north'" in done.err
             assert any(line.endswith("  no worker") for line in done.out.splitlines())
-            lost = asyncio.run(_requested(server.urls, subject, b"21"))
+            lost = server.ask(command_to_write)
             assert lost["error"] == "no worker polls 'd0-3' now"
         assert asked.doubles == 0

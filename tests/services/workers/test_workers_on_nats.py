@@ -5,7 +5,6 @@ whoever dies, stops or leaves. All that they decide is tried in `test_whole_work
 
 from __future__ import annotations
 
-import asyncio
 import signal
 import time
 
@@ -15,7 +14,7 @@ from fuzz.asked_devices import UNITS, Workers, asked_devices, fleet_file, until
 from fuzz.nats_servers import NatsServers
 from libmodbus_py.cli.main import main
 
-nats = pytest.importorskip("nats")
+pytest.importorskip("nats")
 
 # Nothing here is measured in seconds: on a busy machine leases are lost, and taken again.
 LEASE = 1.0
@@ -66,7 +65,7 @@ def test_none_is_asked_by_two_whoever_dies_stops_or_leaves(tmp_path, capsys):
             all_asked()
 
             # All that workers rest on is gone; what is put there again is polled again.
-            asyncio.run(_delete_bucket(server.urls))
+            server.ask(lambda client: client.jetstream().delete_key_value("modbus-fleet"))
             until(lambda: "was deleted" in workers.said("a"), PATIENCE)
             until(lambda: asked.since(time.monotonic() - 3 * INTERVAL) == 0, PATIENCE)
             assert main(["poll", str(file), "--engine", server.urls, "--push"]) == 0
@@ -76,9 +75,3 @@ def test_none_is_asked_by_two_whoever_dies_stops_or_leaves(tmp_path, capsys):
         # Whoever is stopped within the call of the system that sends, sends that when it goes on
         # (docs/how-to/several-machines.md): here one process was stopped, once.
         assert asked.doubles <= 1
-
-
-async def _delete_bucket(url: str) -> None:
-    client = await nats.connect(url)
-    await client.jetstream().delete_key_value("modbus-fleet")
-    await client.close()
