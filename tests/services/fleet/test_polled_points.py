@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import pytest
 
-from libmodbus_py import ModbusTimeoutError, Point, RegisterMap
+from libmodbus_py import IllegalDataAddress, ModbusTimeoutError, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.config import devices_from_json, devices_to_json
 from libmodbus_py.services.fleet.files import FleetFileError, load
@@ -164,6 +164,7 @@ async def test_a_hole_costs_ten_requests_and_is_told_once(
         poller = plant.fleet.devices["device 1"]
         assert poller.state is DeviceState.UP
         assert refused(plant) == {"device 1": ["p7"]}
+        assert isinstance(poller.error, IllegalDataAddress)
         plant.missing.clear()
         await asyncio.sleep(700)
         assert poller.unreadable == []
