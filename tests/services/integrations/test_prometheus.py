@@ -39,7 +39,6 @@ from libmodbus_py import (
     Route,
     Server,
 )
-from libmodbus_py.cli.main import main
 from libmodbus_py.client.statistics import TIME_BOUNDS, Statistics
 from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.server.limits import ServerStatistics
@@ -49,6 +48,7 @@ from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.sockets import DELAY
 from tests.support.certificates import Papers
+from tests.support.commands import Started, run
 from tests.support.peers import echo, until
 
 # To a peer in memory and back.
@@ -78,10 +78,13 @@ def of(found: Scraped, name: str, **labels: str) -> float:
     return found[name, tuple(sorted(labels.items()))]
 
 
+def of_client(found: Scraped, name: str, endpoint: str, **labels: str) -> float:
+    return of(found, f"modbus_client_{name}", endpoint=endpoint, **labels)
+
+
 def histogram(found: Scraped, endpoint: str) -> list[float]:
-    name = "modbus_client_request_duration_seconds_bucket"
-    bounds = [*map(str, TIME_BOUNDS), "+Inf"]
-    return [of(found, name, endpoint=endpoint, le=bound) for bound in bounds]
+    name = "request_duration_seconds_bucket"
+    return [of_client(found, name, endpoint, le=f"{bound}") for bound in [*TIME_BOUNDS, "+Inf"]]
 
 
 @pytest.fixture
@@ -100,15 +103,14 @@ def served(**options: Any) -> Iterator[tuple[Server, str]]:
 
 
 def test_both_clients_and_the_server_tell_what_happened(registry: CollectorRegistry) -> None:
-    async def ask(url: str) -> None:
+    async def ask(url: str) -> Scraped:
         async with AsyncClient(url) as plc:
             collect(plc, registry=registry)
             await asyncio.gather(*(plc.read_holding_registers(0, 1) for _ in range(20)))
             with pytest.raises(IllegalDataAddress):
                 await plc.read_holding_registers(200, 1)
-            found.update(values(registry))
+            return values(registry)
 
-    found: Scraped = {}
     with served() as (server, url), Context.from_url(url, unit=1) as plc:
         collect(server, plc, registry=registry)
         start = time.monotonic()
@@ -119,32 +121,30 @@ def test_both_clients_and_the_server_tell_what_happened(registry: CollectorRegis
             plc.read_coils(7, 2)
         passed = time.monotonic() - start
         before = values(registry)
-        asyncio.run(ask(url))
-    name = "modbus_client_requests_total"
-    assert of(before, name, endpoint=url, function="1", result="ok") == 5
-    assert of(before, name, endpoint=url, function="5", result="ok") == 5
-    assert of(before, name, endpoint=url, function="1", result="exception") == 1
-    assert of(before, "modbus_client_requests_sent_total", endpoint=url) == 11
-    assert of(before, "modbus_client_responses_total", endpoint=url) == 11
-    assert of(before, "modbus_client_exceptions_total", endpoint=url) == 1
-    assert of(before, "modbus_client_connects_total", endpoint=url) == 1
+        after = asyncio.run(ask(url))
+    assert of_client(before, "requests_total", url, function="1", result="ok") == 5
+    assert of_client(before, "requests_total", url, function="5", result="ok") == 5
+    assert of_client(before, "requests_total", url, function="1", result="exception") == 1
+    assert of_client(before, "requests_sent_total", url) == 11
+    assert of_client(before, "responses_total", url) == 11
+    assert of_client(before, "exceptions_total", url) == 1
+    assert of_client(before, "connects_total", url) == 1
     counts = histogram(before, url)
     assert counts == sorted(counts)
-    duration = "modbus_client_request_duration_seconds"
-    assert counts[-1] == of(before, f"{duration}_count", endpoint=url) == 11
-    assert 0 < of(before, f"{duration}_sum", endpoint=url) <= passed
+    assert counts[-1] == of_client(before, "request_duration_seconds_count", url) == 11
+    assert 0 < of_client(before, "request_duration_seconds_sum", url) <= passed
     assert of(before, "modbus_server_requests_total") == 11
     assert of(before, "modbus_server_refused_total") == 1
     assert of(before, "modbus_server_connections") == 1
     # Both clients have the same endpoint: they add up.
-    assert of(found, name, endpoint=url, function="3", result="ok") == 20
-    assert of(found, name, endpoint=url, function="3", result="exception") == 1
-    assert of(found, name, endpoint=url, function="1", result="ok") == 5
-    assert of(found, "modbus_client_requests_sent_total", endpoint=url) == 32
-    assert histogram(found, url)[-1] == 32
-    assert of(found, "modbus_server_connections") == 2
-    assert of(found, "modbus_server_accepted_total") == 2
-    assert of(found, "modbus_server_requests_total") == 32
+    assert of_client(after, "requests_total", url, function="3", result="ok") == 20
+    assert of_client(after, "requests_total", url, function="3", result="exception") == 1
+    assert of_client(after, "requests_total", url, function="1", result="ok") == 5
+    assert of_client(after, "requests_sent_total", url) == 32
+    assert histogram(after, url)[-1] == 32
+    assert of(after, "modbus_server_connections") == 2
+    assert of(after, "modbus_server_accepted_total") == 2
+    assert of(after, "modbus_server_requests_total") == 32
 
 
 def test_the_histogram_puts_answers_where_they_belong(registry: CollectorRegistry) -> None:
@@ -166,11 +166,10 @@ def test_the_histogram_puts_answers_where_they_belong(registry: CollectorRegistr
         found = values(registry)
     below = [sum(each <= bound for each in took) for bound in TIME_BOUNDS]
     assert histogram(found, peer.url) == [*below, len(took)]
-    total = of(found, "modbus_client_request_duration_seconds_sum", endpoint=peer.url)
+    total = of_client(found, "request_duration_seconds_sum", peer.url)
     assert total == pytest.approx(sum(took))
-    assert of(
-        found, "modbus_client_requests_total", endpoint=peer.url, function="3", result="timeout"
-    ) == of(found, "modbus_client_timeouts_total", endpoint=peer.url)
+    timeouts = of_client(found, "requests_total", peer.url, function="3", result="timeout")
+    assert timeouts == of_client(found, "timeouts_total", peer.url)
 
 
 def test_the_last_success_is_a_time_of_day(registry: CollectorRegistry) -> None:
@@ -260,14 +259,14 @@ def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorR
             collect(each, registry=registry)
         plc.read_coils(0, 1)
         plc.for_unit(9).read_coils(0, 1)
-        assert of(values(registry), "modbus_client_requests_sent_total", endpoint=url) == 2
+        assert of_client(values(registry), "requests_sent_total", url) == 2
 
 
 def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(
     registry: CollectorRegistry,
 ) -> None:
     """Prometheus would take that for a restart, and what is left for new."""
-    name = "modbus_client_requests_sent_total"
+    name = "requests_sent_total"
     with served() as (_, url), Context.from_url(url) as stays:
         collect(stays, registry=registry)
         stays.read_coils(0, 1)
@@ -276,10 +275,10 @@ def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(
                 collect(plc, registry=registry)
                 for _ in range(3):
                     plc.read_coils(0, 1)
-                assert of(values(registry), name, endpoint=url) == 1 + already + 3
+                assert of_client(values(registry), name, url) == 1 + already + 3
             del plc
             gc.collect()
-            assert of(values(registry), name, endpoint=url) == 1 + already + 3
+            assert of_client(values(registry), name, url) == 1 + already + 3
             assert histogram(values(registry), url)[-1] == 1 + already + 3
     del stays
     gc.collect()
@@ -372,8 +371,7 @@ def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegi
             assert each.result() == sorted(each.result())
         assert [each.result() for each in asking] == [None, None]
         now = values(registry)
-    name = "modbus_client_requests_total"
-    assert of(now, name, endpoint=url, function="6", result="ok") == 400
+    assert of_client(now, "requests_total", url, function="6", result="ok") == 400
     assert of(now, "modbus_server_requests_total") == 400
 
 
@@ -417,45 +415,32 @@ def test_those_who_stall_keep_nobody_waiting(
 
 ARGUMENTS = ["serve", "tcp://127.0.0.1:0"]
 
-COMMAND = [sys.executable, "-m", "libmodbus_py", *ARGUMENTS]
-
 
 @pytest.mark.parametrize(
     ("address", "stop"), [("127.0.0.1:0", signal.SIGTERM), ("[::1]:0", signal.SIGINT)]
 )
 def test_serve_exposes_its_metrics(address: str, stop: int) -> None:
-    command = [*COMMAND, "--metrics", address]
-    pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(command, **pipes) as process:
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            found = re.fullmatch(r"metrics on (http://(\S+):\d+/metrics)\n", line)
-            assert found, line
-            assert found[2] == address.removesuffix(":0")
-            url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
-            with Context.from_url(url, timeout=5) as plc:
-                plc.read_holding_registers(0, 1)
-                scraped = fetched(found[1])
-            assert of(scraped, "modbus_server_requests_total") == 1
-            assert of(scraped, "modbus_server_connections") == 1
-            assert ("process_open_fds", ()) in scraped
-            process.send_signal(stop)
-            assert process.wait(20) == 0
-            assert process.stderr is not None
-            assert process.stderr.read() == ""
-        finally:
-            process.kill()
+    with Started(*ARGUMENTS, "--metrics", address) as process:
+        line = process.stdout.readline()
+        found = re.fullmatch(r"metrics on (http://(\S+):\d+/metrics)\n", line)
+        assert found, line
+        assert found[2] == address.removesuffix(":0")
+        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
+        with Context.from_url(url, timeout=5) as plc:
+            plc.read_holding_registers(0, 1)
+            scraped = fetched(found[1])
+        assert of(scraped, "modbus_server_requests_total") == 1
+        assert of(scraped, "modbus_server_connections") == 1
+        assert ("process_open_fds", ()) in scraped
+        process.send_signal(stop)
+        assert (process.wait(), process.stderr.read()) == (0, "")
 
 
-def test_serve_says_when_the_port_of_metrics_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
+def test_serve_says_when_the_port_of_metrics_is_taken() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         place = f"127.0.0.1:{taken.getsockname()[1]}"
-        assert main([*ARGUMENTS, "--metrics", place]) == 1
-    told = capsys.readouterr()
-    assert told.out == ""
-    wanted = f"libmodbus-py: cannot listen for metrics on {place}: Address already in use\n"
-    assert told.err == wanted
+        wanted = f"libmodbus-py: cannot listen for metrics on {place}: Address already in use\n"
+        assert run(*ARGUMENTS, "--metrics", place) == (1, "", wanted)
 
 
 def test_serve_says_which_extra_is_missing() -> None:
@@ -464,10 +449,10 @@ def test_serve_says_which_extra_is_missing() -> None:
         "from libmodbus_py.cli.main import main\n"
         "sys.exit(main(['serve', 'tcp://127.0.0.1:0', '--metrics', '127.0.0.1:0']))"
     )
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert (run.returncode, run.stdout) == (1, "")
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (1, "")
     wanted = f"the exporter needs prometheus_client: {how_to_add('metrics')}"
-    assert run.stderr == f"libmodbus-py: {wanted}\n"
+    assert done.stderr == f"libmodbus-py: {wanted}\n"
 
 
 # --- gateways ---------------------------------------------------------------------------------
