@@ -136,25 +136,21 @@ def test_a_callback_that_raises_harms_nobody() -> None:
     assert [type(each["exception"]) for each in complaints] == [ZeroDivisionError]
 
 
-def test_a_late_answer_is_not_the_next_ones() -> None:
-    async def go() -> None:
-        held: list[bytes] = []
+@served(timeout=SHORT)
+async def test_a_late_answer_is_not_the_next_ones(server: Scripted, connection: Any) -> None:
+    held: list[bytes] = []
 
-        def late(request: bytes, write: Write) -> None:
-            held.append(request)
-            for each in held if len(held) > 1 else []:
-                write(answer(each))
+    def late(request: bytes, write: Write) -> None:
+        held.append(request)
+        for each in held if len(held) > 1 else []:
+            write(answer(each))
 
-        async with Scripted(late).serving() as server:
-            connection = tcp(server, SHORT)
-            with pytest.raises(theirs.ModbusTimeoutError):
-                await read(connection, 1)
-            assert await read(connection, 2) == [2]
-            assert connection.statistics.late_answers == 1
-            assert server.connections == 1
-            await connection.close()
-
-    run(go())
+    server.on_request = late
+    with pytest.raises(theirs.ModbusTimeoutError):
+        await read(connection, 1)
+    assert await read(connection, 2) == [2]
+    assert connection.statistics.late_answers == 1
+    assert server.connections == 1
 
 
 def test_a_late_answer_on_a_line_is_not_the_next_ones() -> None:
@@ -177,30 +173,26 @@ def test_a_late_answer_on_a_line_is_not_the_next_ones() -> None:
         run(go())
 
 
-def test_one_request_at_a_time_whoever_asks() -> None:
-    async def go() -> None:
-        open_now: list[bytes] = []
-        most = 0
+@served()
+async def test_one_request_at_a_time_whoever_asks(server: Scripted, connection: Any) -> None:
+    open_now: list[bytes] = []
+    most = 0
 
-        def slowly(request: bytes, write: Write) -> None:
-            nonlocal most
-            open_now.append(request)
-            most = max(most, len(open_now))
+    def slowly(request: bytes, write: Write) -> None:
+        nonlocal most
+        open_now.append(request)
+        most = max(most, len(open_now))
 
-            def done() -> None:
-                open_now.remove(request)
-                write(answer(request))
+        def done() -> None:
+            open_now.remove(request)
+            write(answer(request))
 
-            asyncio.get_running_loop().call_later(0.002, done)
+        asyncio.get_running_loop().call_later(0.002, done)
 
-        async with Scripted(slowly).serving() as server:
-            connection = tcp(server)
-            found = await asyncio.gather(*(read(connection, number) for number in range(20)))
-            assert found == [[number] for number in range(20)]
-            assert (most, server.connections) == (1, 1)
-            await connection.close()
-
-    run(go())
+    server.on_request = slowly
+    found = await asyncio.gather(*(read(connection, number) for number in range(20)))
+    assert found == [[number] for number in range(20)]
+    assert (most, server.connections) == (1, 1)
 
 
 @pytest.mark.parametrize("turns", range(12))
@@ -310,16 +302,15 @@ async def test_a_loss_while_it_waits_to_be_ready_heals(server: Scripted, connect
     assert server.connections == 2
 
 
-def test_units_0_and_255_on_tcp_and_broadcasts_on_lines() -> None:
-    async def on_tcp() -> None:
-        async with Scripted(echo).serving() as server:
-            connection = tcp(server)
-            for unit in (0, 255):
-                assert await connection.for_unit(unit).read_holding_registers(7, 1) == [7]
-            assert [request[6] for request in server.requests] == [0, 255]
-            await connection.close()
+@served()
+async def test_units_0_and_255_are_asked_over_tcp(server: Scripted, connection: Any) -> None:
+    for unit in (0, 255):
+        assert await connection.for_unit(unit).read_holding_registers(7, 1) == [7]
+    assert [request[6] for request in server.requests] == [0, 255]
 
-    async def on_a_line() -> None:
+
+def test_unit_0_of_a_line_is_a_broadcast() -> None:
+    async def go() -> None:
         params = theirs.ModbusSerialParams(device=line.path)
         connection = backend.ModbusConnection(params, timeout=SHORT)
         await connection.for_unit(0).write_register(1, 2)
@@ -327,9 +318,8 @@ def test_units_0_and_255_on_tcp_and_broadcasts_on_lines() -> None:
             await connection.for_unit(0).read_holding_registers(1, 1)
         await connection.close()
 
-    run(on_tcp())
     with FakeUnit(lambda request: []) as line:
-        run(on_a_line())
+        run(go())
     assert len(line.requests) == 1
 
 
