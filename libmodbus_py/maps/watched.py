@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .point_plan import PointPlan
     from .register_map import RegisterMap
 
-__all__ = ["PointIntervals", "PolledValues", "Totals", "WatchedPoints"]
+__all__ = ["PartialPlans", "PointIntervals", "PolledValues", "Totals", "WatchedPoints"]
 
 TOLERANCE = 0.001
 """The part of the time between two polls that sums of times may be inexact by."""
@@ -114,6 +114,29 @@ class Totals:
         return self._last[at]
 
 
+class PartialPlans:
+    """The plan of points of a map, with their names, and plans of some of them, which are kept."""
+
+    def __init__(
+        self, map: RegisterMap, names: Iterable[str] | None, **options: Unpack[PlanOptions]
+    ) -> None:
+        self.plan: PointPlan = map.plan(names, **options)
+        self.names: tuple[str, ...] = self.plan.names
+        self._map, self._options = map, options
+        self._parts: dict[tuple[int, ...], PointPlan] = {}
+
+    def plan_of(self, indexes: tuple[int, ...] | None) -> PointPlan:
+        """Return the plan of the points with some indexes; None for all."""
+        if indexes is None:
+            return self.plan
+        if indexes not in self._parts:
+            if len(self._parts) == MOST_PLANS:
+                self._parts.clear()
+            names = [self.names[at] for at in indexes]
+            self._parts[indexes] = self._map.plan(names, **self._options)
+        return self._parts[indexes]
+
+
 class PolledValues(dict[str, Any]):
     """
     The values of a poll by name.
@@ -140,11 +163,8 @@ class WatchedPoints:
         every: float,
         **options: Unpack[PlanOptions],
     ) -> None:
-        wanted = None if names is None or isinstance(names, str) else list(names)
-        plan = map.plan(names if wanted is None else wanted, **options)
-        self._map, self._options = map, options
-        self._names = plan.names
-        self._plans: dict[tuple[int, ...] | None, PointPlan] = {None: plan}
+        self._plans = PartialPlans(map, names, **options)
+        self._names = self._plans.names
         points = [map[name] for name in self._names]
         self._pace = PointIntervals([point.interval for point in points], every)
         self._totals = Totals(at for at, point in enumerate(points) if point.never_falls)
@@ -153,10 +173,10 @@ class WatchedPoints:
 
     def poll(self, at: float) -> Generator[PointPlan, dict[str, Any], PolledValues]:
         """Yield the plans of a poll that is due now, take their results, and return all values."""
-        found = yield self._plan(self._pace.due(at))
+        found = yield self._plans.plan_of(self._pace.due(at))
         doubtful, fell = self._totals.take(self._all(found))
         if doubtful:
-            again = yield self._plan(tuple(sorted(doubtful)))
+            again = yield self._plans.plan_of(tuple(sorted(doubtful)))
             found |= again
             _, fell = self._totals.take(self._all(again))
         self._pace.done([at for at, name in enumerate(self._names) if _is_lost(found.get(name))])
@@ -167,15 +187,6 @@ class WatchedPoints:
 
     def _all(self, found: dict[str, Any]) -> list[Any]:
         return [found.get(name) for name in self._names]
-
-    def _plan(self, indexes: tuple[int, ...] | None) -> PointPlan:
-        if indexes not in self._plans:
-            if len(self._plans) == MOST_PLANS:
-                self._plans = {None: self._plans[None]}
-            assert indexes is not None
-            names = [self._names[at] for at in indexes]
-            self._plans[indexes] = self._map.plan(names, **self._options)
-        return self._plans[indexes]
 
 
 def _is_lost(value: object) -> bool:

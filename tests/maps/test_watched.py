@@ -12,7 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py import IllegalDataAddress, ModbusTimeoutError, Point, RegisterMap
-from libmodbus_py.maps.watched import MOST_PLANS, PointIntervals, Totals, WatchedPoints
+from libmodbus_py.maps.watched import (
+    MOST_PLANS,
+    PartialPlans,
+    PointIntervals,
+    Totals,
+    WatchedPoints,
+)
 from tests.support.cases import each_case
 
 
@@ -216,11 +222,11 @@ def test_what_is_lost_is_read_again_and_what_is_refused_is_not(
 
 def test_plans_for_sets_of_points_are_kept_and_not_too_many() -> None:
     points = [Point(f"p{at}", "holding_registers", at) for at in range(MOST_PLANS + 1)]
-    watched = WatchedPoints(RegisterMap(points), None, 10)
-    every = watched._plan(None)
-    first = watched._plan((0,))
-    for at in range(MOST_PLANS - 1):
-        assert watched._plan((at,)).names == (f"p{at}",)
-    assert watched._plan((0,)) is first
-    watched._plan((MOST_PLANS,))
-    assert (len(watched._plans), watched._plan(None)) == (2, every)
+    plans = PartialPlans(RegisterMap(points), None)
+    first = plans.plan_of((0,))
+    for at in range(1, MOST_PLANS):
+        assert plans.plan_of((at,)).names == (f"p{at}",)
+    assert plans.plan_of((0,)) is first
+    plans.plan_of((MOST_PLANS,))
+    assert plans.plan_of((0,)) is not first
+    assert plans.plan_of(None) is plans.plan

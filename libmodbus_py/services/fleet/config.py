@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import lru_cache, partial
 from typing import Any, Literal, get_args
@@ -17,8 +17,8 @@ from weakref import WeakValueDictionary
 from ...client.options import CheckedOptions
 from ...maps.point import Point
 from ...maps.point_checks import LONGEST_INTERVAL, SHORTEST_INTERVAL
-from ...maps.point_plan import PointPlan
 from ...maps.register_map import RegisterMap
+from ...maps.watched import PartialPlans
 from ...ports.endpoint import Endpoint, parse
 from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
@@ -34,9 +34,6 @@ __all__ = [
 # fmt: on
 
 LONGEST_NAME = 100
-
-MOST_PLANS = 64
-"""Plans for different sets of points of a kind of device that are kept."""
 
 OWN_LABELS = ("device", "name", "unit")
 """Labels of metrics that are not those of a device."""
@@ -145,7 +142,7 @@ class DeviceConfig:
         return self.reads.names
 
 
-class Reads:
+class Reads(PartialPlans):
     """The points of a kind of device, and the requests for them; thousands of devices share one."""
 
     def __init__(self, config: DeviceConfig) -> None:
@@ -154,27 +151,15 @@ class Reads:
             of_groups = [each.name for each in points if each.group in config.groups]
             names = dict.fromkeys([*config.items, *of_groups])
             points = [config.map[name] for name in names]
-        self.names: tuple[str, ...] = tuple(each.name for each in points)
+        with inside("max_registers"):
+            super().__init__(
+                config.map,
+                [each.name for each in points],
+                gap=config.gap,
+                max_registers=config.max_registers,
+            )
         self.units: tuple[str, ...] = tuple(each.units for each in points)
         self.intervals: tuple[float | None, ...] = tuple(each.interval for each in points)
-        self._map, self._limits = config.map, (config.gap, config.max_registers)
-        self._plans: dict[tuple[int, ...], PointPlan] = {}
-        self.plan: PointPlan = self._plan(self.names)
-
-    def plan_of(self, due: tuple[int, ...] | None) -> PointPlan:
-        """Return the requests that read the points with some indexes; None for all."""
-        if due is None:
-            return self.plan
-        if due not in self._plans:
-            if len(self._plans) == MOST_PLANS:
-                self._plans.clear()
-            self._plans[due] = self._plan([self.names[at] for at in due])
-        return self._plans[due]
-
-    def _plan(self, names: Sequence[str]) -> PointPlan:
-        gap, most = self._limits
-        with inside("max_registers"):
-            return self._map.plan(names, gap=gap, max_registers=most)
 
 
 _READS: WeakValueDictionary[tuple[Any, ...], Reads] = WeakValueDictionary()
