@@ -28,8 +28,8 @@ from fuzz.command import numbers
 from fuzz.nats_servers import NatsServers, Way
 from libmodbus_py.services.engine.buckets import open_bucket
 from libmodbus_py.services.engine.connection import EngineGone, connected
+from libmodbus_py.services.workers.contents import fleet_status
 from libmodbus_py.services.workers.records import BUCKET
-from libmodbus_py.services.workers.status import fleet_status
 
 INTERVAL = 2.0
 

@@ -12,8 +12,8 @@ from typing import Any, cast
 from libmodbus_py.services.engine.buckets import open_bucket
 from libmodbus_py.services.fleet.config import DeviceConfig
 from libmodbus_py.services.fleet.outputs.output import Output
+from libmodbus_py.services.workers.contents import Pushed, connections_of, fleet_seen, push
 from libmodbus_py.services.workers.polling import Polling
-from libmodbus_py.services.workers.pushing import Pushed, connections_of, push, seen_now
 from libmodbus_py.services.workers.records import FleetSettings
 
 from .engine import Engine
@@ -75,8 +75,7 @@ class SimulatedWorker:
 
     async def _start(self) -> None:
         bucket = await open_bucket(cast(Any, self.client), "modbus-fleet")
-        settings = (await seen_now(bucket)).settings
-        assert settings is not None
+        _, settings = await fleet_seen(bucket)
         kind = type("_Polling", (_SeededPolling,), {"network": self._network})
         self.polling = kind(
             self.client,

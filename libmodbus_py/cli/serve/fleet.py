@@ -28,10 +28,10 @@ from ...services.fleet.files import FleetFile
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.schema import JournalError
 from ...services.fleet.outputs.output import Output, OutputError
+from ...services.workers import contents
+from ...services.workers.contents import Pushed
 from ...services.workers.polling import Polling
-from ...services.workers.pushing import Pushed, changes, connections_of, push, seen_now
 from ...services.workers.records import BUCKET, Connection, FleetSettings, in_key
-from ...services.workers.status import fleet_status, is_polled, tables
 from .. import arguments
 from ..arguments import declare
 from ..main import CommandError
@@ -109,7 +109,7 @@ def poll(
     """Poll as one worker of a fleet until a signal, or only write the file to the engine."""
     servers = parse_servers(options.engine)
     settings = FleetSettings(**file.engine)
-    connections = connections_of(file.devices, settings.lease)
+    connections = contents.connections_of(file.devices, settings.lease)
     for zone in options.zone:
         in_key(zone)
     if options.push:
@@ -206,7 +206,8 @@ async def _answered(ask: Callable[[], Coroutine[Any, Any, T]], limit: float = ma
 
 
 async def _pushed(client: Any, settings: FleetSettings, connections: list[Connection]) -> Pushed:
-    return await push(await open_bucket(client, BUCKET, create=True), settings, connections)
+    bucket = await open_bucket(client, BUCKET, create=True)
+    return await contents.push(bucket, settings, connections)
 
 
 async def _opened(
@@ -219,15 +220,12 @@ async def _opened(
         await _answered(lambda: _pushed(client, settings, connections))
         logger.warning("the engine had no fleet; the devices of the file were written to it")
         bucket = await _answered(lambda: open_bucket(client, BUCKET))
-    view = await _answered(lambda: seen_now(bucket))
-    if view.settings is None:
-        why = view.unreadable.get("settings", "contains no fleet; write one with --push")
-        raise EngineError(f"{bucket.name}: {why}")
-    if any(changes(view, settings, connections)):
+    view, current = await _answered(lambda: contents.fleet_seen(bucket))
+    if any(contents.changes(view, settings, connections)):
         logger.warning(
             "the fleet in the engine differs from the file and is polled; --push replaces it"
         )
-    return bucket, view.settings
+    return bucket, current
 
 
 # --- status --------------------------------------------------------------------------------------
@@ -239,13 +237,13 @@ def _fleet(options: argparse.Namespace) -> int:
 
 async def _status(servers: list[str], as_json: bool) -> int:
     async with _engine(servers, "libmodbus-py status") as client:
-        status = await fleet_status(await open_bucket(client, BUCKET))
+        status = await contents.fleet_status(await open_bucket(client, BUCKET))
     if as_json:
         print_json(status)
     else:
-        print(tables(status), flush=True)
+        print(contents.tables(status), flush=True)
     for name, zone in status["zones"].items():
         if not zone["workers"]:
             told = f"zone {name!r}" if name else "devices without a zone"
             complain(f"no worker polls {told}")
-    return 0 if is_polled(status) else 1
+    return 0 if contents.is_polled(status) else 1

@@ -5,8 +5,7 @@ Workers on several machines that share the devices of a fleet: each device is po
 
     polling        runs a worker with a clock, a bucket and a fleet
     messages       the stream of readings, and writes to points by name; subjects
-    pushing        devices as records of the bucket; only records that differ are written
-    status         the workers, their slots, and the parts of the fleet that no worker polls
+    contents       the whole bucket: a push writes what differs in it, the status shows what it has
 
 Decisions, without sockets or clocks::
 

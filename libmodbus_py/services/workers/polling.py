@@ -22,9 +22,9 @@ from ..fleet.fleet import Fleet
 from ..fleet.journal.journal import Journal
 from ..fleet.outputs.output import Output
 from ..tasks import KeptTasks, end_tasks
+from .contents import devices_of
 from .decisions import step
 from .messages import CommandService, Stream, refusal
-from .pushing import devices_of
 from .records import Connection, FleetSettings
 from .worker import OWN_PART, Put, Worker
 

@@ -12,7 +12,7 @@ import pytest
 from libmodbus_py import Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.engine.connection import EngineError, EngineGone
-from libmodbus_py.services.workers.pushing import Pushed, connections_of, push, seen_now
+from libmodbus_py.services.workers.contents import Pushed, connections_of, push, seen_now
 from libmodbus_py.services.workers.records import SETTINGS, FleetSettings
 from tests.simulation.engine import Engine, EngineClient
 from tests.support.given import with_engine

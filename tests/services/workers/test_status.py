@@ -12,6 +12,7 @@ import pytest
 
 from libmodbus_py.services.engine.connection import EngineError
 from libmodbus_py.services.fleet.config import devices_to_json
+from libmodbus_py.services.workers.contents import fleet_status, is_polled, tables
 from libmodbus_py.services.workers.records import (
     SETTINGS,
     Connection,
@@ -19,7 +20,6 @@ from libmodbus_py.services.workers.records import (
     Member,
     digest_of,
 )
-from libmodbus_py.services.workers.status import fleet_status, is_polled, tables
 from tests.services.workers.simulated import encode_holder
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
