@@ -8,8 +8,7 @@ Each output imports its libraries when it is opened, and has one row in `output.
     line_file        JsonOutput and CsvOutput, and lines in a file or on the standard output
     forms            readings as JSON and CSV, and messages with the readings of a poll
     influx           Influx: the line protocol in a file, or sent to a server by HTTP
-    mqtt             Mqtt: the output, and commands that the broker passes on
+    mqtt             Mqtt: messages, what the broker retains of them, and commands that it passes on
     mqtt_connection  its connection to a broker
-    mqtt_messages    messages, and what the broker retains of them
     topics           levels of topics and subjects, and topics with names and labels
 """

@@ -13,13 +13,12 @@ import ssl
 from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ....protocol.extras import what_is_missing
 from ....protocol.logs import HarmlessLogger
 from ...other_servers import SecretFile, ServerUrl, Trust, text_of
 from ...tasks import KeptTasks, end_tasks, finish
-from .mqtt_messages import Message
 from .output import OutputError
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
     Hear = Callable[[aiomqtt.Message], Coroutine[Any, Any, None]]
 
-__all__ = ["MqttConnection"]
+__all__ = ["Message", "MqttConnection"]
 
 # Seconds for a response of the broker.
 TIMEOUT_S = 5.0
@@ -47,6 +46,15 @@ TOGETHER = 100
 
 # The most received messages that wait; paho drops further ones.
 MOST_MESSAGES = 100
+
+
+class Message(NamedTuple):
+    """A payload for a topic; with QoS 1 the broker acknowledges it."""
+
+    topic: str
+    payload: bytes
+    qos: int = 1
+    retain: bool = True
 
 
 @dataclass

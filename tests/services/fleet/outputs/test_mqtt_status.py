@@ -14,8 +14,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.mqtt_messages import DeviceStates
+from libmodbus_py.services.fleet.outputs.mqtt import DeviceStates, Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Topic
 from tests.services.fleet.fleets import in_real_time, until
 from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, told
