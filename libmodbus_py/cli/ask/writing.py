@@ -16,6 +16,7 @@ from ...protocol import pdu
 from ...protocol.errors import ModbusError
 from ...protocol.framing import Frame, make_framer
 from ...protocol.plain import bit_of, number_of, value_of
+from ...protocol.tables import TABLES
 from ..arguments import connected, endpoint_of
 from ..main import CommandError
 from ..output import complain, counted
@@ -190,14 +191,22 @@ def _register(text: str) -> int:
 
 def _verified(context: Context, write: Write, differing: list[str]) -> list[int]:
     """Read what was written; return the cells, and add a line for each cell that differs."""
+    from ...device.access import touched
+
     item = write.item
     found: list[int] = []
     for request in write.requests:
-        read, written, bits = _expected(request)
-        cells = context.execute(read)
-        if isinstance(read, pdu.ReadFileRecords):
-            cells = cells[0]
-        first = getattr(request, "address", item.address) - item.address
+        (access,) = touched(request).writes
+        written, bits = access.values, 0xFFFF
+        if isinstance(request, pdu.MaskWriteRegister):
+            # A bit of the AND mask keeps what was there, which is not known.
+            written, bits = (request.or_mask,), ~request.and_mask & 0xFFFF
+        if access.table == "file":
+            record = access.file, access.address, access.count
+            (cells,) = context.execute(pdu.ReadFileRecords((record,)))
+        else:
+            cells = context.execute(TABLES[access.table].read(access.address, access.count))
+        first = access.address - item.address
         name = item.label if item.point is None else f"{item.point.name}, register {{}}".format
         differing += [
             f"{name(first + at)}: wrote {int(wanted)}, reads {int(cell)}"
@@ -206,21 +215,3 @@ def _verified(context: Context, write: Write, differing: list[str]) -> list[int]
         ]
         found += [int(cell) for cell in cells[: len(written)]]
     return found
-
-
-def _expected(request: Any) -> tuple[pdu.Request[Any], list[int], int]:
-    """Return the request that reads back, the cells that it should read, and the bits of them."""
-    if isinstance(request, pdu.MaskWriteRegister):
-        # A bit of the AND mask keeps what was there, which is not known.
-        read: pdu.Request[Any] = pdu.ReadHoldingRegisters(request.address, 1)
-        return read, [request.or_mask], ~request.and_mask & 0xFFFF
-    if isinstance(request, pdu.WriteFileRecords):
-        ((file, address, records),) = request.records
-        return pdu.ReadFileRecords(((file, address, len(records)),)), [*records], 0xFFFF
-    is_one = isinstance(request, pdu.WriteCoil | pdu.WriteRegister)
-    values = [request.value] if is_one else [*request.values]
-    is_coils = isinstance(request, pdu.WriteCoil | pdu.WriteCoils)
-    is_both = isinstance(request, pdu.ReadWriteRegisters)
-    first = request.write_address if is_both else request.address
-    read = (pdu.ReadCoils if is_coils else pdu.ReadHoldingRegisters)(first, len(values))
-    return read, values, 0xFFFF
