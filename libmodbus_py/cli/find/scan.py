@@ -31,7 +31,7 @@ from ...tools.scan.probe import (
 from ...tools.scan.scan import Found, Progress, Scan, scan
 from ...tools.scan.search import MOST_REQUESTS, Extent, Searching, search
 from .. import arguments
-from ..arguments import declare, endpoint_of
+from ..arguments import declare, with_options
 from ..main import INTERRUPTED
 from ..output import Status, counted, duration, missing, print_json, progress
 
@@ -147,7 +147,7 @@ def _scan(options: argparse.Namespace) -> int:
 
 def _scan_place(options: argparse.Namespace, report: _Report, url: str) -> None:
     is_one = url == options.url
-    endpoint = endpoint_of(argparse.Namespace(**{**vars(options), "url": url}))
+    endpoint = with_options([url], options)[0]
     chosen = {name: getattr(options, name) for name in ("baudrates", "parities", "units")}
     if options.quick:
         usual: dict[str, Any] = {"units": [*USUAL_UNITS, *[255] * (not endpoint.is_serial)]}
