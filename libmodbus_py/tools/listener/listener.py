@@ -335,7 +335,7 @@ def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> Source
         port = SerialSource(endpoint, clock)
         port.open()
         return port
-    if endpoint.is_datagram or endpoint.framing not in ("rtu", "ascii"):
+    if endpoint.is_datagram or endpoint.has_transactions:
         raise ValueError(
             f"{endpoint}: the scheme must be rtu, ascii, or rtu+tcp or ascii+tcp with between"
         )

@@ -87,28 +87,15 @@ class Place:
     security: Security | None = None
 
     @property
-    def is_serial(self) -> bool:
-        return self.endpoint.is_serial
-
-    @property
-    def has_broadcast(self) -> bool:
-        return self.endpoint.framing in ("rtu", "ascii")
-
-    @property
-    def has_ids(self) -> bool:
-        """True if transaction ids identify responses."""
-        return self.endpoint.framing in ("tcp", "udp")
-
-    @property
     def settings(self) -> dict[str, Any]:
         """Baud rate, parity, data bits and stop bits; empty on networks."""
-        if not self.is_serial:
+        if not self.endpoint.is_serial:
             return {}
         settings = {**SERIAL_DEFAULTS, **self.endpoint.serial_settings}
         return {name: settings[name] for name in SERIAL_DEFAULTS}
 
     def __str__(self) -> str:
-        if not self.is_serial:
+        if not self.endpoint.is_serial:
             return str(self.endpoint)
         return "{baudrate} {data_bits}{parity}{stop_bits}".format(**self.settings)
 
@@ -119,7 +106,7 @@ class Place:
 
     def wait(self, size: int) -> float:
         """Return the timeout in seconds for a request and a response of this size together."""
-        if not self.is_serial:
+        if not self.endpoint.is_serial:
             return self.timeout
         characters = size * CHARACTERS[self.endpoint.framing]
         return self.timeout + characters * CHARACTER / float(self.settings["baudrate"])
@@ -128,7 +115,7 @@ class Place:
         """Make a client that repeats no request and sends none by itself."""
         options |= {"retries": 0, "busy_retries": 0, "max_pause": 0}
         options["timeouts_before_reconnect"] = NEVER_DEAD
-        if self.has_ids:
+        if self.endpoint.has_transactions:
             # Even where all responses come from unit 255.
             options["accept_unit"] = "any"
         if self.security is not None:
@@ -299,7 +286,8 @@ class Prober:
             try:
                 return handle.execute(request)
             except ModbusConnectionError as error:
-                if self.context.closed or (self._place.has_ids and error.errno not in ENDINGS):
+                has_ids = self._place.endpoint.has_transactions
+                if self.context.closed or (has_ids and error.errno not in ENDINGS):
                     raise
                 reason = str(error)
             self.context.connect()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
-from ...ports.endpoint import parse
+from ...ports.endpoint import Endpoint, parse
 from ...protocol import pdu
 from ...protocol.checks import integer
 from ...protocol.errors import NO_UNIT, FrameError, ModbusConnectionError, ModbusError
@@ -207,7 +207,7 @@ class _PlaceScan:
                     yield self._found(prober, *self._alike[0], is_any=True)
         except ModbusConnectionError as error:
             # A setting that this port refuses does not affect the others.
-            if prober.is_closed or not self.place.is_serial or error.errno != errno.EINVAL:
+            if prober.is_closed or not self.place.endpoint.is_serial or error.errno != errno.EINVAL:
                 raise
             self.refused, self.is_left = error, True
 
@@ -265,7 +265,7 @@ class _PlaceScan:
             hint = "; a device may use another rate or parity, or others send"
             yield (
                 f"{len(noise)} of the probes brought bytes that are not a response"
-                f"{hint * self.place.is_serial} (unit {noise[0].unit}: {noise[0].args[0]})"
+                f"{hint * self.place.endpoint.is_serial} (unit {noise[0].unit}: {noise[0].args[0]})"
             )
         if self._latest:
             after = f"after up to {self._latest:.2g} s"
@@ -348,8 +348,8 @@ def scan(
     on_progress = checked_progress(on_progress)
     for place in asked_at:
         place.context().close()  # which checks the rest of the URL
-    usual = _usual_units(asked_at[0])
-    lowest = int(asked_at[0].has_broadcast)
+    usual = _usual_units(endpoint)
+    lowest = int(not endpoint.has_transactions)  # without them 0 is a broadcast
     chosen = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]
     rounds = [chosen]
     if units is None and len(asked_at) > 1 and len(usual) > len(USUAL_UNITS):
@@ -361,8 +361,8 @@ def scan(
     return Scan(asked_at, rounds, on_progress)
 
 
-def _usual_units(place: Place) -> list[int]:
-    told = place.endpoint.client_options.get("unit")
+def _usual_units(endpoint: Endpoint) -> list[int]:
+    told = endpoint.client_options.get("unit")
     if told is not None:
         return [told]
-    return [*UNITS] if place.has_broadcast else [*UNITS, DIRECT]
+    return [*UNITS, DIRECT] if endpoint.has_transactions else [*UNITS]

@@ -362,5 +362,6 @@ def search(
     (place,) = places(endpoint, baudrates, parities, timeout, security)
     integer("most_requests", most_requests, len(TABLES), 1_000_000)
     place.context().close()  # which checks the rest of the URL
-    unit = integer("unit", endpoint.client_options.get("unit", 1), int(place.has_broadcast), 255)
+    lowest = int(not endpoint.has_transactions)  # without them 0 is a broadcast
+    unit = integer("unit", endpoint.client_options.get("unit", 1), lowest, 255)
     return Search(place, unit, most_requests, checked_progress(on_progress))
