@@ -14,7 +14,7 @@ import time
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from typing import Any, TextIO
 
     from ..tools.scan.scan import Progress
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 # fmt: off
 __all__ = [
     "PROGRAM", "Redrawn", "Status", "abandon", "complain", "counted", "duration", "harmless",
-    "inform", "log_line", "missing", "prepare", "print_json", "print_log_lines", "progress",
-    "styled", "written_to",
+    "inform", "log_line", "missing", "prepare", "print_csv", "print_json", "print_log_lines",
+    "progress", "styled", "written_to",
 ]
 # fmt: on
 
@@ -110,6 +110,14 @@ def print_json(fields: dict[str, Any]) -> None:
     from ..protocol.json_text import json_line
 
     print(json_line(fields), flush=True)
+
+
+def print_csv(rows: Iterable[Iterable[Any]]) -> None:
+    """Print rows as CSV at once; on a terminal without characters that control it."""
+    from ..tools.files.csv_text import csv_rows
+
+    text = csv_rows(rows)
+    print(harmless(text) if sys.stdout.isatty() else text, end="", flush=True)
 
 
 @contextlib.contextmanager

@@ -6,16 +6,15 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from ...protocol.errors import ModbusError
-from ...protocol.plain import clock_text, plain, text_of, time_text, without_controls
+from ...protocol.plain import clock_text, plain, text_of, time_text
 from ...protocol.values import Interpretation, ValueType, readings, value_type
-from ..output import Redrawn, print_json
+from ..output import Redrawn, print_csv, print_json
 from .items import ALL, HEX, REGISTERS, Item, reason_of
 from .units import fail
 
@@ -307,16 +306,9 @@ class _CsvRows:
         remarks = filter(None, (each.failure or each.remark for each in results))
         if not self._has_begun:
             self._has_begun = True
-            self._print(["time", *["unit"] * self._has_unit, *self._titles, "error"])
+            print_csv([["time", *["unit"] * self._has_unit, *self._titles, "error"]])
         whence = [time_text(time.time()), *[str(unit)] * self._has_unit]
-        self._print([*whence, *cells, reason or "; ".join(remarks)])
-        sys.stdout.flush()
-
-    def _print(self, cells: list[str]) -> None:
-        from ...tools.files.csv_text import csv_rows
-
-        text = csv_rows([cells])
-        print(without_controls(text) if sys.stdout.isatty() else text, end="")
+        print_csv([[*whence, *cells, reason or "; ".join(remarks)]])
 
 
 class TerminalTable:

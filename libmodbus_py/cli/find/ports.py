@@ -10,7 +10,7 @@ from dataclasses import asdict
 from ...ports.serial_devices import SerialDevice, serial_devices
 from .. import arguments
 from ..arguments import declare
-from ..output import harmless, print_json
+from ..output import harmless, print_csv, print_json
 
 __all__ = ["add_command"]
 
@@ -46,10 +46,7 @@ def _ports(options: argparse.Namespace) -> int:
         for each in found:
             print_json(asdict(each))
     elif options.csv:
-        from ...tools.files.csv_text import csv_rows
-
-        rows = [[getattr(each, name) for name in COLUMNS] for each in found]
-        print(csv_rows([[*COLUMNS], *rows]), end="")
+        print_csv([COLUMNS, *([getattr(each, name) for name in COLUMNS] for each in found)])
     else:
         _print_table(found)
     return 0 if every else 1

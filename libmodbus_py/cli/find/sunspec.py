@@ -5,7 +5,6 @@ The command sunspec: the SunSpec models of a device, and their values.
 from __future__ import annotations
 
 import argparse
-import sys
 from functools import partial
 from typing import Any
 
@@ -13,7 +12,7 @@ from ...client.blocking import Context
 from .. import arguments
 from ..arguments import declare
 from ..ask.units import ask_units, fail, units_of
-from ..output import complain, harmless, print_json
+from ..output import complain, harmless, print_csv, print_json
 
 __all__ = ["add_command"]
 
@@ -59,7 +58,7 @@ def _sunspec(options: argparse.Namespace) -> int:
 
     code = ask_units(options, report, partial(fail, as_json=options.json, lacks="models"))
     if rows:
-        _print_csv(rows)
+        print_csv([rows[0], *(map(_text, row.values()) for row in rows)])
     return code
 
 
@@ -87,13 +86,6 @@ def _asked(context: Context, base: int | None) -> list[dict[str, Any]]:
                 }
             )
     return rows
-
-
-def _print_csv(rows: list[dict[str, Any]]) -> None:
-    from ...tools.files.csv_text import csv_rows
-
-    cells = [[_text(each) for each in row.values()] for row in rows]
-    sys.stdout.write(csv_rows([list(rows[0]), *cells]))
 
 
 def _print_table(rows: list[dict[str, Any]]) -> None:
