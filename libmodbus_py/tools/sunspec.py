@@ -279,25 +279,22 @@ def _discovery(_: object, bases: Iterable[int]) -> Steps[SunSpecDevice]:
     # The second model of a name ends with 2, and so on.
     seen = {"end": 1, "SunS": 1}
     for header in chain.headers:
-        group = definition_of(header.id)
-        name = f"model_{header.id}" if group is None else group["name"]
+        known = definition_of(header.id)
+        group = _made_up(header) if known is None else known
+        name = group["name"]
         seen[name] = seen.get(name, 0) + 1
         if seen[name] > 1:
             name = f"{name}_{seen[name]}"
-        if group is None:
-            label, points = "", _unknown(header)
-        else:
-            counts = yield from _counts(chain, header, group)
-            layout = ModelLayout(group, header.address, header.length, counts, room)
-            label, points = group.get("label", ""), layout.points
-            room -= len(points)
-            noted = f"{header} has the length {header.length}"
-            chain.notes += [f"{noted}: {note}" for note in layout.notes]
-            rest = HEADER + header.length - layout.used
-            if rest and not layout.notes:
-                chain.notes.append(f"{header} has {rest} registers more than its definition")
-        known = group is not None
-        models.append(SunSpecModel(*header, name, label, known, RegisterMap(points)))
+        counts = yield from _counts(chain, header, group)
+        layout = ModelLayout(group, header.address, header.length, counts, room)
+        room -= len(layout.points)
+        noted = f"{header} has the length {header.length}"
+        chain.notes += [f"{noted}: {note}" for note in layout.notes]
+        rest = HEADER + header.length - layout.used
+        if rest and not layout.notes:
+            chain.notes.append(f"{header} has {rest} registers more than its definition")
+        map, label = RegisterMap(layout.points), group.get("label", "")
+        models.append(SunSpecModel(*header, name, label, known is not None, map))
     return SunSpecDevice(chain.base, tuple(models), chain.end, tuple(chain.notes))
 
 
@@ -316,15 +313,15 @@ def _counts(chain: _Chain, header: _Header, group: Mapping[str, Any]) -> Steps[d
     return {name: 0 if count == NOT_IMPLEMENTED else count for name, count in found.items()}
 
 
-def _unknown(header: _Header) -> list[Point]:
-    """Return the points of a model without a definition: its registers as they are."""
-    points = [
-        Point("ID", TABLE, header.address, access="read"),
-        Point("L", TABLE, header.address + 1, access="read"),
+def _made_up(header: _Header) -> dict[str, Any]:
+    """Return the definition of a model that has none: its registers as they are."""
+    points: list[dict[str, Any]] = [
+        {"name": name, "type": "register", "size": 1} for name in ("ID", "L")
     ]
     if header.length:
-        points.append(Point("registers", TABLE, header.address + HEADER, header.length))
-    return points
+        rest = {"name": "registers", "type": "register", "size": header.length, "access": "RW"}
+        points.append(rest)
+    return {"name": f"model_{header.id}", "points": points}
 
 
 # --- the points of one model ----------------------------------------------------------------------
@@ -459,7 +456,7 @@ def _keys(given: Mapping[str, Any], scales: Mapping[str, str]) -> dict[str, Any]
     }
     if kind == "string" and size <= LONGEST_TEXT:
         return {**keys, "type": f"string:{2 * size}", "encoding": "utf-8", "missing": "sunspec"}
-    if kind not in _TYPES:  # an IPv6 address, or a long text
+    if kind not in _TYPES:  # an IPv6 address, a long text, or registers as they are
         return {**keys, "count": size}
     keys |= _TYPES[kind]
     if kind.startswith("enum"):
