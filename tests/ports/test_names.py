@@ -14,8 +14,10 @@ from typing import Any
 
 import pytest
 
+from libmodbus_py import ModbusConnectionError
 from libmodbus_py.ports.hosts import Resolve, ask
-from libmodbus_py.ports.waiting import Steps, Waker, run
+from libmodbus_py.ports.sockets import TcpPort
+from libmodbus_py.ports.waiting import Steps, Waker, Woken, run
 from libmodbus_py.ports.waiting_async import look_up, run_async
 from tests.support.peers import until
 
@@ -53,6 +55,13 @@ def resolver(monkeypatch: pytest.MonkeyPatch) -> Iterator[Resolver]:
     yield made
     made.release.set()
     until(lambda: threads() == 0)
+
+
+@pytest.fixture
+def waker() -> Iterator[Waker]:
+    made = Waker()
+    yield made
+    made.close()
 
 
 def wanted(host: str, seconds: float = 30.0) -> Resolve:
@@ -133,9 +142,8 @@ def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(
     assert all(each.daemon for each in threading.enumerate() if each.name == "look-up")
 
 
-def test_blocking_and_asyncio_clients_share_it(resolver: Resolver) -> None:
+def test_blocking_and_asyncio_clients_share_it(resolver: Resolver, waker: Waker) -> None:
     found: list[Any] = []
-    waker = Waker()
     blocking = threading.Thread(target=lambda: found.append(run(resolving("stuck"), waker)))
     blocking.start()
     until(lambda: resolver.asked == ["stuck"])
@@ -148,9 +156,30 @@ def test_blocking_and_asyncio_clients_share_it(resolver: Resolver) -> None:
 
     asyncio.run(main())
     blocking.join()
-    waker.close()
     assert found == [FOUND]
     assert resolver.asked == ["stuck"]
+
+
+@pytest.mark.parametrize("drive", [run, lambda steps, waker: asyncio.run(run_async(steps))])
+def test_a_look_up_that_takes_too_long_is_a_connection_error(
+    resolver: Resolver, waker: Waker, drive: Any
+) -> None:
+    with pytest.raises(ModbusConnectionError, match="it takes too long"):
+        drive(TcpPort("stuck", 502, None).opening(time.monotonic() + 0.1), waker)
+
+
+def test_a_blocking_client_that_looks_up_a_name_can_be_woken(
+    resolver: Resolver, waker: Waker
+) -> None:
+    def wake() -> None:
+        until(lambda: resolver.asked)
+        waker.wake()
+
+    waking = threading.Thread(target=wake)
+    waking.start()
+    with pytest.raises(Woken):
+        run(resolving("stuck"), waker)
+    waking.join()
 
 
 def test_a_loop_that_was_closed_meanwhile_stops_no_other(resolver: Resolver) -> None:
@@ -181,7 +210,7 @@ def test_whatever_a_look_up_raises_is_told(
 
 
 def test_no_thread_is_an_error_and_leaves_nothing(
-    resolver: Resolver, monkeypatch: pytest.MonkeyPatch
+    resolver: Resolver, waker: Waker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def start(_: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
@@ -189,10 +218,8 @@ def test_no_thread_is_an_error_and_leaves_nothing(
     with monkeypatch.context() as patch:
         patch.setattr(threading.Thread, "start", start)
         with pytest.raises(OSError, match="can't start new thread"):
-            run(resolving("good"), Waker())
-    waker = Waker()
+            run(resolving("good"), waker)
     assert run(resolving("good"), waker) == FOUND
-    waker.close()
     assert resolver.asked == ["good"]
 
 

@@ -134,31 +134,6 @@ def test_a_name_that_nobody_has_is_an_os_error(drive: Drive, host: str) -> None:
     assert isinstance(drive(resolving(host)), OSError)
 
 
-@pytest.fixture
-def stuck(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
-    """A resolver that gives no answer until it is told to; then that nobody has the name."""
-    release, asked = threading.Event(), threading.Event()
-
-    def getaddrinfo(*_: Any, flags: int = 0, **__: Any) -> Any:
-        if not flags & socket.AI_NUMERICHOST:
-            asked.set()
-            release.wait(10)
-        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
-
-    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
-    release.asked = asked  # type: ignore[attr-defined]
-    yield release
-    release.set()
-
-
-def test_a_look_up_that_takes_too_long_is_a_connection_error(
-    drive: Drive, stuck: threading.Event
-) -> None:
-    threading.Timer(0.3, stuck.set).start()  # an event loop waits for its threads at the end
-    with pytest.raises(ModbusConnectionError, match="it takes too long"):
-        drive(TcpPort("stuck.invalid", 502, None).opening(soon(0.1)))
-
-
 # --- connecting ------------------------------------------------------------------------
 
 
@@ -266,14 +241,6 @@ def test_woken_while_it_connects(waker: Waker) -> None:
         run(TcpPort("127.0.0.1", port, None).opening(soon(10)), waker)
 
 
-def test_woken_while_it_looks_up_a_name(waker: Waker, stuck: threading.Event) -> None:
-    threading.Thread(target=lambda: (stuck.asked.wait(5), waker.wake())).start()  # type: ignore[attr-defined]
-    with pytest.raises(Woken):
-        run(TcpPort("stuck.invalid", 502, None).opening(soon(10)), waker)
-    stuck.set()  # what it holds open is given back before the next test counts
-    until(lambda: all(each.name != "look-up" for each in threading.enumerate()))
-
-
 def test_woken_in_a_pause(waker: Waker) -> None:
     with woken_after(waker):
         waker.wait(-1, READ, soon(10))
@@ -326,22 +293,6 @@ def test_cancelling_closes_the_socket() -> None:
 
     with dead() as port:
         asyncio.run(main(port))
-
-
-def test_cancelling_a_look_up_does_not_wait_for_it(stuck: threading.Event) -> None:
-    async def main() -> None:
-        opening = asyncio.create_task(
-            run_async(TcpPort("stuck.invalid", 502, None).opening(soon(10)))
-        )
-        await asyncio.to_thread(stuck.asked.wait, 5)  # type: ignore[attr-defined]
-        opening.cancel()
-        start = time.monotonic()
-        with pytest.raises(asyncio.CancelledError):
-            await opening
-        assert time.monotonic() - start < BEFORE_ANY_DEADLINE
-        stuck.set()
-
-    asyncio.run(main())
 
 
 @each_case(
