@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -36,6 +36,7 @@ from tests.support.framing import (
     ascii_frame,
     each_framer,
     mbap,
+    pieces,
     quiet,
     rtu,
     single_bytes,
@@ -234,14 +235,6 @@ class TestTcp:
 # --- whatever comes -----------------------------------------------------------------------
 
 PENDING = {TcpFramer: 260, RtuFramer: 256, AsciiFramer: 513}
-
-
-def pieces(data: bytes, sizes: list[int]) -> Iterator[bytes]:
-    at = 0
-    for size in sizes:
-        yield data[at : at + size]
-        at += size
-    yield data[at:]
 
 
 streams = st.lists(

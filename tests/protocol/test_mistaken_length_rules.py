@@ -5,7 +5,6 @@ Length rules of registered classes that raise or return nonsense: a frame is los
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -26,6 +25,7 @@ from libmodbus_py.protocol.framing import Frame, FrameError, RtuFramer
 from libmodbus_py.protocol.rtu import RtuCutter, may_be
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.cases import each_case
+from tests.support.framing import registered
 from tests.support.talk import rtu
 
 READ, ANSWER = rtu("01 03 0000 0001"), rtu("01 03 02 0007")
@@ -44,19 +44,6 @@ RULES: dict[str, Callable[[bytes], Any]] = {
     "fraction": lambda head: 4.0,
     "index": lambda head: head[99],
 }
-
-
-@contextmanager
-def registered(rule: Callable[[bytes], Any]) -> Iterator[type[pdu.RawRequest]]:
-    class Own(pdu.RawRequest):
-        function = 0x6D
-        request_length = staticmethod(rule)  # type: ignore[assignment]
-        response_length = staticmethod(rule)  # type: ignore[assignment]
-
-    try:
-        yield pdu.register(Own)
-    finally:
-        pdu.REQUESTS.pop(Own.function)
 
 
 @each_case("rule", RULES.values(), ids=RULES)

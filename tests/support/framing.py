@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
+from typing import Any
 
+from libmodbus_py import pdu
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, RtuFramer, TcpFramer
 from tests.support import talk
@@ -58,6 +60,15 @@ def single_bytes(data: bytes) -> Iterator[bytes]:
     return (data[at : at + 1] for at in range(len(data)))
 
 
+def pieces(data: bytes, sizes: list[int]) -> Iterator[bytes]:
+    """Pieces of these sizes, and the rest."""
+    at = 0
+    for size in sizes:
+        yield data[at : at + size]
+        at += size
+    yield data[at:]
+
+
 def fed_in_bytes(framer: AnyFramer, data: bytes) -> list[Frame]:
     """Return the frames that the last byte completes; none is complete before."""
     for byte in single_bytes(data[:-1]):
@@ -90,6 +101,21 @@ REFUSAL = Frame(17, b"\x83\x02")
 ANSWER = Frame(17, b"\x03\x02\x12\x34")
 WRITE = Frame(17, b"\x06\x00\x01\x00\x03")
 LONGEST = Frame(17, b"\x15\xfb\x06\x00\x04\x00\x07\x00\x7a" + bytes(range(244)))
+
+
+@contextlib.contextmanager
+def registered(rule: Callable[[bytes], Any]) -> Iterator[type[pdu.RawRequest]]:
+    """A class of one's own, function 6Dh, whose messages are as long as the rule says."""
+
+    class Own(pdu.RawRequest):
+        function = 0x6D
+        request_length = staticmethod(rule)  # type: ignore[assignment]
+        response_length = staticmethod(rule)  # type: ignore[assignment]
+
+    try:
+        yield pdu.register(Own)
+    finally:
+        pdu.REQUESTS.pop(Own.function)
 
 
 ALL_FRAMERS: dict[str, Callable[[], AnyFramer]] = {
