@@ -27,32 +27,12 @@ VALUES = {"sf": -1, "setpoint": 20, "factor": 2, "limit": 8}
 
 FILE = """
 [[unit]]
-[[unit.holding_registers]]
-address = 0
-name = "setpoint"
-type = "int16"
-scale_from = "sf"
-minimum = 5
-maximum = 30
-value = 20
-[[unit.holding_registers]]
-address = 1
-name = "sf"
-type = "int16"
-missing = "sunspec"
-value = -1
-[[unit.holding_registers]]
-address = 2
-name = "limit"
-scale_from = "factor"
-scale_as = "factor"
-maximum = 100
-value = 8
-[[unit.holding_registers]]
-address = 3
-name = "factor"
-scale_from = "sf"
-value = 2
+holding_registers = [
+{address=0, name="setpoint", type="int16", scale_from="sf", minimum=5, maximum=30, value=20},
+{address=1, name="sf", type="int16", missing="sunspec", value=-1},
+{address=2, name="limit", scale_from="factor", scale_as="factor", maximum=100, value=8},
+{address=3, name="factor", scale_from="sf", value=2},
+]
 """
 
 
@@ -159,8 +139,8 @@ def test_a_long_chain_of_scales() -> None:
 
 def test_a_moving_scale_is_computed_before_it_is_used() -> None:
     counter = "counter = { step = 1, interval = 9999, start = 1, wrap = 5 }"
-    text = FILE.replace('missing = "sunspec"\nvalue = -1', counter)
-    for plain in ("minimum = 5\nmaximum = 30\nvalue = 20\n", "value = 8\n", "value = 2\n"):
+    text = FILE.replace('missing="sunspec", value=-1', counter)
+    for plain in (", minimum=5, maximum=30, value=20", ", value=8", ", value=2"):
         text = text.replace(plain, "")
     device = parse(text).devices
     assert isinstance(device, Device)
