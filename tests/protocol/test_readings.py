@@ -67,15 +67,6 @@ class TestReadings:
         assert found[0].value == 0x42C8
         assert not [reading for reading in found if reading.type == "bcd32"]
 
-    def test_16_bits_have_two_orders(self) -> None:
-        assert [reading[1:] for reading in readings([0x1234]) if reading.type == "uint16"] == [
-            ("ABCD", 0x1234),
-            ("BADC", 0x3412),
-        ]
-        assert [reading[1:] for reading in readings([0x1212]) if reading.type == "bcd16"] == [
-            ("ABCD", 1212)
-        ]
-
     @each_case("registers", ["FFFF FFFF", "7FC0 7FC0", "FFFF FFFF FFFF FFFF", "FFFF"])
     def test_nan_is_not_repeated(self, registers: str) -> None:
         found = readings(words(registers))
@@ -84,10 +75,6 @@ class TestReadings:
     def test_signs_of_zero_are_distinct(self) -> None:
         kept = [str(value) for name, _, value in readings(words("8000 0000")) if name == "float32"]
         assert "-0.0" in kept
-
-    def test_4_registers_are_64_bits_or_text(self) -> None:
-        types = {reading.type for reading in readings(words("3132 3334 3536 3738"))}
-        assert types == {"int64", "uint64", "float64", "bcd64", "bits64", "string:8"}
 
     @each_case("count", [3, 5, 6, 8, 124, 125])
     def test_other_counts_can_only_be_text(self, count: int) -> None:
