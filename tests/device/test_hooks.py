@@ -17,6 +17,7 @@ import pytest
 from libmodbus_py import Access, Device, Hook, Mapping, Server, pdu
 from libmodbus_py.device import hooks as hooks_module
 from libmodbus_py.protocol import errors
+from tests.support.attacks import adu, receive
 from tests.support.cases import each_case
 
 READ, WRITE = b"\3\0\0\0\1", b"\6\0\0\0\7"
@@ -114,19 +115,6 @@ def test_a_handler_whose_class_encodes_no_bytes_is_a_failure(
     assert len(caplog.records) == 1
 
 
-def adu(body: bytes, number: int) -> bytes:
-    return number.to_bytes(2, "big") + (1 + len(body)).to_bytes(4, "big") + b"\1" + body
-
-
-def received(peer: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        more = peer.recv(size - len(data))
-        assert more, data
-        data += more
-    return data
-
-
 @pytest.mark.parametrize("error", [asyncio.CancelledError, GeneratorExit, Unusual])
 def test_nobody_loses_a_request_of_the_same_turn(
     error: type[BaseException], caplog: pytest.LogCaptureFixture
@@ -144,9 +132,9 @@ def test_nobody_loses_a_request_of_the_same_turn(
                 peer.sendall(adu(asked[turn % 3], turn))
             for peer in peers:
                 expected = adu([ok, failed, ok][turn % 3], turn)
-                assert received(peer, len(expected)) == expected
+                assert receive(peer, len(expected)) == expected
         peers[0].sendall(b"".join(adu(body, at) for at, body in enumerate(asked)))
-        assert received(peers[0], len(answers)) == answers
+        assert receive(peers[0], len(answers)) == answers
         for peer in peers:
             peer.close()
     assert len(caplog.records) == 1
