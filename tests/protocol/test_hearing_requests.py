@@ -1,10 +1,9 @@
 """
-What a server hears on a line with other units: their answers, and frames within frames.
+What a server hears on a line with other units: their answers, frames within frames, broadcasts,
+bursts and damage.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import Frame, Overheard, RtuFramer
@@ -26,9 +25,9 @@ def framer_of(*units: int) -> RtuFramer:
     return made
 
 
-def heard(*bursts: bytes, size: int = 999) -> Found:
-    """Everything that unit 1 finds in bursts, which come in pieces and end with silence."""
-    framer = framer_of(1)
+def heard(*bursts: bytes, size: int = 999, unit: int = 1) -> Found:
+    """Everything that a unit finds in bursts, which come in pieces and end with silence."""
+    framer = framer_of(unit)
     found: Found = []
     for burst in bursts:
         for at in range(0, len(burst), size):
@@ -171,20 +170,6 @@ def test_answers_of_others_are_given_by_scan_alone() -> None:
     assert framer.feed(ask + answer + READ) == [Frame(2, ask[1:-2]), ASKED]
 
 
-def test_requests_of_our_own_units_are_not_delayed() -> None:
-    """Each is found with its last byte, although more may be on its way."""
-    framer = framer_of(1)
-    for request in (
-        rtu("01 03 FA00 0001"),
-        rtu("01 01 7B00 0001"),
-        WRITE,
-        READ,
-        rtu("00 06 0000 0001"),
-    ):
-        found: Any = framer.scan(request)
-        assert [each.pdu for each in found] == [request[1:-2]]
-
-
 def test_a_request_that_is_repeated_to_a_silent_unit_is_not_taken_for_its_answer() -> None:
     ask = rtu("02 03 5000 0001")
     assert requests(heard(ask, ask, ask, READ), 2) == [Frame(2, ask[1:-2])] * 3
@@ -201,3 +186,74 @@ def test_after_another_request_an_answer_is_awaited_no_more() -> None:
     assert heard(write, READ + write) == [asked, ASKED, asked]
     other = rtu("03 03 0000 0001")
     assert heard(write, other, write) == [asked, Frame(3, other[1:-2]), asked]
+
+
+# --- as unit 5 ----------------------------------------------------------------------------
+
+BROADCAST = rtu("00 06 0001 0003")
+OURS, OUR_WRITE = rtu("05 03 0000 0001"), rtu("05 06 0001 0003")
+OTHERS, REFUSAL = rtu("02 06 0001 0003"), rtu("02 86 02")
+# No function of the specification is 80h or more; some devices answer with such a one.
+STRANGE = rtu("02 C1 01 02 03 04")
+
+
+def named(found: Found) -> list[str]:
+    return [_name(each) for each in found]
+
+
+def _name(each: Frame | FrameError) -> str:
+    if isinstance(each, FrameError):
+        return "damage"
+    kind = "answer" if isinstance(each, Overheard) else "request"
+    return f"{kind} {each.unit} {each.pdu[0]:02X}"
+
+
+@each_case("size", [1, 3, 7, 999])
+@each_case(
+    ("bursts", "expected"),
+    [
+        ([BROADCAST] * 3, ["request 0 06"] * 3),
+        ([BROADCAST + OURS, BROADCAST], ["request 0 06", "request 5 03", "request 0 06"]),
+        ([OURS + OUR_WRITE + OURS], ["request 5 03", "request 5 06", "request 5 03"]),
+        ([OTHERS, OTHERS, OTHERS], ["request 2 06", "answer 2 06", "request 2 06"]),
+        ([OTHERS, REFUSAL, OTHERS], ["request 2 06", "answer 2 86", "request 2 06"]),
+        ([OTHERS, STRANGE, OTHERS], ["request 2 06", "answer 2 C1", "request 2 06"]),
+        ([OTHERS, BROADCAST, OTHERS], ["request 2 06", "request 0 06", "request 2 06"]),
+        ([OTHERS, OURS + OTHERS], ["request 2 06", "request 5 03", "request 2 06"]),
+        ([rtu("02 80 01"), rtu("02 FF"), OURS], ["answer 2 80", "answer 2 FF", "request 5 03"]),
+        ([STRANGE + OURS, OURS], ["damage", "request 5 03", "request 5 03"]),
+        ([STRANGE[:-1], OURS], ["damage", "request 5 03"]),
+        # What is unfinished: one of ours, and ones of others, and two frames behind it.
+        ([b"\5\x10\0\0\0\1", OURS + OUR_WRITE], ["damage", "request 5 03", "request 5 06"]),
+        ([b"\2\x10\0\0\0\1", OURS + OUR_WRITE], ["damage", "request 5 03", "request 5 06"]),
+        ([b"\5\3\0", b"\2\3", OURS + OURS], ["damage", "request 5 03", "request 5 03"]),
+    ],
+)
+def test_each_frame_is_what_it_is_in_any_pieces(
+    bursts: list[bytes], expected: list[str], size: int
+) -> None:
+    assert named(heard(*bursts, size=size, unit=5)) == expected
+
+
+def test_our_request_is_found_with_its_last_byte() -> None:
+    begun_answers = rtu("05 03 FA00 0001"), rtu("05 01 7B00 0001")
+    for request in (OURS, OUR_WRITE, BROADCAST, *begun_answers):
+        framer = framer_of(5)
+        assert framer.scan(request[:-1]) == []
+        assert framer.scan(request[-1:]) == [Frame(request[0], request[1:-2])]
+        # Also as the second of two, though an answer that begins so would be longer.
+        longer = rtu("05 03 FA00 0001")
+        assert named(framer.scan(OURS + longer)) == ["request 5 03"] * 2
+        # And as the first of two.
+        assert framer.scan(request + OURS[:3]) == [Frame(request[0], request[1:-2])]
+
+
+def test_what_no_frame_can_be_long_enough_for_is_damage() -> None:
+    """A frame has 256 bytes at most (serial line, 2.5.1)."""
+    framer = framer_of(5)
+    assert framer.scan(b"\2\xc1" + bytes(254)) == []
+    assert framer.pending == 256
+    assert named(framer.scan(bytes(20))) == ["damage"]
+    assert framer.pending <= 256
+    framer.scan_silence()
+    assert named(framer.scan(OURS) + framer.scan_silence()) == ["request 5 03"]
