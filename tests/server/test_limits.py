@@ -10,7 +10,6 @@ import math
 import os
 import select
 import socket
-import struct
 from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any
@@ -24,6 +23,7 @@ from tests.simulation.sockets import MemoryListener
 from tests.simulation.stage import LineEnd, Stage
 from tests.support import attacks
 from tests.support.attacks import ServerProcess, connect, descriptor_limit, receive
+from tests.support.cases import each_case
 from tests.support.peers import until
 from tests.support.served import (
     ANSWER_ONE,
@@ -72,6 +72,9 @@ IMPOSSIBLE: list[tuple[str, object, type[Exception]]] = [
     ("allow", ["192.0.2.0/33"], ValueError),
     ("allow", ["plant.example"], ValueError),
     ("allow", [""], ValueError),
+    ("allow", [None], ValueError),
+    ("allow", 5, TypeError),
+    ("allow", None, TypeError),
     ("requests_per_second", 0, ValueError),
     ("requests_per_second", 0.0001, ValueError),
     ("requests_per_second", 1_000_001, ValueError),
@@ -105,16 +108,10 @@ def test_an_address_may_have_a_tenth_of_all_connections(most: int, of_address: i
     assert Limits(max_connections=most, connections_per_address=3).connections_of_address() == 3
 
 
-def test_a_limit_that_cannot_be_is_named() -> None:
-    for name, value, error in IMPOSSIBLE:
-        with pytest.raises(error, match=name):
-            Limits(**{name: value})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("networks", [5, [None], [object()], None])
-def test_networks_that_are_none_are_named(networks: object) -> None:
-    with pytest.raises((TypeError, ValueError), match="allow"):
-        Limits(allow=networks)  # type: ignore[arg-type]
+@each_case(("name", "value", "error"), IMPOSSIBLE)
+def test_a_limit_that_cannot_be_is_named(name: str, value: Any, error: type[Exception]) -> None:
+    with pytest.raises(error, match=name):
+        Limits(**{name: value})
 
 
 def test_limits_reach_to_their_ends() -> None:
@@ -124,23 +121,16 @@ def test_limits_reach_to_their_ends() -> None:
     assert Limits(idle_timeout=None).idle_timeout is None
 
 
-def test_networks_may_come_from_an_iterator() -> None:
-    limits = Limits(allow=iter(["::1", "10.0.0.0/8", "192.0.2.7/24"]))
-    for host in ("::1", "10.1.2.3", "192.0.2.9"):
-        assert limits.allows(host)
-    assert not limits.allows("192.0.3.9")
-
-
-@pytest.mark.parametrize("limits", [5, {}, {"max_connections": 2}, Limits])
-def test_server_takes_only_limits(limits: object) -> None:
-    with pytest.raises(TypeError, match="limits"):
-        Server({}, limits=limits)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("policy", ["ignore", "", None, 1, {}, Device(Mapping())])
-def test_unknown_unit_is_a_policy(policy: object) -> None:
-    with pytest.raises((TypeError, ValueError), match="unknown_unit"):
-        Server({}, unknown_unit=policy)  # type: ignore[arg-type]
+@each_case(
+    ("name", "value"),
+    [
+        *(("limits", value) for value in (5, {}, {"max_connections": 2}, Limits)),
+        *(("unknown_unit", value) for value in ("ignore", "", None, 1, {}, Device(Mapping()))),
+    ],
+)
+def test_a_server_names_what_it_does_not_take(name: str, value: Any) -> None:
+    with pytest.raises((TypeError, ValueError), match=name):
+        Server({}, **{name: value})
 
 
 # --- allow -------------------------------------------------------------------------------
@@ -173,48 +163,6 @@ def test_a_copy_of_limits_allows_no_more() -> None:
     limits = dataclasses.replace(Limits(allow=iter(["192.0.2.7"])), max_connections=5)
     assert limits.allows("192.0.2.7")
     assert not limits.allows("192.0.2.8")
-
-
-# --- who sends much ----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("scheme", "faulty"), [("rtu+tcp", False), ("ascii+tcp", False), ("tcp", False), ("tcp", True)]
-)
-def test_who_sends_little_does_not_wait_for_those_who_send_much(
-    stage: Stage, scheme: str, faulty: bool
-) -> None:
-    """All of them are ready when the server comes to read."""
-    encode = {
-        "tcp": framing.TcpFramer().encode,
-        "rtu+tcp": framing.RtuFramer("server").encode,
-        "ascii+tcp": framing.AsciiFramer().encode,
-    }[scheme]
-
-    def request(address: int) -> bytes:
-        return encode(framing.Frame(17, struct.pack(">BHH", 3, address, 1)))
-
-    count, many = 20, 255 // len(request(0))
-    order: list[int] = []
-    device = Device(
-        Mapping(holding_registers=125), before_read=lambda access: order.append(access.address)
-    )
-    server = Server({17: device}, {None: [NEVER]} if faulty else None)
-    with server.background(f"{scheme}://10.0.0.1:0") as running:
-        innocent, *attackers = (
-            stage.talk(running.urls[0], f"10.0.0.{1 + number % 4}") for number in range(1 + count)
-        )
-        for attacker in attackers:
-            attacker.sendall(request(1) * many)
-        innocent.sendall(request(2))
-        size = len(encode(framing.Frame(17, ANSWER_ONE)))
-        # Without transaction ids only the last of several requests is answered.
-        answers = size * (many if scheme == "tcp" else 1)
-        for attacker in attackers:
-            assert len(attacker.receive(answers)) == answers
-        assert len(innocent.receive(size)) == size
-    assert order.count(1) == count * many
-    assert order.index(2) <= count * 4  # one segment is read in several turns
 
 
 # --- unknown_unit ------------------------------------------------------------------------

@@ -25,6 +25,7 @@ from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.tools.faults.server import Faults
 from tests.support.attacks import READ_ONE, adu, ask, connect
+from tests.support.cases import each_case
 
 MESSAGES = pdu.SubFunction.BUS_MESSAGE_COUNT
 both = pytest.mark.parametrize("scheme", ["tcp", "udp"])
@@ -98,7 +99,7 @@ def test_devices_that_have_these_units_are_asked_themselves(scheme: str) -> None
     assert answers(Server({1: holding(7), 0: holding(9)}, own_unit=0), scheme, [255]) == [9]
 
 
-@pytest.mark.parametrize(
+@each_case(
     ("devices", "unit", "error", "message"),
     [
         ({1: holding(7), 2: holding(8)}, 3, ValueError, r"unit that has a device \(1, 2\), not 3"),
@@ -109,16 +110,6 @@ def test_devices_that_have_these_units_are_asked_themselves(scheme: str) -> None
         ({1: holding(7)}, "1", TypeError, r"own_unit must be an integer in 0..255, not str"),
         ({1: holding(7)}, True, TypeError, r"own_unit must be an integer"),
         (holding(7), 1, ValueError, "one device answers every unit"),
-    ],
-    ids=[
-        "none of two",
-        "not the one",
-        "none at all",
-        "too large",
-        "negative",
-        "text",
-        "bool",
-        "all",
     ],
 )
 def test_units_that_the_server_cannot_be(
