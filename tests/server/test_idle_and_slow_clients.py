@@ -37,6 +37,9 @@ KIND = pytest.mark.parametrize("kind", OVER_TCP)
 
 WRITE_MOST = bytes.fromhex("10 0000 007b f6") + bytes(246)
 
+# Every answer is kept back.
+LATE = {None: [Fault("delay", seconds=500)]}
+
 # The beginning of a long request, which only silence tells from the whole one that follows.
 NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
 
@@ -86,28 +89,24 @@ def test_a_frame_that_begins_where_another_ends_has_its_own_time(stage: Stage, k
 
 def test_the_time_of_a_frame_is_not_that_of_the_answer_before(stage: Stage) -> None:
     """The rest of it has come, but is not read before the answer has gone."""
-    faults = {None: [Fault("delay", seconds=500)]}
-    server = Server(Device(Mapping(holding_registers=1)), faults, Limits(frame_timeout=0.2))
-    with server.background("tcp://10.0.0.1:0") as running:
-        connection = stage.talk(running.urls[0])
+    with served(stage, faults=LATE, frame_timeout=0.2) as server:
+        connection = server.connect()
         connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
         connection.sendall(adu(READ_ONE, 2)[5:])
         expected = adu(ANSWER_ONE, 1) + adu(ANSWER_ONE, 2)
         assert connection.receive(len(expected)) == expected
-    assert server.statistics.closed_slow == 0
+        assert server.counts(closed_slow=0)
 
 
 def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(stage: Stage) -> None:
-    faults = {None: [Fault("delay", seconds=500)]}
-    server = Server(Device(Mapping(holding_registers=1)), faults, Limits(frame_timeout=20))
-    with server.background("tcp://10.0.0.1:0") as running:
-        connection = stage.talk(running.urls[0])
+    with served(stage, faults=LATE, frame_timeout=20) as server:
+        connection = server.connect()
         connection.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2)[:5])
         assert connection.receive(ONE_ANSWER) == adu(ANSWER_ONE)
         answered = stage.now
         assert connection.is_closed()
         assert 20 <= stage.now - answered <= 21.01
-    assert server.statistics.closed_slow == 1
+        assert server.counts(closed_slow=1)
 
 
 # --- idle_timeout ------------------------------------------------------------------------

@@ -149,29 +149,21 @@ def test_connections_of_an_address_share_what_it_may_ask(stage: Stage, kind: str
 
 
 @KIND
-def test_a_new_connection_brings_nothing_new_to_ask(stage: Stage, kind: str) -> None:
-    with served(stage, kind, requests_per_second=5) as server:
-        begun = stage.now
-        for _ in range(300):
-            with server.connect() as client:
-                client.sendall(adu(READ_ONE))
-                stage.pass_time(0.02)
-        # Five are free, and a read may overdraw.
-        free = 5 + 5 * (stage.now - begun)
-        assert free - 2 <= server.statistics.requests <= free + 1
-        assert stage.until(lambda: server.statistics.connections == 0)
-
-
-@KIND
-def test_requests_count_though_what_follows_ends_the_connection(stage: Stage, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("count", "rest"), [(1, b""), (2, OUT_OF_STEP)], ids=["one", "two and what ends it"]
+)
+def test_a_new_connection_brings_nothing_new_to_ask(
+    stage: Stage, kind: str, count: int, rest: bytes
+) -> None:
     with served(stage, kind, requests_per_second=5) as server:
         begun = stage.now
         for _ in range(100):
             with server.connect() as client:
-                client.sendall(2 * adu(READ_ONE) + OUT_OF_STEP)
+                client.sendall(count * adu(READ_ONE) + rest)
                 stage.pass_time(0.02)
         # Five are free, and a read may overdraw.
-        assert 5 <= server.statistics.requests <= 5 + 2 + 5 * (stage.now - begun)
+        free = 5 + 5 * (stage.now - begun)
+        assert free - 2 <= server.statistics.requests <= free + count
         assert stage.until(lambda: server.statistics.connections == 0)
 
 
@@ -189,20 +181,6 @@ def test_to_be_refused_brings_nothing_new_to_ask_either(stage: Stage) -> None:
         before = server.statistics.throttled
         server.connect().sendall(adu(READ_ONE))
         assert server.counts(throttled=before + 1)
-
-
-@KIND
-def test_all_connections_that_wait_are_answered_in_the_end(stage: Stage, kind: str) -> None:
-    with served(stage, kind, requests_per_second=40) as server:
-        begun = stage.now
-        eager = [server.connect() for _ in range(8)]
-        for _ in range(10):
-            for client in eager:
-                client.sendall(adu(READ_ONE))
-        for client in eager:
-            assert client.receive(10 * ONE_ANSWER) == 10 * adu(ANSWER_ONE)
-        assert stage.now - begun <= 1.01
-        assert server.counts(requests=80, connections=8)
 
 
 @KIND

@@ -85,22 +85,6 @@ def test_connections_left_at_the_end_are_closed(stage: Stage) -> None:
     assert server.statistics.connections == 0
 
 
-def test_connections_of_the_system_are_closed_for_others_and_at_the_end() -> None:
-    """The real copy of what this file shows in memory."""
-    server = Server({17: Device(Mapping(holding_registers=1))}, limits=Limits(max_connections=1))
-    with ExitStack() as stack:
-        with server.background("tcp://127.0.0.1:0") as running:
-            port = int(running.urls[0].rpartition(":")[2])
-            first = stack.enter_context(connect(port))
-            first.sendall(adu(READ_ONE))
-            assert receive(first, ONE_ANSWER) == adu(ANSWER_ONE)
-            second = stack.enter_context(connect(port))
-            assert first.recv(1) == b""
-            second.sendall(adu(READ_ONE))
-            assert receive(second, ONE_ANSWER) == adu(ANSWER_ONE)
-        assert second.recv(1) == b""
-
-
 # --- connections_per_address -------------------------------------------------------------
 
 
