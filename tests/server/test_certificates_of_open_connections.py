@@ -27,6 +27,7 @@ from libmodbus_py import (
     TlsContext,
 )
 from libmodbus_py.ports import tls
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.security import files
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.tls import Handshakes
@@ -35,6 +36,7 @@ from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.clients import Connect, connecting
 from tests.support.peers import until
+from tests.support.tls import serving
 
 QUICK = Limits(certificate_interval=0.01)
 
@@ -56,36 +58,22 @@ def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
         yield connect
 
 
-def device() -> Device:
-    return Device(Mapping(holding_registers=10))
-
-
 @contextmanager
-def plain_server(security: Security, limits: Limits = QUICK) -> Iterator[tuple[Server, int]]:
-    server = Server(device(), limits=limits, security=security)
-    with server.background("tls://127.0.0.1:0") as running:
-        yield server, port_of(running.urls[0])
-
-
-@contextmanager
-def gateway(security: Security) -> Iterator[tuple[Gateway, int]]:
-    with Server(device()).background("tcp://127.0.0.1:0") as behind:
-        made = Gateway([Route(behind.urls[0])], limits=QUICK, security=security)
+def gateway(papers: Papers, **options: Any) -> Iterator[tuple[Gateway, int]]:
+    device = Device(Mapping(holding_registers=10))
+    with Server(device).background("tcp://127.0.0.1:0") as behind:
+        made = Gateway([Route(behind.urls[0])], **options)
         with made.background("tls://127.0.0.1:0") as running:
-            yield made, port_of(running.urls[0])
+            yield made, parse(running.urls[0]).port
 
 
-def port_of(url: str) -> int:
-    return int(url.rpartition(":")[2])
-
-
-@pytest.mark.parametrize("serving", [plain_server, gateway])
+@pytest.mark.parametrize("served", [serving, gateway])
 def test_a_client_whose_certificate_is_revoked_is_closed(
-    papers: Papers, crl: Path, serving: Callable[[Security], Any]
+    papers: Papers, crl: Path, served: Callable[..., Any]
 ) -> None:
     security = papers.server(crl=crl)
     with (
-        serving(security) as (server, port),
+        served(papers, security=security, limits=QUICK) as (server, port),
         TlsContext("127.0.0.1", port, security=papers.client()) as thief,
         TlsContext("127.0.0.1", port, security=papers.client("Viewer")) as other,
     ):
@@ -103,7 +91,7 @@ def test_a_client_whose_certificate_has_expired_is_closed(
     papers: Papers, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with (
-        plain_server(papers.server()) as (server, port),
+        serving(papers, limits=QUICK) as (server, port),
         TlsContext("127.0.0.1", port, security=papers.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
@@ -117,7 +105,7 @@ def test_a_client_whose_pin_was_removed_is_closed(papers: Papers, tmp_path: Path
     pin.write_bytes(OPERATOR().pem)
     security = papers.server(pin=pin)
     with (
-        plain_server(security) as (server, port),
+        serving(papers, security=security, limits=QUICK) as (server, port),
         TlsContext("127.0.0.1", port, security=papers.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
@@ -131,7 +119,7 @@ def test_a_client_whose_pin_was_removed_is_closed(papers: Papers, tmp_path: Path
 def test_other_certificates_can_be_set_while_the_server_runs(papers: Papers) -> None:
     """Who is trusted by both stays; who signed the others does not matter."""
     with (
-        plain_server(papers.server()) as (server, port),
+        serving(papers, limits=QUICK) as (server, port),
         TlsContext("127.0.0.1", port, security=papers.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
@@ -152,7 +140,7 @@ def test_a_server_shows_its_renewed_certificate(papers: Papers) -> None:
     files = papers.files(certificates.server())
     security = Security(files.cert, files.key, trust=papers.ca)
     new = certificates.server(days=30)
-    with plain_server(security) as (_, port):
+    with serving(papers, security=security, limits=QUICK) as (_, port):
         pinned = papers.client(trust=None, pin=papers.files(new).cert)
         with pytest.raises(ModbusConnectionError, match="none of the pins"):
             TlsContext("127.0.0.1", port, security=pinned).connect()
@@ -169,7 +157,7 @@ def test_a_client_leaves_a_server_whose_certificate_is_revoked(
     monkeypatch.setattr(tls, "CERTIFICATE_INTERVAL", 0.0)
     security = papers.client(crl=crl)
     with (
-        plain_server(papers.server()) as (_, port),
+        serving(papers, limits=QUICK) as (_, port),
         connect(f"tls://127.0.0.1:{port}", security=security) as plc,
     ):
         assert plc.read_holding_registers(0, 1) == [0]
@@ -186,7 +174,7 @@ def test_a_client_leaves_a_server_whose_certificate_has_expired(
     """The next handshake would be refused by OpenSSL, whose clock this test leaves alone."""
     monkeypatch.setattr(tls, "CERTIFICATE_INTERVAL", 0.0)
     with (
-        plain_server(papers.server(), Limits()) as (server, port),
+        serving(papers) as (server, port),
         connect(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
     ):
         assert plc.read_holding_registers(0, 1) == [0]
