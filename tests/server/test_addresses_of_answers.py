@@ -46,19 +46,13 @@ def test_every_address_answers(kind: str, scheme: str, device: Device) -> None:
 
 
 @SCHEMES
-def test_answers_that_are_delayed(scheme: str, device: Device) -> None:
-    with served(Server({UNIT: device}, {None: [Fault("delay", seconds=0.01)]}), scheme) as port:
-        for host in HOSTS:
-            assert values_of(scheme, host, port) == [1000, 1001]
-
-
-@SCHEMES
-def test_those_of_a_gateway(scheme: str, device: Device) -> None:
-    with Server({UNIT: device}).background("tcp://127.0.0.1:0") as running:
-        gateway = Gateway([Route(running.urls[0])])
-        with served(gateway, scheme) as port:
-            for host in HOSTS:
-                assert values_of(scheme, host, port) == [1000, 1001]
+def test_every_address_answers_late_and_for_a_gateway(scheme: str, device: Device) -> None:
+    late = Server({UNIT: device}, {None: [Fault("delay", seconds=0.01)]})
+    with late.background("tcp://127.0.0.1:0") as running:
+        for serving in (late, Gateway([Route(running.urls[0])])):
+            with served(serving, scheme) as port:
+                for host in HOSTS:
+                    assert values_of(scheme, host, port) == [1000, 1001]
 
 
 def addresses_of_ipv6() -> list[str]:
