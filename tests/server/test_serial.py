@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsciiContext, Device, Mapping, RtuContext, Server, framing, pdu
+from libmodbus_py import AsciiContext, Device, Mapping, RtuContext, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server.limits import ServerStatistics
@@ -40,27 +40,6 @@ def test_serial_server_answers_the_next_request_after_noise(kind: str, noise: by
         for _ in range(3):
             os.write(context._driver._port.descriptor, noise)
             assert context.read_holding_registers(0, 2) == [0, 0]
-
-
-def test_serial_server_stays_silent_while_others_talk() -> None:
-    """Requests to unit 2, and its answers, pass by; only unit 1 is answered."""
-    framer = framing.RtuFramer("client")
-    device = Device(Mapping(holding_registers=10))
-    foreign = [
-        framing.Frame(2, pdu.ReadHoldingRegisters(0, 10).encode()),
-        framing.Frame(2, b"\x03\x14" + bytes(range(20))),
-        framing.Frame(2, pdu.WriteRegister(0, 3).encode()),
-        framing.Frame(2, b"\x86\x02"),
-    ]
-    with (
-        SerialWire() as wire,
-        Server({1: device}).background(f"rtu://{wire.server}?baudrate=115200"),
-        RtuContext(wire.client, 115200, timeout=0.5) as context,
-    ):
-        for frame in foreign * 3:
-            os.write(context._driver._port.descriptor, framer.encode(frame))
-            assert context.read_holding_registers(0, 2) == [0, 0]
-        assert wire.sent_by("server").count(b"\x01\x03\x04") == 12
 
 
 def test_an_unplugged_port_is_opened_again(
