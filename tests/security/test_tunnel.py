@@ -15,8 +15,6 @@ from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.tls import VERSIONS, context
 
-VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
-
 
 class Peer:
     """Python's client, at the other end of a tunnel."""
