@@ -14,7 +14,6 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -41,6 +40,7 @@ from tests.support.cases import each_case
 from tests.support.certificates import Papers, secured
 from tests.support.peers import until
 from tests.support.talk import ascii_frame, rtu
+from tests.support.transports import serving
 
 READ = bytes.fromhex("0001 0000 0006 11 03 0000 0002")
 ANSWER = bytes.fromhex("0001 0000 0007 11 03 04 0007 0008")
@@ -113,9 +113,8 @@ def test_a_serial_port_is_traced_with_its_name(scheme: str) -> None:
     ]
 
 
-def test_of_tls_it_shows_what_is_inside(tmp_path: Path) -> None:
+def test_of_tls_it_shows_what_is_inside(papers: Papers) -> None:
     told: list[Traced] = []
-    papers = Papers(tmp_path)
     server = Server({17: made_device()}, trace=told.append)
     with secured(server, papers) as url, Context.from_url(url, unit=17) as plc:
         assert plc.read_holding_registers(0, 2) == [7, 8]
@@ -134,47 +133,34 @@ def test_requests_that_come_together_are_told_one_by_one(faults: dict[int, list[
     assert sorted(said(told)) == sorted([("received", READ), ("sent", ANSWER)] * 41)
 
 
-SPOILT = {
-    "no_answer": ([], {}),
-    "truncate": ([ANSWER[:5]], {"length": 5}),
-    "trickle": ([ANSWER], {"seconds": 0.001}),
-    "wrong_check": ([ANSWER[:4] + b"\0\0" + ANSWER[6:]], {}),
-    "wrong_unit": ([ANSWER[:6] + b"\x12" + ANSWER[7:]], {}),
-    "exception": ([ANSWER[:4] + bytes.fromhex("0003 11 83 06")], {"code": 6}),
-}
-
-
-@pytest.mark.parametrize("kind", SPOILT)
-def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(kind: str) -> None:
-    answers, settings = SPOILT[kind]
-    told: list[Traced] = []
-    faults = {17: [Fault(kind, every=2, **settings)]}
-    with connected(told.append, faults=faults) as (one, _):
-        ask(one, READ, ANSWER)
-        ask(one, READ, b"".join(answers))
-        ask(one, READ, ANSWER)
-    sent = [each for each in told if each.direction == "sent"]
-    assert [each.adu for each in sent] == [ANSWER, *answers, ANSWER]
-    assert (sent[-1].unit, sent[-1].function) == (17, 3)
-
-
 GARBAGE = b"\xff\xff"
 
+# What a fault sends in place of an answer: bytes, and the unit if they are a frame.
+SPOILT = [
+    (Fault("no_answer", every=2), []),
+    (Fault("truncate", every=2, length=5), [(ANSWER[:5], None)]),
+    (Fault("trickle", every=2, seconds=0.001), [(ANSWER, 17)]),
+    (Fault("wrong_check", every=2), [(ANSWER[:4] + b"\0\0" + ANSWER[6:], None)]),
+    (Fault("wrong_unit", every=2), [(ANSWER[:6] + b"\x12" + ANSWER[7:], 18)]),
+    (Fault("exception", every=2, code=6), [(ANSWER[:4] + bytes.fromhex("0003 11 83 06"), 17)]),
+    (Fault("garbage", every=2, data=GARBAGE), [(GARBAGE, None), (ANSWER, 17)]),
+    (Fault("garbage", every=2, data=GARBAGE, place="instead"), [(GARBAGE, None)]),
+    (Fault("garbage", every=2, data=GARBAGE, place="behind"), [(ANSWER, 17), (GARBAGE, None)]),
+]
 
-@each_case(
-    ("place", "sent"),
-    [
-        ("before", [(GARBAGE, None), (ANSWER, 17)]),
-        ("instead", [(GARBAGE, None)]),
-        ("behind", [(ANSWER, 17), (GARBAGE, None)]),
-    ],
-)
-def test_garbage_is_told_beside_the_answer(place: Any, sent: list[tuple[bytes, int]]) -> None:
+
+@each_case(("fault", "spoilt"), SPOILT)
+def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(
+    fault: Fault, spoilt: list[tuple[bytes, int | None]]
+) -> None:
     told: list[Traced] = []
-    faults = {17: [Fault("garbage", data=GARBAGE, place=place)]}
-    with connected(told.append, faults=faults) as (one, _):
-        ask(one, READ, b"".join(adu for adu, _ in sent))
-    assert [(each.adu, each.unit) for each in told if each.direction == "sent"] == sent
+    with connected(told.append, faults={17: [fault]}) as (one, _):
+        ask(one, READ, ANSWER)
+        ask(one, READ, b"".join(adu for adu, _ in spoilt))
+        ask(one, READ, ANSWER)
+    sent = [(each.adu, each.unit) for each in told if each.direction == "sent"]
+    assert sent == [(ANSWER, 17), *spoilt, (ANSWER, 17)]
+    assert told[-1].function == 3
 
 
 def test_an_answer_that_is_kept_back_is_told_when_it_is_sent(stage: Stage) -> None:
@@ -399,31 +385,20 @@ def fail(*_: object) -> Any:
     raise LookupError
 
 
-def refuse(*_: object) -> bool:
-    return False
-
-
-def device(**hooks: Any) -> Device:
-    return Device(Mapping(holding_registers=10), **hooks)
-
-
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "udp"])
 @pytest.mark.parametrize("hook", ["before_read", "before_write", "after_write", "authorize"])
 def test_a_hook_that_fails_is_answered(log: Failing, hook: str, scheme: str) -> None:
-    is_read = hook == "before_read"
-    with (
-        Server(device(**{hook: fail}), trace=fail).background(f"{scheme}://127.0.0.1:0") as running,
-        Client(running.urls[0], timeout=5) as client,
-    ):
+    server = Server(made_device(**{hook: fail}), trace=fail)
+    with serving(scheme, server) as url, Client(url, timeout=5) as client:
         for _ in range(3):
             with pytest.raises(ServerDeviceFailure):
-                client.read_holding_registers(0, 1) if is_read else client.write_register(0, 1)
+                client.read_write_registers(0, 1, 0, [1])
     assert log.records > 1
 
 
-@pytest.mark.parametrize("authorize", [fail, refuse])
+@pytest.mark.parametrize("authorize", [fail, lambda asked: False])
 def test_a_refusal_of_a_gateway_is_answered(log: Failing, authorize: Any) -> None:
-    with Server(device()).background(HERE) as behind:
+    with Server(made_device()).background(HERE) as behind:
         gateway = Gateway([Route(behind.urls[0])], authorize=authorize, trace=fail)
         with gateway.background(HERE) as running, Client(running.urls[0], timeout=5) as client:
             for _ in range(3):
@@ -433,6 +408,6 @@ def test_a_refusal_of_a_gateway_is_answered(log: Failing, authorize: Any) -> Non
 
 
 def test_a_record_names_the_code_that_logged(caplog: pytest.LogCaptureFixture) -> None:
-    device(before_read=fail).answer(b"\x03\x00\x00\x00\x01")
+    made_device(before_read=fail).answer(b"\x03\x00\x00\x00\x01")
     (record,) = caplog.records
     assert (record.filename, record.funcName) == ("device.py", "_log_failure")
