@@ -6,11 +6,10 @@ X25519 and ML-KEM-768, so that what is recorded today stays secret from quantum 
 from __future__ import annotations
 
 import ssl
-from pathlib import Path
 
 from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.testing.wires import TcpWire
-from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.clients import ALL, asking
 
@@ -37,15 +36,14 @@ def named_group(sent: bytes) -> int:
 
 
 @ALL
-def test_both_ends_agree_on_the_best_group_of_their_openssl(kind: str, tmp_path: Path) -> None:
-    papers = Papers(tmp_path)
+def test_both_ends_agree_on_the_best_group_of_their_openssl(kind: str, papers: Papers) -> None:
     server = Server(Device(Mapping(holding_registers={0: [7]})), security=papers.server())
     with (
         server.background("tls://127.0.0.1:0") as running,
-        TcpWire(int(running.urls[0].rpartition(":")[2])) as wire,
+        TcpWire(parse(running.urls[0]).port) as wire,
     ):
-        security = papers.security(certificates.client())
-        with asking(kind, f"tls://127.0.0.1:{wire.port}", security=security) as client:
+        url = f"tls://127.0.0.1:{wire.port}"
+        with asking(kind, url, security=papers.client()) as client:
             assert client.read_holding_registers(0, 1) == [7]
         sent = wire.sent_by("server")
     has_hybrid = ssl.OPENSSL_VERSION_INFO >= (3, 5)

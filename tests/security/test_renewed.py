@@ -44,8 +44,8 @@ def mistakes(about: Path) -> list[str]:
 
 
 @pytest.fixture
-def ca(tmp_path: Path) -> Path:
-    return Papers(tmp_path / "papers").authority(certificates.authority())
+def ca(papers: Papers) -> Path:
+    return papers.ca
 
 
 def test_a_value_is_the_former_until_the_file_is_good_again(

@@ -66,8 +66,8 @@ class Hello:
 
 
 @pytest.fixture
-def hello(tmp_path: Path) -> Hello:
-    tunnel = Papers(tmp_path / "papers").client().to_server("127.0.0.1")
+def hello(papers: Papers) -> Hello:
+    tunnel = papers.client().to_server("127.0.0.1")
     assert not tunnel.handshake()
     return Hello(tunnel.outgoing())
 

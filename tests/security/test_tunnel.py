@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import random
 import ssl
-from pathlib import Path
 
 import pytest
 
@@ -44,8 +43,7 @@ class Peer:
 
 
 @pytest.fixture(params=VERSIONS.values(), ids=VERSIONS)
-def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Peer:
-    papers = Papers(tmp_path)
+def peer(request: pytest.FixtureRequest, papers: Papers) -> Peer:
     security = papers.server()
     security.check_server()
     peer = Peer(context(papers, certificates.client(), request.param), security.to_client())

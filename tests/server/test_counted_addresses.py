@@ -10,8 +10,6 @@ import math
 import pytest
 
 from libmodbus_py.ports.hosts import host_and_port
-from libmodbus_py.ports.trace import Trace
-from libmodbus_py.security.describing import CertificateHolder
 from libmodbus_py.server import limits as module
 from libmodbus_py.server import tls
 from libmodbus_py.server.limits import (
@@ -28,6 +26,7 @@ from libmodbus_py.server.tls import Handshakes, TlsSession
 from tests.simulation.network import Network
 from tests.support.cases import each_case
 from tests.support.certificates import Papers
+from tests.support.channels import FakeChannel
 
 
 @each_case(
@@ -67,21 +66,14 @@ def test_all_addresses_of_a_64_share_an_allowance() -> None:
     asyncio.run(main())
 
 
-class Client:
+class Client(FakeChannel):
     """A connection whose handshake has begun."""
 
     def __init__(self, address: str) -> None:
+        super().__init__()
         self.address = address
-        self.role: str | None = None
-        self.holder: CertificateHolder | None = None
-        self.trace: Trace | None = None
         self.is_closed = False
 
-    def follow(self) -> None: ...
-    def hang_up(self) -> bool:
-        return False
-
-    def write(self, data: bytes) -> None: ...
     def end(self) -> None:
         self.is_closed = True
 

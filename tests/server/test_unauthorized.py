@@ -8,7 +8,6 @@ import contextlib
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -132,9 +131,8 @@ def allowed(ask: Callable[[pdu.Request[object]], object]) -> list[bool]:
     ],
 )
 def test_rules_go_by_the_role_of_the_certificate(
-    tmp_path: Path, role: str | None, expected: list[bool]
+    papers: Papers, role: str | None, expected: list[bool]
 ) -> None:
-    papers = Papers(tmp_path)
     device = Device(Mapping(holding_registers=1), authorize=RULES)
     server = Server(device, security=papers.server())
     with (
@@ -153,8 +151,7 @@ def test_rules_go_by_the_role_of_the_certificate(
         (None, "the server may allow it to some roles only, and this certificate has none"),
     ],
 )
-def test_a_refusal_over_tls_names_the_role(tmp_path: Path, role: str | None, said: str) -> None:
-    papers = Papers(tmp_path)
+def test_a_refusal_over_tls_names_the_role(papers: Papers, role: str | None, said: str) -> None:
     device = Device(Mapping(holding_registers=1), authorize=RULES)
     server = Server(device, security=papers.server())
     with (
@@ -168,7 +165,7 @@ def test_a_refusal_over_tls_names_the_role(tmp_path: Path, role: str | None, sai
             assert str(caught.value).endswith(f"illegal function (exception 1){end}")
 
 
-def test_roles_of_one_turn_are_kept_apart(tmp_path: Path) -> None:
+def test_roles_of_one_turn_are_kept_apart(papers: Papers) -> None:
     """Requests that come alone are answered together."""
     is_blocked, goes_on = threading.Event(), threading.Event()
 
@@ -178,7 +175,6 @@ def test_roles_of_one_turn_are_kept_apart(tmp_path: Path) -> None:
             assert goes_on.wait(PATIENCE)
         return RULES(asked)
 
-    papers = Papers(tmp_path)
     device = Device(Mapping(holding_registers=1), authorize=authorize)
     roles = ["Viewer", "Engineer", None, "Engineer", "Viewer"]
     write = adu(pdu.WriteRegister(0, 5).encode())
