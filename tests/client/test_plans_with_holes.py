@@ -249,7 +249,7 @@ def test_cancelled_in_the_midst_of_halving() -> None:
 
 
 def test_two_tasks_poll_one_plan_at_once() -> None:
-    async def use(plc: AsyncClient, _: Scripted) -> None:
+    async def use(plc: AsyncClient, peer: Scripted) -> None:
         for _ in range(2):
             polls = [plc.read_map(POINTS, return_exceptions=True) for _ in range(5)]
             for found in await asyncio.gather(*polls):
