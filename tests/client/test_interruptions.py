@@ -24,17 +24,12 @@ from libmodbus_py import (
     Context,
     ModbusConnectionError,
     ModbusError,
-    RtuContext,
     State,
     TcpContext,
 )
-from tests.support.clients import ALL, BLOCKING, NATIVE, asking
-from tests.support.peers import FakeServer, FakeUnit, answer, dead, peer_at, until
-
-
-def rtu(request: bytes) -> bytes:
-    return answer(request, "rtu")
-
+from tests.support.clients import ALL, BLOCKING, NATIVE, Awaited, Connect, asking, connecting
+from tests.support.peers import TcpPeer, dead, ignore, peer_at, until
+from tests.support.reads import good, good_at
 
 # --- connections that died, and are being made -----------------------------------------------
 
@@ -43,41 +38,41 @@ class Interruption(BaseException):
     """What a signal handler may raise."""
 
 
-@ALL
+@contextlib.contextmanager
+def connecting_here(kind: str) -> Iterator[Connect]:
+    """Yield what makes clients whose event loop, if they have one, runs in this thread."""
+    if kind == "asyncio":
+        with asyncio.Runner() as runner:
+            yield lambda url: Awaited(runner.run, AsyncClient(url))
+    else:
+        with connecting(kind) as connect:
+            yield connect
+
+
+@pytest.mark.parametrize(
+    ("kind", "error"),
+    [
+        ("native", Interruption),
+        ("python", Interruption),
+        ("asyncio", ModbusConnectionError),
+    ],
+)
 def test_anything_raised_while_it_connects_leaves_a_client_that_can(
-    kind: str, monkeypatch: pytest.MonkeyPatch
+    kind: str, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with FakeServer(lambda request: [answer(request, "tcp")]) as server:
-        chosen: dict[str, Any] = {"native": {}, "python": {"native": False}}.get(kind, {})
-        url = f"tcp://127.0.0.1:{server.port}"
+    def interrupt(*_: object) -> None:
+        raise Interruption
 
-        def interrupt(*_: object) -> None:
-            raise Interruption
-
-        if kind == "asyncio":
-            with asyncio.Runner() as runner:
-                client = AsyncClient(url)
-
-                async def read() -> list[int]:
-                    return await client.read_holding_registers(4, 1)
-
-                with monkeypatch.context() as patch:
-                    for name in ("connect", "connect_ex"):
-                        patch.setattr(socket.socket, name, interrupt)
-                    with pytest.raises((Interruption, ModbusConnectionError)):
-                        runner.run(read())
-                assert runner.run(read()) == [4]
-                runner.run(client.close())
-            return
-        context = Context.from_url(url, **chosen)
+    with TcpPeer(good) as peer, connecting_here(kind) as connect:
+        client = connect(peer.url)
         with monkeypatch.context() as patch:
             for name in ("connect", "connect_ex"):
                 patch.setattr(socket.socket, name, interrupt)
-            with pytest.raises(Interruption):
-                context.read_holding_registers(4, 1)
-        assert context.state is State.DISCONNECTED
-        assert context.read_holding_registers(4, 1) == [4]
-        context.close()
+            with pytest.raises(error):
+                client.read_holding_registers(4, 1)
+        assert client.state is State.DISCONNECTED
+        assert client.read_holding_registers(4, 1) == [4]
+        client.close()
 
 
 @pytest.fixture
@@ -149,25 +144,21 @@ def on_alarm(act: Callable[[], object], seconds: float) -> Iterator[list[BaseExc
 @contextlib.contextmanager
 def waiting_context(place: str, native: bool) -> Iterator[tuple[Context, Callable[[], object]]]:
     """A context, and a request on it that waits for long."""
-    if place == "tcp":
-        good = lambda request: [answer(request, "tcp")]  # noqa: E731
-        with FakeServer(good, good, lambda request: []) as server:
-            context = TcpContext("127.0.0.1", server.port, timeout=600, native=native)
-            context.read_holding_registers(1, 1)
-            context.read_holding_registers(1, 1)
-            yield context, lambda: context.read_holding_registers(1, 1)
-    elif place == "rtu":
-        line = lambda request: [rtu(request)]  # noqa: E731
-        with FakeUnit(line, line, lambda request: []) as unit:
-            context = RtuContext(unit.path, 115200, timeout=600, native=native)
-            context.read_holding_registers(1, 1)
-            context.read_holding_registers(1, 1)
-            yield context, lambda: context.read_holding_registers(1, 1)
-    else:
-        with dead() as port:
-            context = TcpContext("127.0.0.1", port, timeout=600, native=native)
+    with contextlib.ExitStack() as stack:
+        if place == "connecting":
+            url = f"tcp://127.0.0.1:{stack.enter_context(dead())}"
+        else:
+            peer = stack.enter_context(peer_at(place, good_at(place)))
+            url = peer.url
+        context = Context.from_url(url, timeout=600, native=native)
+        stack.callback(context.close)
+        if place == "connecting":
             yield context, context.connect
-    context.close()
+            return
+        for _ in range(2):
+            context.read_holding_registers(1, 1)
+        peer.on_request = ignore
+        yield context, lambda: context.read_holding_registers(1, 1)
 
 
 PLACES = pytest.mark.parametrize("place", ["tcp", "rtu", "connecting"])
@@ -260,18 +251,10 @@ def test_close_and_requests_in_a_finalizer_during_a_request(native: bool) -> Non
 @pytest.mark.filterwarnings("ignore:.*unclosed <socket.*")
 def test_ctrl_c_at_any_moment_fails_no_later_request(place: str, native: bool) -> None:
     """Each request that is not interrupted is right; none meets what an interrupted one left."""
-    with contextlib.ExitStack() as stack:
-        context: Context
-        if place == "rtu":
-            unit = stack.enter_context(FakeUnit(lambda request: [rtu(request)]))
-            context = RtuContext(unit.path, 1_000_000, timeout=0.3, native=native)
-        else:
-            frame = lambda request: [answer(request, place)]  # noqa: E731
-            server = stack.enter_context(FakeServer(frame))
-            framed: Any = "rtu" if place == "rtu+tcp" else "tcp"
-            context = TcpContext(
-                "127.0.0.1", server.port, framing=framed, timeout=0.3, native=native
-            )
+    with (
+        peer_at(place, good_at(place)) as peer,
+        Context.from_url(peer.url, timeout=0.3, native=native) as context,
+    ):
         interrupted = 0
         before = signal.signal(signal.SIGALRM, signal.default_int_handler)
         try:
@@ -289,7 +272,6 @@ def test_ctrl_c_at_any_moment_fails_no_later_request(place: str, native: bool) -
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
         assert interrupted > 5
-        context.close()
 
 
 # --- ends that are themselves interrupted ----------------------------------------------------
@@ -314,7 +296,7 @@ def test_the_connection_is_left_by_the_next_request(
     native: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with (
-        peer_at("tcp", lambda request, write: write(answer(request, "tcp"))) as peer,
+        TcpPeer(good) as peer,
         Context.from_url(peer.url, native=native) as context,
     ):
         assert context.read_holding_registers(6, 1) == [6]
@@ -332,7 +314,7 @@ def test_the_connection_is_left_by_the_next_request(
 def test_a_client_that_was_closed_meanwhile_is_closed_by_the_next_request(
     native: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with peer_at("tcp", lambda request, write: write(answer(request, "tcp"))) as peer:
+    with TcpPeer(good) as peer:
         context = Context.from_url(peer.url, native=native)
         assert context.read_holding_registers(6, 1) == [6]
         Interrupted(monkeypatch, context._driver, "_shut")
