@@ -67,10 +67,13 @@ def test_a_reader_that_goes_away_ends_it(tmp_path: Path, device: str, name: str)
     arguments = [each.format(url=device, folder=tmp_path) for each in COMMANDS[name][0]]
     program = " ".join(f"'{word}'" for word in [*PROGRAM, *arguments])
     done = subprocess.run(
-        ["sh", "-c", f"{program} | head -1"], capture_output=True, text=True, timeout=60
+        ["bash", "-o", "pipefail", "-c", f"{program} | head -1"],
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     assert done.stdout.count("\n") == 1
-    assert done.stderr == ""
+    assert (done.returncode, done.stderr) == (1, "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

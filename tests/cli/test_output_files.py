@@ -6,18 +6,18 @@ what a terminal shows meanwhile.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import re
 import resource
 from collections.abc import Iterator
 from pathlib import Path
 
 from libmodbus_py import Device, Mapping, Server
 from tests.support.cases import each_case
-from tests.support.commands import ended, on_terminal, run
+from tests.support.commands import on_terminal, run
 
 FULL_BYTES = 100
+
+DECODED = Path(__file__).parents[1] / "tools" / "listener" / "decoded.pcapng"
 
 
 @contextlib.contextmanager
@@ -137,6 +137,7 @@ PRINTING = [
     "map check meter",
     "map class meter",
     "serve --example",
+    f"listen {DECODED}",
 ]
 """What is typed to print something."""
 
@@ -155,38 +156,3 @@ def test_an_output_that_is_full_or_that_nobody_reads(url: str, words: str) -> No
     with open(writing, "w") as pipe:
         done = run(*typed, out=pipe)
     assert (done.code, done.err) == (1, "")
-
-
-# --- times have one form ----------------------------------------------------------
-
-
-FORM = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z")
-
-CAPTURE = Path(__file__).parents[1] / "tools" / "listener" / "decoded.pcapng"
-
-
-def test_a_watch_in_json_csv_and_text(device: str) -> None:
-    watch = ("read", device, "hr", 0, "--watch", "0.01", "--count", "1")
-    assert FORM.fullmatch(json.loads(run(*watch, "--json").out)["time"])
-    assert FORM.fullmatch(run(*watch, "--csv").out.splitlines()[1].split(",")[0])
-    assert FORM.fullmatch(run(*watch).out.split()[0])
-
-
-def test_transactions_that_were_heard() -> None:
-    lines = [json.loads(line) for line in run("listen", CAPTURE, "--json").out.splitlines()]
-    times = [line["time"] for line in lines if "time" in line]
-    assert times
-    assert all(FORM.fullmatch(each) for each in times)
-    assert times == sorted(times)
-
-
-def test_readings_of_a_fleet(device: str, tmp_path: Path) -> None:
-    (tmp_path / "map.csv").write_text("name,table,address\nlevel,holding,0\n")
-    (tmp_path / "fleet.toml").write_text(
-        f'[[device]]\nname = "one"\nurl = "{device}"\nmap = "map.csv"\n'
-    )
-    done = ended("poll", tmp_path / "fleet.toml", "--once", "--json", "--log", "debug")
-    assert FORM.fullmatch(json.loads(done.out.splitlines()[0])["time"])
-    for line in done.err.splitlines():
-        assert FORM.fullmatch(line.split()[0])
-    assert done.err

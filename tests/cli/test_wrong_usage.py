@@ -2,7 +2,8 @@
 What is typed wrong, and what cannot be reached: one line on stderr names it. Nothing is printed,
 made or written, and nothing is sent for wrong usage (exit code 2).
 
-`h` is no host; FOLDER has a map, a wrong one, a fleet file and two files of the user.
+`h` is no host; FOLDER has a map, a wrong one, a fleet file, two files of the user and what is
+no capture.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ FILES = {
     "fleet.toml": FLEET_OF_ONE.format(url="tcp://127.0.0.1:1"),
     "there.csv": "mine",
     "mine.py": "x = 1\n",
+    "x.pcapng": "no capture",
 }
 
 GENERAL = [
@@ -238,6 +240,7 @@ FINDING = [
     ("listen rtu:///dev/null --between rtu+tcp://127.0.0.1:1", "only read"),
     ("listen rtu+tcp://h:0 --between ttyUSB0", "rtu:///dev/ttyUSB0: the scheme must be"),
     ("listen x.txt", "the scheme must be rtu, ascii"),
+    ("listen FOLDER/x.pcapng", "x.pcapng: byte 0: no pcapng file"),
     ("listen x.pcapng -b 9600", "--baudrate applies to serial ports only, not to x.pcapng"),
 ]
 

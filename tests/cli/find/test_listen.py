@@ -5,7 +5,6 @@ The command listen: lines, JSON, colours, captures, and how it ends.
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import time
@@ -67,8 +66,9 @@ def lines_of(made: Started, count: int) -> list[str]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_line_for_each_and_a_summary(target: str, number: int) -> None:
-    with listening("rtu+tcp://127.0.0.1:0", "--between", target) as made:
+def test_a_line_for_each_a_summary_and_a_capture(target: str, number: int, tmp_path: Path) -> None:
+    file = tmp_path / "x.pcapng"
+    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", file) as made:
         ask(url_of(made))
         read, refused, written = lines_of(made, 3)
         made.send_signal(number)
@@ -90,6 +90,7 @@ def test_a_line_for_each_and_a_summary(target: str, number: int) -> None:
     assert "  errors        1 exception 2" in rest
     assert "unit 2: 1 transactions" in rest
     assert "\x1b" not in read + refused + written + rest
+    assert "4 transactions" in listen(file).out
 
 
 def test_a_signal_right_behind_the_first_line_ends_it_well(
@@ -186,16 +187,6 @@ def test_listen_prints_the_units_that_were_typed() -> None:
     assert some[:-1] == [each for each in everything[:-1] if each["unit"] == unit]
 
 
-def test_a_capture_is_written(target: str, tmp_path: Path) -> None:
-    file = tmp_path / "x.pcapng"
-    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", file) as made:
-        ask(url_of(made))
-        lines_of(made, 3)
-        made.send_signal(signal.SIGINT)
-        assert made.wait(10) == 0
-    assert "4 transactions" in listen(file).out
-
-
 @pytest.mark.parametrize(("variables", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])
 def test_colour_on_a_terminal(variables: dict[str, str], coloured: bool) -> None:
     with on_terminal("listen", DECODED, environment=variables) as terminal:
@@ -203,25 +194,6 @@ def test_colour_on_a_terminal(variables: dict[str, str], coloured: bool) -> None
         assert terminal.process.wait() == 0
     assert ("\x1b[31mdamaged" in shown) == coloured
     assert ("\x1b[33millegal" in shown) == coloured
-
-
-def test_who_reads_us_has_gone() -> None:
-    """As head does: no traceback."""
-    read, write = os.pipe()
-    os.close(read)
-    with Started("listen", DECODED, stdout=write) as made:
-        os.close(write)
-        assert made.communicate() == ("", "")
-        assert made.returncode == 1
-
-
-def test_a_file_that_is_no_capture(tmp_path: Path) -> None:
-    file = tmp_path / "x.pcapng"
-    file.write_bytes(DECODED.read_bytes()[:-3])
-    done = listen(file)
-    assert done.code == 2
-    assert done.err.count("\n") == 1
-    assert "the file ends inside a block" in done.err
 
 
 def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:

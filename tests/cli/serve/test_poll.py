@@ -211,15 +211,6 @@ def test_each_reason_to_wait_for_the_engine_is_logged_once(
     assert caplog.messages == [f"waiting for the engine: no {why}" for why in ("answer", "leader")]
 
 
-def test_a_reader_that_goes_ends_it_quietly(fleet: Path) -> None:
-    with started(fleet) as polling:
-        polling.stdout.readline()
-        polling.stdout.close()
-        polling.wait()
-        assert polling.stderr.read() == ""
-    assert polling.returncode == 1
-
-
 @pytest.mark.parametrize("form", ["--json", "--csv"])
 def test_a_full_disk_is_one_line(fleet: Path, form: str) -> None:
     with open("/dev/full", "w") as full:

@@ -280,4 +280,5 @@ def test_a_mac_address_is_text_when_read_and_written() -> None:
     registers = [0, 0x0DD7, 0x4CC6, 0x448E]
     assert point.decode(registers) == "0D:D7:4C:C6:44:8E"
     assert point.encode("0D:D7:4C:C6:44:8E") == registers
+    assert point.decode([0xABCD, 0, 0, 1]) == "00:00:00:00:00:01"  # the padding may be anything
     assert point.decode([7, 0xFFFF, 0xFFFF, 0xFFFF]) is None
