@@ -85,28 +85,15 @@ def test_who_answers_nothing_is_not_asked_for_the_rest() -> None:
     assert "no answer" in done.err
 
 
-def test_polls_that_are_late_are_left_out() -> None:
-    """A server that never answers: each poll takes longer than the interval."""
-    with socket.create_server(("127.0.0.1", 0)) as silent:
-        url = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
-        arguments = ["holding", "0", "--timeout", "0.25", "--json", "--watch", "0.1"]
-        with Started("read", url, *arguments) as process:
-            told = [json.loads(process.stdout.readline()) for _ in range(3)]
-            assert all("no answer" in each["error"] for each in told)
-            interrupted(process)
-
-
 @each_case(
     ("end", "polls"),
     [
-        (["--count", "3"], 3),
         (["--watch", "0.01", "--count", "2"], 2),
         (["--watch", "0.5", "--for", "10ms"], 1),
         (["--for", "0.01"], 1),
     ],
 )
 def test_a_watch_ends(running: Running, end: list[str], polls: int) -> None:
-    end = end if "--watch" in end or "--for" in end else [*end, "--watch", "0.01"]
     done = run("read", running.urls[0], "hr", 0, *end)
     assert (done.code, done.err) == (0, "")
     assert done.out.count("\n") == polls
@@ -180,11 +167,10 @@ def test_a_terminal_has_a_table_that_is_drawn_in_place(running: Running, mapping
 
 
 @pytest.mark.parametrize(
-    ("environment", "in_place", "bold"),
-    [({"NO_COLOR": "1"}, True, False), ({"TERM": "dumb"}, False, False)],
+    ("environment", "in_place"), [({"NO_COLOR": "1"}, True), ({"TERM": "dumb"}, False)]
 )
 def test_terminals_that_want_less(
-    running: Running, mapping: Mapping, environment: dict[str, str], in_place: bool, bold: bool
+    running: Running, mapping: Mapping, environment: dict[str, str], in_place: bool
 ) -> None:
     arguments = ["read", running.urls[0], "holding", "0", *WATCH]
     with on_terminal(*arguments, environment=environment) as terminal:
@@ -192,7 +178,7 @@ def test_terminals_that_want_less(
         mapping.holding_registers[0] = 7
         terminal.until(lambda shown: "  7" in shown)
         assert ("\x1b[2A" in terminal.output) == in_place
-        assert ("\x1b[1m" in terminal.output) == bold
+        assert "\x1b[1m" not in terminal.output
         assert ("*     0  7" in terminal.output) == in_place
 
 

@@ -126,9 +126,9 @@ class SimulatedBus(Party):
         self._events.after(member.after, self._line.write, self, adu)
 
 
-def served(network: Network, url: str, *answers: Callable[[bytes], list[bytes] | None]) -> Scripted:
+def served(network: Network, url: str, *answers: Callable[[bytes], list[Any] | None]) -> Scripted:
     """
-    Serve answers, as `FakeServer` does.
+    Serve answers, as `FakeServer` does; None among the pieces of one closes the connection.
 
     Args:
         answers: one for each request, in order; the last one goes on.

@@ -5,9 +5,7 @@ Who answers where: real pseudo-terminals and sockets, and peers of every kind.
 from __future__ import annotations
 
 import signal
-import socket
 import subprocess
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -232,28 +230,18 @@ def test_units_answered_as_nobody_can_be_are_not_counted() -> None:
     assert any("247 units are answered like units that cannot exist" in n for n in scanned.notes)
 
 
-def test_a_server_that_hangs_up_on_unknown_units_is_asked_on() -> None:
+def test_a_server_that_hangs_up_on_unknown_units_is_asked_on(network: Network) -> None:
     """It ends each connection with the first question to anybody else."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        thread = threading.Thread(target=_hang_up, args=(listener, 4))
-        thread.start()
-        port = listener.getsockname()[1]
-        found = all_of(scan(f"tcp://127.0.0.1:{port}", units=[3, 4, 5], timeout=PATIENT))
-        assert [each.unit for each in found] == [4]
-        listener.shutdown(socket.SHUT_RDWR)
-        thread.join()
 
+    def answer(request: bytes) -> list[Any]:
+        if request[6] != 4:
+            return [None]
+        refusal = bytes([request[7] | 0x80, 1])
+        return [mbap(request, b"\x03\x02\0\1" if request[7] == 3 else refusal)]
 
-def _hang_up(listener: socket.socket, unit: int) -> None:
-    while True:
-        try:
-            peer, _ = listener.accept()
-        except OSError:
-            return
-        with peer:
-            while (request := peer.recv(260)) and request[6] == unit:
-                refusal = bytes([request[7] | 0x80, 1])
-                peer.sendall(mbap(request, b"\x03\x02\0\1" if request[7] == 3 else refusal))
+    server = served(network, "tcp://10.0.0.1", answer)
+    assert [each.unit for each in all_of(scan(server.url, units=[3, 4, 5]))] == [4]
+    assert server.connections > 1
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
