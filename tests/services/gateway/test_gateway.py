@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
-import socket
 from pathlib import Path
 
 import pytest
@@ -26,26 +25,10 @@ from libmodbus_py.services.gateway.line import GatewayLine
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.stage import Stage
-from tests.support.gateways import passage
 from tests.support.given import simulated
 from tests.support.peers import until
 
 ONE, SEVEN = bytes.fromhex("03 02 0000"), bytes.fromhex("03 02 0007")
-
-
-def test_a_device_that_goes_and_comes_back_is_found_again(stage: Stage) -> None:
-    """After the pause between two attempts, 2 s at the most."""
-    device = "tcp://10.0.0.9:5020"
-    with (
-        gateway([Route(f"{device}?timeout=5")]) as (_, url),
-        Context.from_url(url, unit=1, timeout=50) as context,
-    ):
-        for _ in range(2):
-            with pytest.raises(GatewayTargetFailedToRespond):
-                context.read_holding_registers(0, 1)
-            with Server({1: small()}).background(device):
-                stage.pass_time(2)
-                assert context.read_holding_registers(0, 1) == [0]
 
 
 def test_a_serial_port_that_is_unplugged_and_comes_back_is_opened_again(tmp_path: Path) -> None:
@@ -137,19 +120,6 @@ def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(
         assert gate.asked == ([0, 0, 7] if stays else [0, 7])
 
 
-def test_an_answer_that_is_still_awaited_is_no_answer_over_the_next_line(stage: Stage) -> None:
-    """Its request has failed, and then the options of the line changed."""
-    with gated(stage) as (gate, _, url, made), stage.talk(url) as client:
-        client.sendall(adu(READ_ONE, 1))
-        stage.pass_time(1001)
-        assert client.receive(9) == adu(b"\x83\x0b", 1)
-        made.change_routes([Route(f"{LINE}?timeout=999", "1")])
-        client.sendall(adu(pdu.ReadHoldingRegisters(7, 1).encode(), 2))
-        stage.pass_time(1)
-        gate.open()
-        assert client.receive(11) == adu(SEVEN, 2)
-
-
 @pytest.mark.parametrize("resets", [False, True])
 def test_who_closes_with_requests_waiting_costs_nothing(stage: Stage, resets: bool) -> None:
     with gated(stage) as (gate, line, url, _):
@@ -165,18 +135,6 @@ def test_who_closes_with_requests_waiting_costs_nothing(stage: Stage, resets: bo
         assert gate.asked == [0, 9]
         # Who only says that it sends nothing more may still listen.
         assert (line.waiting, line.in_flight, line.unwanted) == (0, 0, resets)
-
-
-def test_who_says_that_he_will_ask_no_more_gets_his_answer(stage: Stage) -> None:
-    slow = {1: [Fault("delay", seconds=0.1)]}
-    with (
-        passage("tcp", "rtu", {1: small()}, faults=slow, stage=stage) as through,
-        stage.talk(through.url) as client,
-    ):
-        client.sendall(adu(READ_ONE))
-        stage.pass_time(0.05)  # it was sent
-        client.shutdown(socket.SHUT_WR)
-        assert client.receive(12) == adu(b"\3\2\0\0")
 
 
 def test_closing_it_in_the_middle_leaves_nothing(stage: Stage) -> None:
@@ -212,19 +170,6 @@ def test_a_gateway_can_serve_again_but_not_twice_at_once() -> None:
                     assert context.read_holding_registers(0, 1) == [0]
                 with pytest.raises(RuntimeError), made.background("tcp://127.0.0.1:0"):
                     pass
-
-
-def test_lines_that_were_replaced_are_closed(stage: Stage) -> None:
-    route = Route(f"{LINE}?timeout=1", "1")
-    with Server({1: small()}).background(LINE), gateway([route]) as (made, url):
-        with Context.from_url(url, unit=1, timeout=5) as context:
-            assert context.read_holding_registers(0, 1) == [0]
-        for number in (1, 2, 3):
-            made.change_routes([Route(f"tcp://10.0.0.{number}:502", "1")])
-            stage.pass_time(1)
-            assert list(made.traffic.lines) == [f"tcp://10.0.0.{number}:502"]
-            assert not made._closing
-        made.change_routes([route])
 
 
 def test_a_gateway_has_ended_when_all_its_lines_are_closed(

@@ -12,10 +12,8 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
-    Context,
     ExceptionResponse,
     Fault,
-    GatewayTargetFailedToRespond,
     Route,
     framing,
     pdu,
@@ -61,60 +59,6 @@ def bus(
         write(data, after=seconds if every and asked[unit] % every == 0 else 0.0)
 
     return Scripted(stage, LINE, answer)
-
-
-def test_a_silent_unit_costs_its_timeout_once_and_then_nothing(stage: Stage) -> None:
-    """Counted in what goes over the line: 40 polls of it are no more than a few requests."""
-    with (
-        passage("tcp", "rtu", {1: small()}, line_options="timeout=0.5", stage=stage) as through,
-        through.context(1) as good,
-    ):
-        silent = good.for_unit(9)
-        for _ in range(40):
-            assert good.read_holding_registers(0, 1) == [0]
-            with pytest.raises(GatewayTargetFailedToRespond):
-                silent.read_holding_registers(0, 1)
-        (line,) = through.gateway.traffic.lines.values()
-        assert line.units[1].requests == 40
-        assert line.units[9].requests <= 6
-        assert line.units[9].resting >= 34
-
-
-def test_a_unit_that_is_back_is_found_on_a_line_that_never_rests(stage: Stage) -> None:
-    """Somebody asks the next thing before he has half of his answers."""
-    units = {1}
-    bus(stage, units)
-    request = pdu.ReadHoldingRegisters(0, 1).encode()
-    with (
-        gateway([Route(f"{LINE}?timeout=0.1")]) as (made, url),
-        Context.from_url(url, unit=2, timeout=5) as context,
-    ):
-        with pytest.raises(GatewayTargetFailedToRespond):
-            context.read_holding_registers(7, 1)
-        (line,) = made.traffic.lines.values()
-        poller = stage.talk(url, "10.0.0.2").end
-
-        def poll() -> None:
-            while poller.is_readable:
-                poller.send(adu(request) * (len(poller.recv(11)) // 11))
-
-        poller.on_input = poll
-        poller.send(adu(request) * 8)
-        assert stage.until(lambda: line.connection.responses > 20)
-        units.add(2)
-
-        def answers() -> bool:
-            try:
-                return context.read_holding_registers(7, 1) == [value(2, 7)]
-            except GatewayTargetFailedToRespond:
-                stage.pass_time(0.02)
-                return False
-
-        begun = stage.now
-        while not answers():
-            assert stage.now - begun < 0.3 + 0.1  # its rest, and the timeout of a trial
-        assert line.waiting > 0
-        poller.on_input = None
 
 
 def test_late_answers_are_never_anybody_elses(stage: Stage) -> None:

@@ -8,7 +8,6 @@ import pytest
 
 from libmodbus_py import (
     Access,
-    IllegalDataValue,
     IllegalFunction,
     pdu,
 )
@@ -59,22 +58,6 @@ def test_what_may_be_written_is_and_nothing_else(stage: Stage) -> None:
         with pytest.raises(IllegalFunction):
             context.execute(pdu.RawRequest(16, bytes.fromhex("006e 0001 04 0000 0000")))
         assert context.read_holding_registers(109, 3) == [1109, 0, 1]
-
-
-def test_what_cannot_be_passed_on_is_refused_here(stage: Stage) -> None:
-    """A wrong length would have everybody on a line look for the end in vain."""
-    with passage("tcp", "rtu", {1: small()}, stage=stage) as through, through.context(1) as context:
-        for request in (
-            pdu.RawRequest(3, b"\0\0\0\1\0"),
-            pdu.RawRequest(16, b"\0\0\0\1\2\0"),
-            pdu.RawRequest(7, b"\0"),
-        ):
-            with pytest.raises(IllegalDataValue):
-                context.execute(request)
-        with pytest.raises(IllegalDataValue):  # of the device
-            context.execute(pdu.RawRequest(3, b"\0\0\0\0"))
-        (line,) = through.gateway.traffic.lines.values()
-        assert line.units[1].requests == 1
 
 
 def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(stage: Stage) -> None:

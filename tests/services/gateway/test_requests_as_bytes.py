@@ -21,11 +21,13 @@ def test_no_function_has_such_a_code(code: int) -> None:
     assert raised.value.function == code
 
 
-def test_a_known_function_has_requests_of_its_length_only() -> None:
-    for size in (1, 4, 6):
-        with pytest.raises(IllegalDataValue) as raised:
-            request_of(b"\3\0\0\0\1\0"[:size])
-        assert raised.value.function == 3
+@each_case("request", ["03", "03 000000", "03 0000000100", "07 00", "10 00000001 02 00"])
+def test_a_known_function_has_requests_of_its_length_only(request: str) -> None:
+    """With a wrong length, everybody on a line would look for the end in vain."""
+    given = bytes.fromhex(request)
+    with pytest.raises(IllegalDataValue) as raised:
+        request_of(given)
+    assert raised.value.function == given[0]
 
 
 READS = (pdu.ReadCoils, pdu.ReadDiscreteInputs, pdu.ReadHoldingRegisters, pdu.ReadInputRegisters)
