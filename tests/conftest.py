@@ -15,6 +15,7 @@ from hypothesis import settings
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.client.queue import ONE_AT_A_TIME
+from tests.simulation.stage import Stage
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.certificates import Papers
 from tests.support.clients import KINDS, Connect, connecting
@@ -88,6 +89,13 @@ def mapping() -> Mapping:
 def device(mapping: Mapping) -> Device:
     """The mapping, and two files, one of them with a hole."""
     return Device(mapping, files={4: range(10_000), 3: {9: 0x33CD, 10: 0x0040, 12: 7}})
+
+
+@pytest.fixture
+def stage() -> Iterator[Stage]:
+    """A network in memory, on which seconds pass only while the test waits."""
+    with Stage() as made:
+        yield made
 
 
 @pytest.fixture

@@ -61,12 +61,6 @@ def devices() -> dict[int, Device]:
     }
 
 
-@pytest.fixture
-def stage() -> Iterator[Stage]:
-    with Stage() as made:
-        yield made
-
-
 @pytest.fixture(params=list(CONTEXTS))
 def line(
     request: pytest.FixtureRequest, stage: Stage, devices: dict[int, Device]

@@ -4,7 +4,7 @@ Length rules of registered classes that raise or return nonsense: a frame is los
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -86,12 +86,6 @@ def test_a_mistake_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     assert "Own" in record.getMessage()
     assert record.exc_info is not None
     assert "a mistake in a rule" in str(record.exc_info[1])
-
-
-@pytest.fixture
-def stage() -> Iterator[Stage]:
-    with Stage() as made:
-        yield made
 
 
 @pytest.mark.parametrize("kind", ["server", "gateway"])

@@ -9,15 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from libmodbus_py import Device, Server
-from tests.simulation.stage import Stage
 from tests.support.events import Events
-
-
-@pytest.fixture
-def stage() -> Iterator[Stage]:
-    """A network in memory, on which seconds pass only while the test waits."""
-    with Stage() as made:
-        yield made
 
 
 @pytest.fixture
