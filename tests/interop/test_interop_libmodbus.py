@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import re
 import subprocess
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ import pytest
 from libmodbus_py import (
     Context,
     Device,
-    IllegalDataAddress,
     IllegalFunction,
     Mapping,
     ModbusTimeoutError,
@@ -28,6 +27,7 @@ from libmodbus_py.low_level import lib, loaded_version
 from libmodbus_py.ports.endpoint import Endpoint
 from tests.support.c_programs import compile_c
 from tests.support.cases import each
+from tests.support.clients import NATIVE
 from tests.support.interop import (
     BAUDRATE,
     TIMEOUT,
@@ -38,21 +38,21 @@ from tests.support.interop import (
     call,
     case_id,
     cells,
+    check_answers,
+    check_refusals,
     coil,
     connected,
+    each_way,
     exchanges,
     holding_register,
     make_device,
     our_server,
     program,
-    refusals,
-    restore_through,
     tried,
 )
 
 EXAMPLES = Path("/usr/share/doc/libmodbus-dev/examples")
 TRANSPORTS = ("tcp", "rtu")
-WAYS = {"native": True, "python": False}
 
 each_transport = pytest.mark.parametrize("transport", TRANSPORTS)
 
@@ -67,16 +67,6 @@ def c_server(server: Path, transport: str, **options: Any) -> Iterator[Context]:
         yield context
 
 
-def to_c_server(
-    cases: Iterable[Exchange], transport: str
-) -> Iterator[tuple[str, tuple[Exchange, bool]]]:
-    """Yield each case in each way that a context has, with its id."""
-    for exchange in cases:
-        for way in WAYS:
-            name = case_id("libmodbus", "client", transport, exchange.function, exchange.name, way)
-            yield name, (exchange, WAYS[way])
-
-
 def who_it_is() -> Iterator[Exchange]:
     version = ".".join(map(str, loaded_version()))
     answer = pdu.ServerId(b"\xb4", True, f"LMB{version}".encode())
@@ -87,29 +77,16 @@ def who_it_is() -> Iterator[Exchange]:
 def test_context_and_c_server_agree(
     compiled: Callable[[str], Path], transport: str, record_property: Record
 ) -> None:
-    cases = to_c_server([*exchanges(), *who_it_is()], transport)
     with c_serving(compiled("server"), transport) as url:
-        for check, (exchange, way) in tried(record_property, cases):
-            with check, connected(url, native=way) as context:
-                for _ in range(2):  # on a line the second goes the short way
-                    assert exchange.ask(context) == exchange.answer
-                    assert exchange.look(context) == exchange.seen
-                restore_through(context, exchange.function)
+        check_answers(url, "libmodbus", [*exchanges(), *who_it_is()], record_property)
 
 
 @each_transport
 def test_context_raises_what_c_server_refuses(
     compiled: Callable[[str], Path], transport: str, record_property: Record
 ) -> None:
-    cases = to_c_server(refusals(), transport)
     with c_serving(compiled("server"), transport) as url:
-        for check, (exchange, way) in tried(record_property, cases):
-            with check, connected(url, native=way) as context:
-                for _ in range(2):
-                    with pytest.raises(IllegalDataAddress) as caught:
-                        exchange.ask(context)
-                    assert caught.value.function == exchange.function
-                assert context.read_holding_registers(399, 1) == [1399]
+        check_refusals(url, "libmodbus", record_property)
 
 
 LACKING: dict[int, Callable[[Context], object]] = {
@@ -149,10 +126,10 @@ def what_it_lacks(transport: str) -> Iterator[Exchange]:
 def test_what_libmodbus_lacks_is_refused_or_not_answered(
     compiled: Callable[[str], Path], transport: str, record_property: Record
 ) -> None:
-    cases = to_c_server(what_it_lacks(transport), transport)
-    for check, (exchange, way) in tried(record_property, cases):
-        options: dict[str, Any] = {"native": way, "timeout": PATIENCE[exchange.name]}
-        with check, c_server(compiled("server"), transport, **options) as context:
+    cases = each_way("libmodbus", transport, what_it_lacks(transport))
+    for check, (exchange, options) in tried(record_property, cases):
+        patience = PATIENCE[exchange.name]
+        with check, c_server(compiled("server"), transport, timeout=patience, **options) as context:
             errors: Any = exchange.answer
             with pytest.raises(errors) as caught:
                 exchange.ask(context)
@@ -160,9 +137,11 @@ def test_what_libmodbus_lacks_is_refused_or_not_answered(
             assert exchange.look(context) == exchange.seen
 
 
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-def test_c_server_obeys_a_broadcast_in_silence(compiled: Callable[[str], Path], way: bool) -> None:
-    with c_server(compiled("server"), "rtu", native=way, turnaround=0.05) as context:
+@NATIVE
+def test_c_server_obeys_a_broadcast_in_silence(
+    compiled: Callable[[str], Path], native: bool
+) -> None:
+    with c_server(compiled("server"), "rtu", native=native, turnaround=0.05) as context:
         context.for_unit(0).write_registers(100, [1, 2])
         assert context.read_holding_registers(100, 3) == [1, 2, 1102]
 
@@ -259,7 +238,7 @@ def test_c_carries_every_function_of_a_native_context(
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+@NATIVE
 @pytest.mark.parametrize(
     "server_id",
     [
@@ -269,13 +248,13 @@ def test_c_carries_every_function_of_a_native_context(
     ids=["least", "most"],
 )
 def test_identifier_is_the_same_on_every_way(
-    transport: str, way: bool, server_id: pdu.ServerId
+    transport: str, native: bool, server_id: pdu.ServerId
 ) -> None:
     device = make_device()
     device.server_id = server_id
     with (
         our_server(transport, {UNIT: device}) as place,
-        connected(str(place.end), native=way) as context,
+        connected(str(place.end), native=native) as context,
     ):
         assert context.report_server_id() == server_id
 

@@ -32,7 +32,6 @@ from tests.interop.test_interop_pymodbus import (
     NOT_RTU,
     ON_RTU,
     SERIAL,
-    TRANSPORTS,
     WITH_IDS,
     as_bytes,
     each_transport,
@@ -47,11 +46,11 @@ from tests.support.interop import (
     Exchange,
     Record,
     case_id,
+    check_answers,
+    check_refusals,
     connected,
     exchanges,
     holding_register,
-    refusals,
-    restore_through,
     tried,
 )
 from tests.support.peers import until
@@ -63,39 +62,6 @@ def pymodbus_server(transport: str, **options: Any) -> Iterator[Context]:
     """Yield a context of ours that is connected to a server of pymodbus."""
     with pymodbus_serving(transport) as url, connected(url, **options) as context:
         yield context
-
-
-# Framings that libmodbus does not speak, or not there, have one way only.
-WAYS: dict[str, dict[str, dict[str, Any]]] = {
-    transport: (
-        {"native": {"native": True}, "python": {"native": False}}
-        if transport in ("tcp", "rtu")
-        else {"python": {}}
-    )
-    for transport in TRANSPORTS
-}
-
-
-def to_pymodbus_server(
-    cases: Iterator[Exchange], transport: str
-) -> Iterator[tuple[str, tuple[Exchange, dict[str, Any]]]]:
-    """Yield each case in each way that the transport has, with its id."""
-    for exchange in cases:
-        for way, options in WAYS[transport].items():
-            name = case_id("pymodbus", "client", transport, exchange.function, exchange.name, way)
-            yield name, (exchange, options)
-
-
-@each_transport
-def test_context_and_pymodbus_server_agree(transport: str, record_property: Record) -> None:
-    cases = to_pymodbus_server(exchanges(), transport)
-    with pymodbus_serving(transport) as url:
-        for check, (exchange, options) in tried(record_property, cases):
-            with check, connected(url, **options) as context:
-                for _ in range(2):  # with native=None the second goes through libmodbus
-                    assert exchange.ask(context) == exchange.answer
-                    assert exchange.look(context) == exchange.seen
-                restore_through(context, exchange.function)
 
 
 def exchanges_beside_the_tables() -> Iterator[Exchange]:
@@ -118,15 +84,18 @@ def exchanges_beside_the_tables() -> Iterator[Exchange]:
 
 
 @each_transport
-def test_context_and_pymodbus_server_agree_beside_the_tables(
+def test_context_and_pymodbus_server_agree(transport: str, record_property: Record) -> None:
+    cases = [*exchanges(), *exchanges_beside_the_tables()]
+    with pymodbus_serving(transport) as url:
+        check_answers(url, "pymodbus", cases, record_property)
+
+
+@each_transport
+def test_context_raises_what_pymodbus_server_refuses(
     transport: str, record_property: Record
 ) -> None:
-    cases = to_pymodbus_server(exchanges_beside_the_tables(), transport)
     with pymodbus_serving(transport) as url:
-        for check, (exchange, options) in tried(record_property, cases):
-            with check, connected(url, **options) as context:
-                for _ in range(2):
-                    assert exchange.ask(context) == exchange.answer
+        check_refusals(url, "pymodbus", record_property)
 
 
 @pytest.fixture
@@ -161,23 +130,6 @@ def test_context_reads_the_identification_of_pymodbus_server(control: Any, trans
                 assert found.conformity == 0x83
                 with pytest.raises(IllegalDataAddress):
                     context.read_device_identification(5)
-
-
-@each_transport
-def test_context_raises_what_pymodbus_server_refuses(
-    transport: str, record_property: Record
-) -> None:
-    cases = to_pymodbus_server(refusals(), transport)
-    with pymodbus_serving(transport) as url:
-        for check, (exchange, options) in tried(record_property, cases):
-            # A line is silent for a timeout where an answer could be that of the request before.
-            with check, connected(url, timeout=2.0, **options) as context:
-                for _ in range(2):
-                    with pytest.raises(IllegalDataAddress) as caught:
-                        exchange.ask(context)
-                    assert caught.value.function == exchange.function
-                assert context.read_holding_registers(399, 1) == [1399]
-                restore_through(context, exchange.function)
 
 
 # Without ids the answer to another function ends no wait: seconds to wait for one.

@@ -15,7 +15,9 @@ from operator import methodcaller
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from libmodbus_py import Context, Device, Mapping, Server
+import pytest
+
+from libmodbus_py import Context, Device, IllegalDataAddress, Mapping, Server
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.protocol.pdu import ServerId
 from libmodbus_py.tools.testing.wires import SerialWire, TcpWire
@@ -302,3 +304,42 @@ def refusals() -> Iterator[Exchange]:
         (23, call("read_write_registers", 100, 1, 400, [1])),
     ):
         yield Exchange(function, "refused", ask)
+
+
+# --- our contexts and a server of others -----------------------------------------------------
+
+
+def each_way(
+    peer: str, transport: str, cases: Iterable[Exchange]
+) -> Iterator[tuple[str, tuple[Exchange, dict[str, Any]]]]:
+    """Yield each case with its id, and with the options of each way that a context has there."""
+    ways: dict[str, dict[str, Any]] = {"python": {"native": False}}
+    if transport in ("tcp", "rtu"):
+        ways["native"] = {"native": True}
+    for exchange in cases:
+        for way, options in ways.items():
+            name = case_id(peer, "client", transport, exchange.function, exchange.name, way)
+            yield name, (exchange, options)
+
+
+def check_answers(url: str, peer: str, cases: Iterable[Exchange], record: Record) -> None:
+    """Assert that contexts get each answer of a server, and that it does what it is asked."""
+    for check, (exchange, options) in tried(record, each_way(peer, parse(url).scheme, cases)):
+        with check, connected(url, **options) as context:
+            for _ in range(2):  # on a line the second goes the short way
+                assert exchange.ask(context) == exchange.answer
+                assert exchange.look(context) == exchange.seen
+            restore_through(context, exchange.function)
+
+
+def check_refusals(url: str, peer: str, record: Record) -> None:
+    """Assert that contexts raise what a server refuses, and go on."""
+    for check, (exchange, options) in tried(record, each_way(peer, parse(url).scheme, refusals())):
+        # A line is silent for a timeout where an answer could be that of the request before.
+        with check, connected(url, timeout=2.0, **options) as context:
+            for _ in range(2):
+                with pytest.raises(IllegalDataAddress) as caught:
+                    exchange.ask(context)
+                assert caught.value.function == exchange.function
+            assert context.read_holding_registers(399, 1) == [1399]
+            restore_through(context, exchange.function)
