@@ -6,14 +6,10 @@ same text back, and a terminal obeys none of it.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import csv
 import io
 import json
-import os
-import pty
-import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -84,40 +80,6 @@ def test_nothing_is_left_that_a_terminal_obeys() -> None:
     assert without_controls("\x1b[31m\x9b\r\n") == "\\x1b[31m\\x9b\\x0d\n"
 
 
-@contextlib.contextmanager
-def terminal() -> Iterator[Callable[[], str]]:
-    """Make the standard output a terminal; the function ends that, and returns what it got."""
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    kept = os.dup(1)
-    os.dup2(slave, 1)
-    os.close(slave)
-
-    def read() -> str:
-        os.dup2(kept, 1)  # nobody has the terminal open any more: its text has an end
-        pieces: list[bytes] = []
-        with contextlib.suppress(OSError):
-            while piece := os.read(master, 1 << 20):
-                pieces.append(piece)
-        return b"".join(pieces).decode()
-
-    try:
-        yield read
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
-        os.close(master)
-
-
-@pytest.mark.parametrize("kind", [JsonOutput, CsvOutput])
-def test_a_fleet_shows_it_harmlessly(kind: type[JsonOutput | CsvOutput]) -> None:
-    with terminal() as read:
-        written(kind("-"), reading("\x1b[31mred\x9b2J\r"))
-        shown = read()
-    assert "[31mred" in shown
-    assert not OBEYED & set(shown)
-
-
 HOSTILE = "\x1b[5m\r\x07\x9b"
 
 
@@ -131,10 +93,33 @@ def url() -> Iterator[str]:
 
 WORDS = ["holding", "0", "--type", "string:8", "--encoding", "latin-1"]
 
+FLEET = """
+[[device]]
+name = "one"
+url = "{url}"
+[[device.point]]
+name = "text"
+table = "holding_registers"
+address = 0
+type = "string:8"
+encoding = "latin-1"
+"""
 
-@each_case("form", [[], ["--csv"], ["--json"]])
-def test_read_shows_it_harmlessly(url: str, form: list[str]) -> None:
-    with on_terminal("read", url, *WORDS, *form) as terminal:
+
+@each_case(
+    "words",
+    [
+        ["read", "{url}", *WORDS],
+        ["read", "{url}", *WORDS, "--csv"],
+        ["read", "{url}", *WORDS, "--json"],
+        ["poll", "{fleet}", "--once", "--csv", "-"],
+        ["poll", "{fleet}", "--once", "--json", "-"],
+    ],
+)
+def test_commands_show_it_harmlessly(url: str, tmp_path: Path, words: list[str]) -> None:
+    fleet = tmp_path / "fleet.toml"
+    fleet.write_text(FLEET.format(url=url))
+    with on_terminal(*(each.format(url=url, fleet=fleet) for each in words)) as terminal:
         shown = terminal.read_to_end()
     assert "5m" in shown
     assert not OBEYED & set(shown.replace("\r\n", "\n"))
