@@ -11,7 +11,7 @@ import csv
 import json
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -176,59 +176,44 @@ def test_a_file_with_other_columns_is_not_continued(tmp_path: Path) -> None:
 # --- the standard output ------------------------------------------------------------------------
 
 
-@pytest.fixture
-def standard_output() -> Iterator[Callable[[int], None]]:
-    """A function that puts a descriptor in place of the standard output."""
-    kept = os.dup(1)
-    yield lambda descriptor: os.dup2(descriptor, 1) and None
-    os.dup2(kept, 1)
-    os.close(kept)
-
-
-def test_a_standard_output_gets_one_header(
-    standard_output: Callable[[int], None], capfd: pytest.CaptureFixture[str]
-) -> None:
-    with capfd.disabled():
-        reading_end, writing_end = os.pipe()
-        standard_output(writing_end)
-        os.close(writing_end)
-        written(CsvOutput("-"), reading(1), reading(2))
-        os.dup2(2, 1)
-        with os.fdopen(reading_end, "rb") as pipe:
-            lines = pipe.read().splitlines(keepends=True)
-    assert lines[0] == HEADER
-    assert [line.split(b",")[3] for line in lines[1:]] == [b"1", b"2"]
+def test_a_standard_output_gets_one_header(capfd: pytest.CaptureFixture[str]) -> None:
+    written(CsvOutput("-"), reading(1), reading(2))
+    header, *lines = capfd.readouterr().out.splitlines(keepends=True)
+    assert header.encode() == HEADER
+    assert [line.split(",")[3] for line in lines] == ["1", "2"]
 
 
 def test_a_standard_output_that_does_not_block_is_waited_for(
-    standard_output: Callable[[int], None], capfd: pytest.CaptureFixture[str]
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
+    received = bytearray()
+    text = "x" * 300_000  # more than a pipe holds
+
+    def read() -> None:
+        while piece := os.read(reading_end, 1000):
+            received.extend(piece)
+
+    async def go() -> None:
+        output = JsonOutput("-")
+        await output.open()
+        writing = asyncio.ensure_future(output.write([reading(text)]))
+        await asyncio.sleep(0)
+        thread.start()
+        await writing
+        await output.close()
+
     with capfd.disabled():
         reading_end, writing_end = os.pipe()
         os.set_blocking(writing_end, False)
-        received = bytearray()
-
-        def read() -> None:
-            while piece := os.read(reading_end, 1000):
-                received.extend(piece)
-
-        thread = threading.Thread(target=read)
-        standard_output(writing_end)
+        thread = threading.Thread(target=read, daemon=True)
+        kept = os.dup(1)
+        os.dup2(writing_end, 1)
         os.close(writing_end)
-        text = "x" * 300_000  # more than a pipe holds
-        starter = lambda: thread.start()  # noqa: E731
-
-        async def go() -> None:
-            output = JsonOutput("-")
-            await output.open()
-            writing = asyncio.ensure_future(output.write([reading(text)]))
-            await asyncio.sleep(0)
-            starter()
-            await writing
-            await output.close()
-
-        asyncio.run(go())
-        os.dup2(2, 1)
+        try:
+            asyncio.run(go())
+        finally:
+            os.dup2(kept, 1)
+            os.close(kept)
         thread.join()
         os.close(reading_end)
     assert json.loads(received)["value"] == text
