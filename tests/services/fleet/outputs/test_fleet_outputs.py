@@ -198,11 +198,6 @@ class TestLastValues:
         values.describe({"a": meter("a", "tcp://192.0.2.1")})
         assert sorted(values.statistics.by_name) == [("a", "w")]
 
-    def test_a_removed_device_has_no_values(self) -> None:
-        values = LastValues()
-        asyncio.run(values.write([value_of("gone"), value_of("gone", quality="offline")]))
-        assert values.statistics.by_name == {}
-
 
 def test_only_the_standard_output_wants_no_earlier_readings() -> None:
     assert JsonOutput("-").is_live is True
