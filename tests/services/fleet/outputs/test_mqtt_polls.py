@@ -9,13 +9,12 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Server
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.forms import object_text, poll_messages
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
-from tests.services.fleet.fleets import in_real_time, meter, polling, simulated, until
-from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, told
+from tests.services.fleet.fleets import in_real_time, until
+from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, told
 from tests.support.outputs import pumping
 
 TOPIC = "plant/{device}"
@@ -101,22 +100,3 @@ async def test_polls_above_the_largest_message_are_several(broker: Broker) -> No
         messages = heard_of(heard, "plant/a")
         assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))
         assert sum(len(each["values"]) for each in messages) == 100
-
-
-@in_real_time
-async def test_commands_go_by_the_name_of_the_point(broker: Broker) -> None:
-    device = simulated()
-    async with Server({1: device}).serving("tcp://127.0.0.1:0") as served:
-        output = Mqtt(broker.url, topic=TOPIC, commands=True)
-        north = meter("north", served.urls[0])
-        async with (
-            polling(north, outputs=[output]) as (fleet, _),
-            hearing(broker, "plant/north/+/set/result") as heard,
-        ):
-            await until(lambda: fleet.statistics.outputs[output.name].written)
-            await publish(broker, "plant/north/set", b"20")
-            await publish(broker, "plant/north/setpoint/set", b"21")
-            await until(lambda: heard)
-            [(topic, outcome, _)] = heard
-            assert (topic, outcome["ok"]) == ("plant/north/setpoint/set/result", True)
-            assert device.mapping.holding_registers[2] == 21

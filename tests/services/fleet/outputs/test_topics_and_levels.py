@@ -142,29 +142,40 @@ async def test_a_changed_label_leaves_no_value_at_the_former_topic(broker: Broke
             assert {each["value"] for each in kept.values()} == {None}
 
 
+@pytest.mark.parametrize(
+    ("template", "reading", "other", "own"),
+    [
+        (
+            TEMPLATE,
+            "plant/Halle 1/north/power",
+            "plant/Hof/north/setpoint/set",
+            "plant/Halle 1/north/setpoint/set",
+        ),
+        ("plant/{device}", "plant/north", "plant/north/set", "plant/north/setpoint/set"),
+    ],
+    ids=["with labels", "without the name of a point"],
+)
 @in_real_time
-async def test_readings_and_commands_go_by_the_labels(broker: Broker) -> None:
+async def test_a_command_goes_to_the_own_topic_of_a_point_only(
+    broker: Broker, template: str, reading: str, other: str, own: str
+) -> None:
     """A command to the topic of another site is none: rules of the broker go by topics."""
     device = simulated()
     with Server({1: device}).background("tcp://127.0.0.1:0") as served:
-        output = Mqtt(
-            broker.url,
-            topic=TEMPLATE,
-            device_status="states/{label.site}/{device}",
-            status="",
-            commands=True,
-        )
+        states = "states/{label.site}/{device}"
+        output = Mqtt(broker.url, topic=template, device_status=states, status="", commands=True)
         north = meter("north", served.urls[0], labels={"site": "Halle 1"})
         async with (
             hearing(broker, "#") as heard,
             Fleet([north], outputs=[output]),
         ):
-            await until(lambda: any(each[0] == "plant/Halle 1/north/power" for each in heard))
-            await until(lambda: ("states/Halle 1/north", "online") in [e[:2] for e in heard])
-            await publish(broker, "plant/Hof/north/setpoint/set", b"25")
-            await publish(broker, "plant/Halle 1/north/setpoint/set", b"21")
-            await until(lambda: any(each[0].endswith("/set/result") for each in heard))
-            results = [each for each in heard if each[0].endswith("/set/result")]
-            assert [each[0] for each in results] == ["plant/Halle 1/north/setpoint/set/result"]
+            await until(lambda: heard_of(heard, reading))
+            await until(lambda: heard_of(heard, "states/Halle 1/north") == ["online"])
+            await publish(broker, other, b"25")
+            await publish(broker, own, b"21")
+            await until(lambda: any(topic.endswith("/result") for topic, *_ in heard))
+            [(topic, outcome)] = [
+                (topic, outcome) for topic, outcome, _ in heard if topic.endswith("/result")
+            ]
+            assert (topic, outcome["ok"]) == (f"{own}/result", True)
             assert device.mapping.holding_registers[2] == 21
-            assert results[0][1]["ok"]
