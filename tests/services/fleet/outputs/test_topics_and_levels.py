@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Fleet, Server
-from libmodbus_py.fleet import DeviceConfig, FleetFileError, load
+from libmodbus_py.fleet import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Levels, Topic
 from tests.services.fleet.fleets import in_real_time, meter, simulated, until
@@ -115,31 +115,6 @@ async def test_a_device_without_the_label_is_not_added() -> None:
             assert [*fleet.devices] == ["a", "b"]
         with pytest.raises(ValueError, match="'a' has no label 'site'"):
             await Fleet([meter("a", url)], outputs=[output]).run(once=True)
-
-
-@in_real_time
-async def test_a_changed_label_leaves_no_value_at_the_former_topic(broker: Broker) -> None:
-    """A new subscriber would take it for good."""
-    async with Server({1: simulated()}).serving("tcp://127.0.0.1:0") as served:
-        output = Mqtt(
-            broker.url, topic=TEMPLATE, status="", device_status="states/{label.site}/{device}"
-        )
-
-        def north(site: str) -> DeviceConfig:
-            return meter("north", served.urls[0], labels={"site": site})
-
-        async with Fleet([north("Halle")], outputs=[output]) as fleet:
-            async with hearing(broker, "plant/#", "states/#") as heard:
-                # The state comes last: a write that is under way goes by the new labels.
-                await until(lambda: "states/Halle/north" in {topic for topic, *_ in heard})
-                fleet.replace([north("Hof")])
-                await until(lambda: heard_of(heard, "plant/Hof/north/power"))
-            async with hearing(broker, "plant/Halle/#", "states/Halle/#") as heard:
-                await until(lambda: len(heard) >= 4)
-                kept = {topic: payload for topic, payload, _ in heard}
-            assert kept.pop("states/Halle/north") == "offline"
-            assert {each["quality"] for each in kept.values()} == {"offline"}
-            assert {each["value"] for each in kept.values()} == {None}
 
 
 @pytest.mark.parametrize(
