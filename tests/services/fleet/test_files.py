@@ -224,6 +224,7 @@ WRONG_TABLES = [
     ),
     ("[output.json]\npath = 7", 2, "output.json.path must be text"),
     ("[output.mqtt]\nuser = 'x'", 1, "output.mqtt.url is missing"),
+    ("[output.influx]\ntoken = 'secret'", 2, "output.influx.token must not be written in the file"),
 ]
 
 

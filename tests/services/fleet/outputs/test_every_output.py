@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import csv
 import json
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.outputs.output import Output, OutputError
 from libmodbus_py.services.workers.messages import _messages
 from tests.support.cases import each_case
 from tests.support.outputs import reading, write
@@ -162,3 +164,18 @@ def test_points_with_states_stay_text_when_their_device_is_removed(tmp_path: Pat
 def test_bad_columns_are_refused(labels: Any, told: str) -> None:
     with pytest.raises((TypeError, ValueError), match=told):
         CsvOutput(labels=labels)
+
+
+@pytest.mark.parametrize(
+    ("output", "package", "told"),
+    [
+        (Influx(url="http://192.0.2.1", database="plant"), "httpx", "InfluxDB needs httpx: "),
+        (Mqtt("mqtt://192.0.2.1"), "aiomqtt", "MQTT needs aiomqtt: "),
+    ],
+)
+def test_without_its_package_one_line_says_what_to_install(
+    output: Output, package: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(OutputError, match=told):
+        asyncio.run(output.open())

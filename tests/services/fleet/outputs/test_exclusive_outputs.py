@@ -59,10 +59,11 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
             f'{COMMANDED}topic = "z/{{device}}/{{name}}"\n'
             f'{COMMANDED}topic = "y/{{name}}/{{device}}/z"\n'
             f'{SERVER}database = "a"\n{SERVER}database = "b"\n'
-            f'{SERVER}database = "a"\nmeasurement = "raw"\n[[output.influx]]\npath = "a.lines"\n',
+            f'{SERVER}database = "a"\nmeasurement = "raw"\n[[output.influx]]\npath = "a.lines"\n'
+            f'{SERVER}bucket = "c"\ntoken_file = "secret"\n',
         )
     )
-    assert len(Fleet(file.devices, outputs=file.made_outputs())._receivers.outputs) == 14
+    assert len(Fleet(file.devices, outputs=file.made_outputs())._receivers.outputs) == 15
 
 
 @each_case(

@@ -19,7 +19,6 @@ import pytest
 from libmodbus_py import Fleet
 from libmodbus_py.services.fleet.outputs import mqtt_connection
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.tools.certificates import Identity
 from tests.services.fleet.fleets import RealPeer, in_real_time, meter, until
 from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish, run
@@ -310,9 +309,3 @@ async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
 def test_bad_option_is_named(options: Any, named: str) -> None:
     with pytest.raises((TypeError, ValueError), match=re.escape(named)):
         Mqtt(**{"url": "mqtt://192.0.2.1", **options})
-
-
-def test_without_aiomqtt_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "aiomqtt", None)
-    with pytest.raises(OutputError, match="MQTT needs aiomqtt: "):
-        asyncio.run(Mqtt("mqtt://192.0.2.1").open())

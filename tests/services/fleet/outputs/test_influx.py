@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import sys
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager, closing, suppress
 from dataclasses import dataclass, field
@@ -18,11 +17,9 @@ from urllib.parse import parse_qs
 import pytest
 
 from libmodbus_py import Point, RegisterMap
-from libmodbus_py.fleet import DeviceConfig, FleetFileError, Reading
-from libmodbus_py.services.fleet.files import load
+from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services.fleet.outputs import influx
 from libmodbus_py.services.fleet.outputs.influx import Influx, LineProtocol, _shown
-from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.fleet.readings import Quality
 from libmodbus_py.services.other_servers import SecretFile
 from tests.services.fleet.fleets import in_real_time
@@ -111,16 +108,6 @@ async def serving(answers: Iterable[Answer] = ()) -> AsyncIterator[HttpServer]:
 
 READING = Reading(1_700_000_000.0, "north", "level", 7, "m", "good")
 LINE = b"modbus,device=north level=7 1700000000000000000\n"
-
-FLEET = """
-[[device]]
-name = "north"
-url = "tcp://127.0.0.1"
-[[device.point]]
-name = "level"
-table = "holding_registers"
-address = 0
-"""
 
 LOGIN = {"user": "me", "password": "secret"}
 
@@ -253,29 +240,10 @@ def test_bad_keys_are_refused(keys: dict[str, Any], told: str) -> None:
         Influx(**keys)
 
 
-def test_a_token_stands_in_no_fleet_file(tmp_path: Path) -> None:
-    file = tmp_path / "fleet.toml"
-    file.write_text(
-        f'{FLEET}[output.influx]\nurl = "http://127.0.0.1"\nbucket = "b"\ntoken = "x"\n'
-    )
-    with pytest.raises(FleetFileError, match="token must not be written in the file"):
-        load(file)
-    file.write_text(file.read_text().replace('token = "x"', 'token_file = "token"'))
-    write_secret(tmp_path / "token", "x")
-    assert load(file).made_outputs()[0].name == "influx 127.0.0.1:80"
-
-
 def test_a_file_of_lines(tmp_path: Path) -> None:
     for _ in range(2):
         asyncio.run(outputs.write(Influx(str(tmp_path / "lines"), measurement="plant"), [READING]))
     assert (tmp_path / "lines").read_bytes() == 2 * LINE.replace(b"modbus", b"plant")
-
-
-def test_without_httpx_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "httpx", None)
-    output = Influx(url="http://192.0.2.1:8086", database="plant")
-    with pytest.raises(OutputError, match="InfluxDB needs httpx: "):
-        asyncio.run(output.open())
 
 
 @pytest.mark.parametrize(
