@@ -158,9 +158,7 @@ class Journal:
             self._thread.stop()
             raise
         self._recent = RecentPolls(begun.first - 1)
-        self._places = [
-            JournalPlace(name, self, begun.places[name], begun.waiting[name]) for name in outputs
-        ]
+        self._places = [JournalPlace(name, self, *begun.places[name]) for name in outputs]
         self._task = asyncio.create_task(self._run(), name=f"journal {self.path}")
         return self._places
 

@@ -85,8 +85,7 @@ class Begun(NamedTuple):
     """The first id of a run; for each output the id it confirmed, and how many readings wait."""
 
     first: int
-    places: dict[str, int]
-    waiting: dict[str, int]
+    places: dict[str, tuple[int, int]]
 
 
 class JournalState(NamedTuple):
@@ -201,12 +200,8 @@ class JournalFile:
                 "INSERT INTO place VALUES (?, ?) ON CONFLICT DO NOTHING",
                 [(name, first - 1) for name in outputs],
             )
-            found = {name: database.execute(WAITING, (name,)).fetchone() for name in outputs}
-        return Begun(
-            first,
-            {name: place for name, (place, _) in found.items()},
-            {name: waiting for name, (_, waiting) in found.items()},
-        )
+            places = {name: database.execute(WAITING, (name,)).fetchone() for name in outputs}
+        return Begun(first, places)
 
     def close(self) -> None:
         """Force all data onto the disk, close the file, and let others open it."""

@@ -81,12 +81,13 @@ def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_pa
     for each in copies:
         again = JournalFile(str(each), 1e10, 10**9)
         begun = again.open(["a"])
-        again.write([], begun.places, 0)
+        confirmed, _ = begun.places["a"]
+        again.write([], {"a": confirmed}, 0)
         again.close()
         ids = in_journal(str(each))
         assert ids == [*range(1, len(ids) + 1)]
-        assert begun.places["a"] <= len(ids) < begun.first
-        found.add((len(ids), begun.places["a"]))
+        assert confirmed <= len(ids) < begun.first
+        found.add((len(ids), confirmed))
     assert found == {(0, 0), (20, 0), (40, 20), (60, 40)}
 
 

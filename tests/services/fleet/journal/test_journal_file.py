@@ -206,14 +206,13 @@ def test_a_poll_that_cannot_be_written_delays_no_other(
 def test_places_are_kept_for_each_output(path: str) -> None:
     file = JournalFile(path, DAY, 10**9)
     first = file.open(["a"])
-    assert first.places == {"a": first.first - 1}
+    assert first.places == {"a": (first.first - 1, 0)}
     file.write(polls(first.first, 5), {"a": first.first + 3}, 0)
     file.write([], {"a": first.first + 1}, 0)  # a place never falls
     file.close()
     second = file.open(["a", "new"])
     assert second.first >= first.first + 9 + MARGIN or second.first > first.first + 10
-    assert second.places == {"a": first.first + 3, "new": second.first - 1}
-    assert second.waiting == {"a": 6, "new": 0}
+    assert second.places == {"a": (first.first + 3, 6), "new": (second.first - 1, 0)}
     file.close()
     file.open(["new"])  # an output that is away keeps its place
     file.close()
