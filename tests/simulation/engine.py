@@ -91,7 +91,7 @@ class Engine:
 
     def bucket(self, client: EngineClient) -> Bucket:
         """Return the bucket of the fleet as the package has it."""
-        return cast(Any, Bucket)(client, client.jetstream(), Keys(client), BUCKET)
+        return cast(Any, Bucket)(client.jetstream(), Keys(client), BUCKET)
 
     def stop(self) -> None:
         """Stop the server: all connections break, and nobody can connect."""

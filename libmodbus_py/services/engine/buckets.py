@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from nats.aio.client import Client
     from nats.aio.msg import Msg
     from nats.js import JetStreamContext
-    from nats.js.client import JetStreamContext as Js
     from nats.js.kv import KeyValue
 
 __all__ = ["Bucket", "Change", "Watch", "keep_stream", "open_bucket"]
@@ -41,9 +40,8 @@ class Change(NamedTuple):
 class Bucket:
     """A key-value bucket, as `open_bucket` returns it."""
 
-    def __init__(self, client: Client, js: JetStreamContext, keys: KeyValue, name: str) -> None:
-        self.client = client
-        self.js = js
+    def __init__(self, js: JetStreamContext, keys: KeyValue, name: str) -> None:
+        self._js = js
         self.name: str = name
         self._keys = keys
 
@@ -81,7 +79,7 @@ class Bucket:
         watch = Watch(self.name, on_change, on_gap)
         try:
             with explained(self.name):
-                await watch.begin(self.js)
+                await watch.begin(self._js)
         except BaseException:
             await watch.end()
             raise
@@ -107,7 +105,7 @@ class Watch:
         self._last = 0
         self._newest = 0
         self._is_synced = False
-        self._subscription: Js.PushSubscription | None = None
+        self._subscription: JetStreamContext.PushSubscription | None = None
 
     async def begin(self, js: JetStreamContext) -> None:
         import nats.js.errors as js_errors
@@ -184,7 +182,7 @@ async def open_bucket(client: Client, name: str, *, create: bool = False) -> Buc
     if (history, age) != (1, 0):
         wrong = f"history {history}, not 1, or time to live {age}, not 0"
         raise EngineError(f"bucket {name} has unexpected settings: {wrong}")
-    return Bucket(client, js, keys, name)
+    return Bucket(js, keys, name)
 
 
 async def keep_stream(client: Client, name: str, subjects: str, limits: dict[str, Any]) -> None:
