@@ -111,13 +111,6 @@ def load(path: str | PathLike[str]) -> FleetFile:
         raise
 
 
-def _of_row(path: FilePath, text: CsvText, row: CsvRow, error: Exception) -> Mistake:
-    """Return an error about a row of the file of devices with its place there."""
-    mistake = placed(error, ())
-    found = FleetFileError.of(mistake, _place_in(text, row, mistake.path))
-    return found.in_file(str(path)).under(("devices",))
-
-
 class _Reader:
     """Reads one fleet file."""
 
@@ -333,10 +326,13 @@ def keys_in(text: CsvText, row: CsvRow) -> dict[str, Any]:
     return found
 
 
-def _place_in(text: CsvText, row: CsvRow, path: Path) -> FilePlace:
-    """Return the line and the column of a key of the device in a row."""
-    heading = ".".join(map(str, path[:2])) if path[:1] == ("labels",) else str(*path[:1])
-    return FilePlace(line=row.line, column=heading if heading in text.head.cells else "")
+def _of_row(path: FilePath, text: CsvText, row: CsvRow, error: Exception) -> Mistake:
+    """Return an error about a row of the file of devices with its place there."""
+    mistake = placed(error, ())
+    key = mistake.path[:2] if mistake.path[:1] == ("labels",) else mistake.path[:1]
+    heading = ".".join(map(str, key))
+    place = FilePlace(str(path), row.line, heading if heading in text.head.cells else "")
+    return FleetFileError.of(mistake, place).under(("devices",))
 
 
 # --- the keys ----------------------------------------------------------------------------
