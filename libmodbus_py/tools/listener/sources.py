@@ -16,7 +16,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from itertools import count
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ...ports.endpoint import Endpoint
 from ...ports.hosts import reason
@@ -98,7 +98,7 @@ class Tap(TimedServer):
         try:
             self._waker = Waker()
             self._stack.callback(self._waker.close)
-            super().__init__(endpoint.host, endpoint.port, _pass_on, IDLE)
+            super().__init__(endpoint.host, endpoint.port, None, IDLE)
             self._stack.enter_context(self.serving("tap"))
         except OSError as error:
             self._stack.close()
@@ -126,7 +126,7 @@ class Tap(TimedServer):
         else:
             self.server_close()
 
-    def follow(self, client: socket.socket) -> None:
+    def finish_request(self, request: Any, client_address: Any) -> None:
         """Connect to the device, and pass bytes on, until both sides have ended, or are idle."""
         number = next(self._numbers)
         with contextlib.ExitStack() as stack:
@@ -139,7 +139,7 @@ class Tap(TimedServer):
                 logger.warning("cannot connect to %s: %s", self._target, text)
                 return
             with contextlib.suppress(OSError):  # a side is gone, or takes no bytes
-                self._carry(number, client, device)
+                self._carry(number, request, device)
         self._show(TimedBytes(number, "client", self._clock(), b""))
 
     def _carry(self, number: int, client: socket.socket, device: socket.socket) -> None:
@@ -180,7 +180,3 @@ class Tap(TimedServer):
             self._unseen += cost
             self._pieces.append(piece)
             self._waker.wake()
-
-
-def _pass_on(client: socket.socket, _: object, tap: Tap) -> None:
-    tap.follow(client)
