@@ -189,15 +189,11 @@ def _points(extents: list[Extent]) -> list[Point]:
     ]
     if sum(len(cells) for _, cells in found) <= MOST_CELLS:
         found = [(table, range(at, at + 1)) for table, cells in found for at in cells]
+    prefixes = {table: table.partition("_")[0].removesuffix("s") for table in TABLES}  # "holding"
     return [
-        Point(f"{_prefix(table)}_{cells.start}", table, cells.start, len(cells), access="read")
+        Point(f"{prefixes[table]}_{cells.start}", table, cells.start, len(cells), access="read")
         for table, cells in found
     ]
-
-
-def _prefix(table: str) -> str:
-    """Return the first part of the names of points, such as "coil" or "holding"."""
-    return table.partition("_")[0].removesuffix("s")
 
 
 def _write(output: str | None, heading: list[str], points: list[Point], more: str = "") -> None:

@@ -174,7 +174,9 @@ def class_text(map: RegisterMap, stem: str) -> str:
     readable = [each for each in map.values() if each.is_readable]
     writable = [each for each in map.values() if each.is_writable]
     words = [f"    {names[each.name]!r},\n" for each in readable]
-    values = [f"    {names[each.name]}: {_written_kind(each)}\n" for each in writable]
+    values = [
+        f"    {names[each.name]}: {_kind(each).replace('list', 'Sequence')}\n" for each in writable
+    ]
     has_times = any("datetime" in _kind(each) for each in map.values())
     return FILE.format(
         name=name,
@@ -203,7 +205,8 @@ def _points(map: RegisterMap) -> Iterator[str]:
         for key, default in _DEFAULTS.items():
             value = getattr(point, key)
             if value != default:
-                yield f"            {key}={_literal(value)},\n"
+                shown = dict(value) if isinstance(value, Mapping) else value
+                yield f"            {key}={shown!r},\n"
         yield "        ),\n"
 
 
@@ -224,10 +227,6 @@ def _kind(point: Point) -> str:
     """Return the type of the value of a point."""
     kind = _kind_of_one(point)
     return f"list[{kind}]" if point.count > 1 else kind
-
-
-def _written_kind(point: Point) -> str:
-    return _kind(point).replace("list[", "Sequence[")
 
 
 def _kind_of_one(point: Point) -> str:
@@ -273,8 +272,3 @@ def _escaped(character: str) -> str:
         return f"\\{character}"
     is_plain = character.isprintable() or character == "\n"
     return character if is_plain else ascii(character)[1:-1]
-
-
-def _literal(value: Any) -> str:
-    """Return a value of a point's field as Python writes it."""
-    return repr(dict(value) if isinstance(value, Mapping) else value)
