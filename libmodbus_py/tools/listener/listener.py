@@ -71,8 +71,7 @@ class Listener:
         self.capture_error: OSError | None = None
         self._framing: LineFraming = framing
         self._pause = pause
-        self._reader = source if isinstance(source, CaptureReader) else None
-        self._source = None if isinstance(source, CaptureReader) else source
+        self._source = source
         self._writer = writer
         self._clock = clock
         self._separators: dict[int, Separator] = {}
@@ -83,8 +82,8 @@ class Listener:
         self._waker = Waker()
         self._poller = make_poller()
         self._poller.register(self._waker.descriptor, READ)
-        if self._source is not None:
-            self._poller.register(self._source.descriptor, READ)
+        if not isinstance(source, CaptureReader):
+            self._poller.register(source.descriptor, READ)
         self._outage = Outage(logger, url)
         self._tick_after: float = IDLE
 
@@ -115,7 +114,7 @@ class Listener:
 
     def _free(self) -> None:
         self._end_all()  # what was heard is written, and `rest` returns it
-        for each in (self._source, self._writer, self._reader, self._poller, self._waker):
+        for each in (self._source, self._writer, self._poller, self._waker):
             if each is not None:
                 each.close()
 
@@ -165,13 +164,13 @@ class Listener:
 
     def _next(self) -> Steps[Transaction | None]:
         while not self._ready and not self._is_closed:
-            if self._reader is not None:
-                if not self._read_on(self._reader):
+            if isinstance(self._source, CaptureReader):
+                if not self._read_on(self._source):
                     break
-            elif self._source is not None and not self._outage.is_on:
-                yield from self._hearing(self._source)
-            elif self._source is not None:
+            elif self._outage.is_on:
                 yield from self._reopening(self._source)
+            else:
+                yield from self._hearing(self._source)
         return self._ready.popleft() if self._ready and not self._is_closed else None
 
     def _hearing(self, source: Source) -> Steps[None]:
