@@ -91,8 +91,7 @@ class _Quick(NamedTuple):
 
     name: str
     data: int
-    start: int
-    stop: int
+    place: int | slice
     from_bytes: Callable[[bytes], Any] | None
     to_value: Callable[[Any], Any] | None
     judge: Callable[[Any, Callable[[Any], Any] | None], Any] | None
@@ -145,9 +144,10 @@ class PointPlan(Plan):
                 others = point.to_value, judge, scale_of.get(name)
                 if form := _form_of(kind, meaning):
                     at = request + (1 + list(FORMS.values()).index(form)) * len(self.requests)
-                    yield _Quick(name, at, start, stop, None, *others)
+                    yield _Quick(name, at, start, None, *others)
                 else:
-                    yield _Quick(name, request, 2 * start, 2 * stop, meaning.from_bytes, *others)
+                    place = slice(2 * start, 2 * stop)
+                    yield _Quick(name, request, place, meaning.from_bytes, *others)
 
     def _data(self, answers: list[Any]) -> list[Any]:
         """Return the bytes of each answer, and its registers in each of `FORMS`."""
@@ -173,19 +173,21 @@ class PointPlan(Plan):
         functions = scales.functions
         found: dict[str, Any] = dict.fromkeys(self._points)
         slow = self._slow.copy()
-        for name, at, start, stop, from_bytes, to_value, judge, scale in self._quick:
+        for name, at, place, from_bytes, convert, judge, scale in self._quick:
             try:
-                raw = data[at][start] if from_bytes is None else from_bytes(data[at][start:stop])
-                convert = to_value if scale is None else functions[scale]
-                if judge is None:
-                    value = raw if convert is None else convert(raw)
-                    if value == value:  # only nan differs from itself
-                        found[name] = value
-                        continue
-                else:
+                raw = data[at][place]
+                if from_bytes is not None:
+                    raw = from_bytes(raw)
+                if scale is not None:
+                    convert = functions[scale]
+                if judge is not None:
                     value = judge(raw, convert)
                     if return_exceptions or value.__class__ is not NoValue:
                         found[name] = value
+                    continue
+                value = raw if convert is None else convert(raw)
+                if value == value:  # only nan differs from itself
+                    found[name] = value
                     continue
             except (TypeError, LookupError, ValueError):
                 pass  # an error in place of the answer or the scale, or registers without a value
