@@ -151,7 +151,7 @@ class Engine:
         self.latest[key] = Change(key, value, self.revision)
         for consumer in self._consumers:
             if consumer.position == self.revision - 1 and consumer.link.is_up:
-                self._tell(consumer, self.latest[key], 0)
+                self._tell(consumer, self.latest[key])
             else:
                 self._feed(consumer)
         return self.revision
@@ -207,10 +207,10 @@ class Engine:
             self._feed(consumer)
             reply(None)
 
-    def last_message(self, reply: Reply) -> None:
-        newest = max((each.revision for each in (self.latest or {}).values()), default=0)
-        not_found = js_errors.NotFoundError(code=404, err_code=10037, description="no message")
-        reply(SimpleNamespace(seq=newest) if newest else not_found)
+    def subjects(self, reply: Reply) -> None:
+        """Name the subjects of all keys, those of deleted ones, too."""
+        subjects = {f"$KV.{BUCKET}.{key}": 1 for key in self.latest or {}}
+        reply(SimpleNamespace(state=SimpleNamespace(subjects=subjects or None)))
 
     def end_consumer(self, reply: Reply, subscription: Subscription) -> None:
         self._consumers = [each for each in self._consumers if each.subscription != subscription]
@@ -282,11 +282,10 @@ class Engine:
     def _feed(self, consumer: _Consumer) -> None:
         """Send somebody who watches what has not been sent yet."""
         if consumer.link.is_up:
-            entries = self._unread(consumer)
-            for at, entry in enumerate(entries, 1):
-                self._tell(consumer, entry, len(entries) - at)
+            for entry in self._unread(consumer):
+                self._tell(consumer, entry)
 
-    def _tell(self, consumer: _Consumer, entry: Change, left: int) -> None:
+    def _tell(self, consumer: _Consumer, entry: Change) -> None:
         consumer.sequence += 1
         consumer.position = entry.revision
         if self.loses():
@@ -296,7 +295,7 @@ class Engine:
             f"$KV.{BUCKET}.{entry.key}",
             entry.value or b"",
             headers={"KV-Operation": "DEL"} if entry.value is None else None,
-            metadata=SimpleNamespace(sequence=sequence, num_pending=left),
+            metadata=SimpleNamespace(sequence=sequence),
         )
         consumer.link.down(consumer.subscription.put, message)
 

@@ -345,11 +345,10 @@ class JetStream:
             raise
         return subscription
 
-    async def get_last_msg(self, name: str, subject: str) -> Any:
-        return await self._ask(self._engine.last_message)
-
-    async def stream_info(self, name: str) -> Any:
-        return await self._ask(self._engine.stream_info)
+    async def stream_info(self, name: str, subjects_filter: str | None = None) -> Any:
+        return await self._ask(
+            self._engine.stream_info if subjects_filter is None else self._engine.subjects
+        )
 
     async def add_stream(self, config: api.StreamConfig) -> None:
         await self._ask(self._engine.configure_stream, config)

@@ -4,7 +4,6 @@ Key-value buckets and streams of JetStream: create, check, watch and conditional
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -90,8 +89,9 @@ class Watch:
     """
     Reports the changes of a bucket in order, until one was missed; see `Bucket.watch`.
 
-    The contents are complete when the newest change that the bucket had before the watch began has
-    come: the server that sends them may lag behind the others, and has fewer then.
+    The contents are complete when every key has come that the leader had after the watch began.
+    The number of pending changes is no guide: the server that sends them may lag behind the
+    leader, and nats-server 2.9 also counts changes that were replaced before they were sent.
     """
 
     def __init__(
@@ -103,16 +103,15 @@ class Watch:
         self._on_change = on_change
         self._on_gap = on_gap
         self._last = 0
-        self._newest = 0
-        self._is_synced = False
+        # The subjects of changes that came; and, once they are known, those that must come first.
+        self._come: set[str] = set()
+        self._missing: set[str] | None = None
+        self._is_complete = False
         self._subscription: JetStreamContext.PushSubscription | None = None
 
     async def begin(self, js: JetStreamContext) -> None:
-        import nats.js.errors as js_errors
         from nats.js import api
 
-        with contextlib.suppress(js_errors.NotFoundError):  # an empty bucket
-            self._newest = (await js.get_last_msg(self._stream, f"{self._prefix}>")).seq or 0
         # No ordered consumer of nats-py: it repairs gaps silently, but workers must know of them.
         config = api.ConsumerConfig(
             deliver_policy=api.DeliverPolicy.LAST_PER_SUBJECT,
@@ -124,8 +123,9 @@ class Watch:
         self._subscription = await js.subscribe(
             f"{self._prefix}>", stream=self._stream, config=config, cb=self._receive
         )
-        if not self._newest:
-            self._sync()
+        stream = await js.stream_info(self._stream, f"{self._prefix}>")
+        self._missing = set(stream.state.subjects or ()) - self._come
+        self._end_contents()
 
     async def _receive(self, message: Msg) -> None:
         if self.is_broken:
@@ -139,12 +139,16 @@ class Watch:
         operation = (message.headers or {}).get("KV-Operation")
         value = None if operation in ("DEL", "PURGE") else message.data
         self._on_change(Change(message.subject[len(self._prefix) :], value, at.sequence.stream))
-        if not at.num_pending and at.sequence.stream >= self._newest:
-            self._sync()
+        if self._missing is None:
+            self._come.add(message.subject)
+        elif not self._is_complete:
+            self._missing.discard(message.subject)
+            self._end_contents()
 
-    def _sync(self) -> None:
-        if not self._is_synced:
-            self._is_synced = True
+    def _end_contents(self) -> None:
+        if not (self._missing or self._is_complete or self.is_broken):
+            self._is_complete = True
+            self._come.clear()
             self._on_change(None)
 
     async def end(self) -> None:

@@ -170,7 +170,9 @@ def test_results_commands_and_status(tmp_path):
             # What cannot be read is told.
             server.ask(partial(write, key="worker.x.y", value=b"[" * 5000))
             command = ("fleet", "status", "--engine", server.urls)
-            status = json.loads(run(*command, "--json").out)
+            told = run(*command, "--json")
+            assert told.out, told.err
+            status = json.loads(told.out)
             assert len(status["unreadable"]) == 1
             (here,) = (each for each in status["workers"] if each["state"] == "here")
             assert here["id"].startswith("a.")

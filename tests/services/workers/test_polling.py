@@ -115,9 +115,9 @@ async def test_it_watches_again_when_the_bucket_is_not_told_whole(
         # Only the first change of each watch arrives.
         tell = Engine._tell
 
-        def tell_first(engine: Engine, consumer: Any, entry: Any, left: int) -> None:
+        def tell_first(engine: Engine, consumer: Any, entry: Any) -> None:
             if not consumer.sequence:
-                tell(engine, consumer, entry, left)
+                tell(engine, consumer, entry)
             consumer.sequence += 1
             consumer.position = entry.revision
 
