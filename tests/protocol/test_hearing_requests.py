@@ -213,7 +213,7 @@ def _name(each: Frame | FrameError) -> str:
     ("bursts", "expected"),
     [
         ([BROADCAST] * 3, ["request 0 06"] * 3),
-        ([BROADCAST + OURS, BROADCAST], ["request 0 06", "request 5 03", "request 0 06"]),
+        ([BROADCAST * 2 + OURS], ["request 0 06", "request 0 06", "request 5 03"]),
         ([OURS + OUR_WRITE + OURS], ["request 5 03", "request 5 06", "request 5 03"]),
         ([OTHERS, OTHERS, OTHERS], ["request 2 06", "answer 2 06", "request 2 06"]),
         ([OTHERS, REFUSAL, OTHERS], ["request 2 06", "answer 2 86", "request 2 06"]),
