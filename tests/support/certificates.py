@@ -26,28 +26,6 @@ from libmodbus_py import Security, Server
 from libmodbus_py.security.role import ROLE_OID, encode_role
 from libmodbus_py.tools.certificates import Identity, make
 
-__all__ = [
-    "HOSTS",
-    "Files",
-    "Papers",
-    "authority",
-    "client",
-    "end",
-    "expired",
-    "foreign_authority",
-    "intermediate",
-    "lasting_papers",
-    "not_yet_valid",
-    "revocation_list",
-    "rsa_key",
-    "save",
-    "secured",
-    "self_signed",
-    "server",
-    "server_only",
-    "with_roles",
-]
-
 HOSTS = ("localhost", "127.0.0.1", "::1")
 
 

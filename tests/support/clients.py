@@ -27,13 +27,6 @@ from tests.simulation.scripted import Scripted
 from tests.support.peers import OnRequest, Peer, peer_at
 from tests.support.urls import url_for
 
-# fmt: off
-__all__ = [
-    "ALL", "BLOCKING", "EVERYWHERE", "KINDS", "NATIVE", "Awaited", "Connect", "Real", "Simulated",
-    "World", "asking", "connecting", "making", "read", "running_loop", "threadsafe",
-]
-# fmt: on
-
 KINDS = ["native", "python", "asyncio"]
 """A context whose requests C carries where it can, one without C, and `AsyncClient`."""
 

@@ -33,13 +33,6 @@ from typing import NamedTuple, Self, TextIO
 from libmodbus_py.cli.main import main
 from tests.support.leaks import lasts
 
-# fmt: off
-__all__ = [
-    "PAGE_TOKEN", "PROGRAM", "Done", "Started", "Terminal", "ended", "on_terminal", "page_url",
-    "run",
-]
-# fmt: on
-
 PROGRAM = [sys.executable, "-m", "libmodbus_py"]
 
 ROOT = Path(__file__).parents[2]

@@ -29,14 +29,6 @@ from libmodbus_py.tools.testing.wires import open_line, read_what_is_there, writ
 from .secured import Sealing, with_certificates
 from .urls import rules_of
 
-# fmt: off
-__all__ = [
-    "UNKNOWN_FUNCTION", "Answer", "FakeServer", "FakeUnit", "LinePeer", "OnRequest", "Peer",
-    "TcpPeer", "UdpPeer", "Write", "address_of", "answer", "answering", "dead", "echo",
-    "has_header", "ignore", "mbap", "peer_at", "refusing", "until", "url_of",
-]
-# fmt: on
-
 # A function code that no standard defines.
 UNKNOWN_FUNCTION = 0x41
 

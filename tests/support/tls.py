@@ -23,25 +23,7 @@ from tests.simulation.stage import Stage, Talker
 from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, adu, connect
 from tests.support.certificates import Files, Papers
-from tests.support.secured import VERSIONS
-
-__all__ = [
-    "ONE",
-    "ONE_ANSWER",
-    "VERSION",
-    "VERSIONS",
-    "TlsClient",
-    "closed",
-    "connected",
-    "context",
-    "hello",
-    "is_served",
-    "nothing_loud",
-    "reset",
-    "serving",
-    "talking",
-    "wait_until",
-]
+from tests.support.secured import VERSIONS as VERSIONS
 
 VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
 

@@ -21,22 +21,6 @@ import pytest
 
 from libmodbus_py.protocol.framing import Frame
 
-__all__ = [
-    "BYTE_ORDERS",
-    "CHECKSUMS",
-    "EXCEPTIONS",
-    "FRAMES",
-    "REFERENCES",
-    "REQUESTS",
-    "RESPONSES",
-    "ByteOrder",
-    "Checksum",
-    "FrameVector",
-    "Reference",
-    "exchanges",
-    "rows",
-]
-
 
 @dataclass(frozen=True)
 class FrameVector:
