@@ -26,7 +26,7 @@ from libmodbus_py.server.tls import Handshakes, TlsSession
 from tests.simulation.network import Network
 from tests.support.cases import each_case
 from tests.support.certificates import Papers
-from tests.support.channels import FakeChannel
+from tests.support.chunks import FakeChannel
 
 
 @each_case(

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 
 from libmodbus_py import Device, Mapping, pdu
 from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.ports.trace import Trace
 from libmodbus_py.protocol.errors import FrameError
+from libmodbus_py.security.describing import CertificateHolder
 from libmodbus_py.server.framed import SessionSettings
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.sessions import ByChunk, ByFrame, Singles
 from libmodbus_py.server.units import TcpUnits, Units
-from tests.support.channels import FakeChannel
 
 __all__ = [
     "BITS",
@@ -26,6 +27,7 @@ __all__ = [
     "REPLIED",
     "WHOLE",
     "End",
+    "FakeChannel",
     "adu",
     "bodies",
     "contents",
@@ -68,6 +70,26 @@ HOLES = {
 
 def made_device(contents: Any = WHOLE, **options: Any) -> Device:
     return Device(Mapping(**contents), files={4: range(20)}, fifos={9: [1]}, **options)
+
+
+class FakeChannel:
+    """Calls the functions that it is given; see `libmodbus_py.server.service.Channel`."""
+
+    def __init__(
+        self,
+        write: Callable[[bytes], object] = lambda data: None,
+        follow: Callable[[], object] = lambda: None,
+        trace: Trace | None = None,
+    ) -> None:
+        self.address = "peer"
+        self.role: str | None = None
+        self.holder: CertificateHolder | None = None
+        self.trace = trace
+        self.write = write
+        self.follow = follow
+
+    def hang_up(self) -> bool:
+        return False
 
 
 class End:

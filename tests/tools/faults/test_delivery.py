@@ -23,7 +23,7 @@ from libmodbus_py.tools.faults.server import (
 )
 from tests.simulation.stage import Stage, Talker
 from tests.support.certificates import Papers, secured
-from tests.support.channels import FakeChannel
+from tests.support.chunks import FakeChannel
 from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
 
 # Address 107 holds 555, 0, 100: section 6.3 of the application protocol; the frames around
