@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from libmodbus_py import pdu
+from tests.support.vectors import REQUESTS, FrameVector
 
 Fields = dict[str, Any]
 
@@ -54,6 +55,14 @@ FROM_FIELDS: dict[int, Callable[[Fields], pdu.Request[Any]]] = {
     24: lambda fields: pdu.ReadFifoQueue(fields["address"]),
     43: _encapsulated,
 }
+
+
+def request_of(response: FrameVector) -> pdu.Request[Any]:
+    """The request that a response answers; one that fits where the example has none."""
+    for vector in REQUESTS:
+        if vector.id == response.request:
+            return FROM_FIELDS[vector.function](vector.fields)
+    return pdu.ReadHoldingRegisters(0, len(response.fields.get("values", [0])))
 
 
 def tells_its_length(body: bytes) -> bool:

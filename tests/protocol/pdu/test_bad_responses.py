@@ -10,66 +10,32 @@ import pytest
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol import errors
-from tests.protocol.pdu.examples import UNJUDGED, one_of_each
+from tests.protocol.pdu.examples import UNJUDGED, request_of
 from tests.support.cases import each_case
+from tests.support.vectors import RESPONSES
 
+# Requests, and the responses of the worked examples, of which every byte is checked.
+ANSWERED: list[tuple[pdu.Request[Any], bytes]] = [
+    (request_of(each), each.pdu) for each in RESPONSES if each.pdu[:2] != b"\x2b\x0d"
+]
+ALL = ANSWERED + [(each, each.encode_response(b"\3\4\5")) for each in UNJUDGED]
 
-def good_result(request: pdu.Request[Any]) -> Any:
-    match request:
-        case pdu.ReadCoils() | pdu.ReadDiscreteInputs():
-            return [True] * request.count
-        case pdu.ReadHoldingRegisters() | pdu.ReadInputRegisters():
-            return [7] * request.count
-        case pdu.ReadWriteRegisters():
-            return [7] * request.read_count
-        case pdu.ReadFileRecords():
-            return [[7] * length for _, _, length in request.records]
-        case pdu.ReadExceptionStatus():
-            return 0x6D
-        case pdu.Diagnostics():
-            return request.data
-        case pdu.ReadCommEventCounter():
-            return pdu.CommEventCounter(0xFFFF, 264)
-        case pdu.ReadCommEventLog():
-            return pdu.CommEventLog(0, 264, 289, b"\x20\0")
-        case pdu.ReportServerId():
-            return pdu.ServerId(b"\1", True, b"abc")
-        case pdu.ReadFifoQueue():
-            return [440, 4740]
-        case pdu.ReadDeviceIdentification():
-            return pdu.IdentificationPage(0x83, 4, {0: b"vendor", 3: b""})
-        case pdu.EncapsulatedTransport() | pdu.RawRequest():
-            return b"\3\4\5"
-        case _:
-            return None
-
-
-def the_name(request: pdu.Request[Any]) -> str:
-    return type(request).__name__
-
-
-each_request = each_case("request_", one_of_each(), ids=the_name)
-every_request = each_case("request_", one_of_each() + UNJUDGED, ids=the_name)
+every_request = each_case("request_", [request for request, _ in ALL])
 
 
 class TestBadResponses:
-    @each_request
+    @each_case(("request_", "good"), ANSWERED)
     def test_empty_cut_and_prolonged_responses_are_invalid(
-        self, request_: pdu.Request[Any]
+        self, request_: pdu.Request[Any], good: bytes
     ) -> None:
-        good = request_.encode_response(good_result(request_))
-        assert request_.decode_response(good) == good_result(request_)
-        for end in range(len(good)):
+        for bad in (*(good[:end] for end in range(len(good))), good + b"\0"):
             with pytest.raises(errors.InvalidResponse):
-                request_.decode_response(good[:end])
-        with pytest.raises(errors.InvalidResponse):
-            request_.decode_response(good + b"\0")
+                request_.decode_response(bad)
 
-    @every_request
+    @each_case(("request_", "good"), ALL)
     def test_other_function_is_invalid_and_the_error_names_the_request(
-        self, request_: pdu.Request[Any]
+        self, request_: pdu.Request[Any], good: bytes
     ) -> None:
-        good = request_.encode_response(good_result(request_))
         for other in {0, *pdu.REQUESTS, 0x7F} - {request_.function}:
             with pytest.raises(errors.InvalidResponse) as caught:
                 request_.decode_response(bytes([other]) + good[1:])
@@ -162,13 +128,8 @@ class TestBadResponses:
         with pytest.raises(errors.InvalidResponse):
             request_.decode_response(response)
 
-    @each_case(
-        "request_",
-        [request for request in one_of_each() if request.may_be_broadcast],
-        ids=the_name,
-    )
-    def test_every_byte_of_an_echo_counts(self, request_: pdu.Request[Any]) -> None:
-        good = request_.encode_response(None)
+    @each_case(("request_", "good"), [each for each in ANSWERED if each[0].may_be_broadcast])
+    def test_every_byte_of_an_echo_counts(self, request_: pdu.Request[Any], good: bytes) -> None:
         for at in range(1, len(good)):
             spoilt = bytearray(good)
             spoilt[at] ^= 1

@@ -10,17 +10,9 @@ import pytest
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.errors import IllegalDataAddress, IllegalFunction
-from tests.protocol.pdu.examples import FROM_FIELDS
+from tests.protocol.pdu.examples import FROM_FIELDS, request_of
 from tests.support.cases import each_case
 from tests.support.vectors import EXCEPTIONS, REQUESTS, RESPONSES, FrameVector, rows
-
-
-def _request_of(response: FrameVector) -> pdu.Request[Any]:
-    """The request that a response answers; one that fits where the example has none."""
-    for vector in REQUESTS:
-        if vector.id == response.request:
-            return FROM_FIELDS[vector.function](vector.fields)
-    return pdu.ReadHoldingRegisters(0, len(response.fields.get("values", [0])))
 
 
 def _result_of(response: FrameVector) -> Any:
@@ -71,11 +63,11 @@ class TestWorkedExamples:
 
     @each_case("vector", rows(RESPONSES))
     def test_response_encodes_to_the_bytes(self, vector: FrameVector) -> None:
-        assert _request_of(vector).encode_response(_result_of(vector)) == vector.pdu
+        assert request_of(vector).encode_response(_result_of(vector)) == vector.pdu
 
     @each_case("vector", rows(RESPONSES))
     def test_response_decodes_to_the_values(self, vector: FrameVector) -> None:
-        result = _request_of(vector).decode_response(vector.pdu)
+        result = request_of(vector).decode_response(vector.pdu)
         assert result == _result_of(vector)
         assert type(result) is type(_result_of(vector))
         if vector.function in (1, 2):
