@@ -74,30 +74,8 @@ def words(*values: int) -> bytes:
     return struct.pack(f">{len(values)}H", *values)
 
 
-def one_of_each() -> list[pdu.Request[Any]]:
-    return [
-        pdu.ReadCoils(0, 10),
-        pdu.ReadDiscreteInputs(0, 8),
-        pdu.ReadHoldingRegisters(0, 2),
-        pdu.ReadInputRegisters(0, 2),
-        pdu.WriteCoil(1, True),
-        pdu.WriteRegister(1, 2),
-        pdu.WriteCoils(1, [True, False]),
-        pdu.WriteRegisters(1, [2, 3]),
-        pdu.ReadFileRecords([(1, 2, 1), (3, 4, 2)]),
-        pdu.WriteFileRecords([(1, 2, [3]), (4, 5, [6, 7])]),
-        pdu.MaskWriteRegister(1, 2, 3),
-        pdu.ReadWriteRegisters(1, 2, 3, [4]),
-        pdu.ReadExceptionStatus(),
-        pdu.Diagnostics(0, b"\xa5\x37\1\2"),
-        pdu.Diagnostics(pdu.SubFunction.BUS_MESSAGE_COUNT),
-        pdu.ReadCommEventCounter(),
-        pdu.ReadCommEventLog(),
-        pdu.ReportServerId(),
-        pdu.ReadFifoQueue(1246),
-        pdu.ReadDeviceIdentification(2),
-    ]
-
+EXAMPLES = [FROM_FIELDS[each.function](each.fields) for each in REQUESTS]
+"""The requests of the worked examples, at least one of each function."""
 
 # These take whatever follows the code, or the MEI type.
 UNJUDGED: list[pdu.Request[bytes]] = [

@@ -19,7 +19,7 @@ from libmodbus_py.protocol.errors import (
     InvalidResponse,
 )
 from libmodbus_py.protocol.pdu.interface import LAST_OBJECT, pages
-from tests.protocol.pdu.examples import FROM_FIELDS, UNJUDGED, one_of_each, tells_its_length
+from tests.protocol.pdu.examples import EXAMPLES, FROM_FIELDS, UNJUDGED, tells_its_length
 from tests.protocol.pdu.test_identification import served
 
 registers = st.integers(0, 65535)
@@ -191,7 +191,7 @@ class TestProperties:
 
     @settings(max_examples=200)
     @given(
-        st.sampled_from(one_of_each() + UNJUDGED),
+        st.sampled_from(EXAMPLES + UNJUDGED),
         st.binary(max_size=260),
         st.booleans(),
         st.sampled_from([0, 0x80]),
