@@ -7,46 +7,36 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
-
 from libmodbus_py import pdu
 from libmodbus_py.protocol.pdu import RawRequest, ReadDeviceIdentification
 from libmodbus_py.services.gateway.line import request_of
-from tests.protocol.pdu.examples import Doubled
+from tests.protocol.pdu.examples import EXAMPLES, Doubled
+from tests.support.cases import each_case
+
+READS = (1, 2, 3, 4, 7, 11, 12, 17, 20, 24)
+WRITES = (5, 6, 15, 16, 21, 22, 23)
 
 READING = [
-    pdu.ReadCoils(0, 1),
-    pdu.ReadDiscreteInputs(0, 1),
-    pdu.ReadHoldingRegisters(0, 1),
-    pdu.ReadInputRegisters(0, 1),
-    pdu.ReadExceptionStatus(),
-    pdu.Diagnostics(0),
-    pdu.Diagnostics(11),
-    pdu.ReadCommEventCounter(),
-    pdu.ReadCommEventLog(),
-    pdu.ReportServerId(),
-    pdu.ReadFileRecords([(4, 1, 2)]),
-    pdu.ReadFifoQueue(0),
+    *(each for each in EXAMPLES if each.function in READS),
+    *(pdu.Diagnostics(number) for number in (0, 2, *range(11, 19))),
     pdu.ReadDeviceIdentification(1),
 ]
 CHANGING = [
-    pdu.WriteCoil(0, True),
-    pdu.WriteRegister(0, 1),
+    *(each for each in EXAMPLES if each.function in WRITES),
     *(pdu.Diagnostics(number) for number in (1, 3, 4, 10, 20)),
-    pdu.WriteCoils(0, [True]),
-    pdu.WriteRegisters(0, [1]),
-    pdu.WriteFileRecords([(4, 1, [2])]),
-    pdu.MaskWriteRegister(0, 1, 2),
-    pdu.ReadWriteRegisters(0, 1, 0, [1]),
     pdu.EncapsulatedTransport(13, b"\0"),  # only its two ends know what a CANopen message does
     pdu.RawRequest(100),
 ]
 
 
-@pytest.mark.parametrize("request_", [*READING, *CHANGING], ids=str)
+@each_case("request_", [*READING, *CHANGING])
 def test_a_request_says_whether_it_changes_a_device(request_: pdu.Request[Any]) -> None:
     assert request_.changes is (request_ in CHANGING)
     assert request_of(request_.encode()).changes is (request_ in CHANGING)
+
+
+def test_every_function_is_tried() -> None:
+    assert {each.function for each in READING + CHANGING} == {*pdu.REQUESTS, 100}
 
 
 # --- requests that may be sent twice -----------------------------------------------------------
