@@ -179,17 +179,17 @@ def near_pdus() -> st.SearchStrategy[bytes]:
 
 
 @settings(max_examples=250)
-@given(near_pdus())
+@given(near_pdus() | st.binary(max_size=260))
 def test_requests(data: bytes) -> None:
     check_request(data)
 
 
 @each_case("request_", REQUEST_OBJECTS, ids=[type(each).__name__ for each in REQUEST_OBJECTS])
 @settings(max_examples=35)
-@given(data=near_pdus(), matching=st.booleans())
-def test_responses(request_: pdu.Request[Any], data: bytes, matching: bool) -> None:
-    """Also those to other requests, as if they were to this one."""
-    check_response(request_, bytes([request_.function]) + data[1:] if matching else data)
+@given(data=near_pdus() | st.binary(max_size=260), mark=st.sampled_from([None, 0, 0x80]))
+def test_responses(request_: pdu.Request[Any], data: bytes, mark: int | None) -> None:
+    """Also those to other requests, as if they answered or refused this one."""
+    check_response(request_, data if mark is None else bytes([request_.function | mark]) + data[1:])
 
 
 @settings(max_examples=60)

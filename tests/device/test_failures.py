@@ -1,5 +1,5 @@
 """
-Noise, and bugs of the user's code and of libmodbus: each is answered, and logged once.
+Bugs of the user's code and of libmodbus: each is answered, and logged once.
 """
 
 from __future__ import annotations
@@ -8,44 +8,12 @@ import logging
 import threading
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from libmodbus_py import Device, Mapping, pdu
 from libmodbus_py.device import reply
 from libmodbus_py.device.reply import replier
 from libmodbus_py.serve import RecordFile
-from tests.device.devices import caller_on, new_device, words
-from tests.device.model import KNOWN
-from tests.device.test_identification import IDENTITY
-
-
-class TestNoise:
-    """The functions that the model does not know."""
-
-    @settings(max_examples=150)
-    @given(
-        st.sampled_from([*sorted(set(pdu.REQUESTS) - set(KNOWN)), 0, 9, 65, 127]),
-        st.binary(max_size=252) | st.binary(max_size=6),
-        st.booleans(),
-    )
-    def test_answer_is_one_of_that_function(self, code: int, body: bytes, serial: bool) -> None:
-        device = Device(
-            Mapping(),
-            fifos={0: [1], 1: [2] * 31},
-            identification=IDENTITY,
-            canopen=lambda data: data,
-        )
-        answer = device.answer(bytes([code]) + body, caller_on(serial))
-        if answer == b"":
-            assert (code, body, serial) == (8, words(4, 0), True)
-        elif answer[0] & 0x80:
-            assert answer[0] == code | 0x80
-            assert answer[1:] in (b"\1", b"\2", b"\3")
-        else:
-            assert answer[0] == code
-            assert len(answer) <= pdu.MAX_PDU
-            assert pdu.response_length(answer) in (0, len(answer))
+from tests.device.devices import new_device, words
 
 
 class Broken(RecordFile):

@@ -279,19 +279,6 @@ class TestWhateverComes:
             assert framer.pending <= PENDING[type(framer)]
 
     @each_framer
-    @settings(max_examples=60)
-    @given(stream=streams, sizes=cuts)
-    def test_frames_do_not_depend_on_how_bytes_arrive(
-        self, make: Callable[[], AnyFramer], stream: bytes, sizes: list[int]
-    ) -> None:
-        whole = take(make(), stream)[0]
-        framer = make()
-        frames: list[Frame] = []
-        for piece in pieces(stream, sizes):
-            frames += take(framer, piece)[0]
-        assert frames == whole
-
-    @each_framer
     @settings(max_examples=30)
     @given(
         unit=st.integers(0, 255),
