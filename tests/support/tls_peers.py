@@ -111,33 +111,22 @@ class Peer:
 Script = Callable[[Peer], object]
 
 
-class TlsServer:
+class Accepting:
     """
-    Shakes hands on one connection after the other, and hands each to a script.
-
-    Args:
-        context: see `context_of`.
-        script: called with each connection that is through; closes it at its end.
+    Talks on one connection after the other, in a thread, and closes each at its end.
 
     Attributes:
         connections: how many were accepted.
-        resumed: for each connection that is through, whether it was.
-        errors: of handshakes that failed.
-        ended: how many scripts came to their end, and their connections with them.
     """
 
-    def __init__(self, context: ssl.SSLContext, script: Script = Peer.serve) -> None:
+    def __init__(self, talk: Callable[[socket.socket], object]) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._listener.getsockname()[1]
         self.url = f"tls://127.0.0.1:{self.port}"
         self.connections = 0
+        self._talk = talk
         self._peers: list[socket.socket] = []
         self._thread = threading.Thread(target=self._serve, daemon=True)
-        self.context = context
-        self.script = script
-        self.resumed: list[bool] = []
-        self.errors: list[Exception] = []
-        self.ended = 0
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -163,7 +152,30 @@ class TlsServer:
             with peer, contextlib.suppress(OSError):
                 self._talk(peer)
 
-    def _talk(self, peer: socket.socket) -> None:
+
+class TlsServer(Accepting):
+    """
+    Shakes hands on one connection after the other, and hands each to a script.
+
+    Args:
+        context: see `context_of`.
+        script: called with each connection that is through; closes it at its end.
+
+    Attributes:
+        resumed: for each connection that is through, whether it was.
+        errors: of handshakes that failed.
+        ended: how many scripts came to their end, and their connections with them.
+    """
+
+    def __init__(self, context: ssl.SSLContext, script: Script = Peer.serve) -> None:
+        super().__init__(self._shake_hands)
+        self.context = context
+        self.script = script
+        self.resumed: list[bool] = []
+        self.errors: list[Exception] = []
+        self.ended = 0
+
+    def _shake_hands(self, peer: socket.socket) -> None:
         made = Peer(peer, self.context)
         try:
             made.shake_hands()
@@ -302,24 +314,5 @@ def _copy(
 @contextlib.contextmanager
 def raw(talk: Callable[[socket.socket], object]) -> Iterator[str]:
     """A server beneath TLS; gives its URL."""
-    peers: list[socket.socket] = []
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-
-        def serve() -> None:
-            with contextlib.suppress(OSError):
-                while True:
-                    made, _ = listener.accept()
-                    peers.append(made)
-                    with made, contextlib.suppress(OSError):
-                        talk(made)
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        try:
-            yield f"tls://127.0.0.1:{listener.getsockname()[1]}"
-        finally:
-            listener.shutdown(socket.SHUT_RDWR)
-            for each in peers:
-                with contextlib.suppress(OSError):
-                    each.shutdown(socket.SHUT_RDWR)
-            thread.join()
+    with Accepting(talk) as server:
+        yield server.url
