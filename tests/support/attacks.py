@@ -30,6 +30,7 @@ from typing import NamedTuple, Self
 from libmodbus_py.ports.endpoint import parse
 from tests.support import certificates
 from tests.support.certificates import Papers
+from tests.support.talk import rtu
 
 UNIT = 17
 READ_ONE = bytes.fromhex("03 0000 0001")
@@ -376,20 +377,9 @@ def _in_twelve_segments() -> Iterator[Step]:
         yield Step(last, answer=11)
 
 
-def _crc(data: bytes) -> bytes:
-    """Serial line, 6.2.2."""
-    crc = 0xFFFF
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
-    return crc.to_bytes(2, "little")
-
-
 def _hidden_requests() -> Iterator[Step]:
     """As many of the shortest requests as fit behind what looks like the head of a long one."""
-    shortest = bytes([UNIT, 17])
-    block = bytes.fromhex("11 10 0000 007b f6") + (shortest + _crc(shortest)) * 62
+    block = bytes.fromhex("11 10 0000 007b f6") + rtu("11 11") * 62
     while True:
         yield Step(pause=0.3)  # so that all of them come at once
         yield Step(block)
