@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py.ports.hosts import host_and_port
-from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.server.limits import Limits, ServerStatistics
-from libmodbus_py.server.peer import READ_BYTES, Peer
+from libmodbus_py.server.peer import Peer
 from libmodbus_py.server.peers import Peers
 from libmodbus_py.server.service import SessionState
 from tests.simulation.stage import Stage, Talker
@@ -116,20 +115,6 @@ def endpoint(stage: Stage) -> Iterator[Open]:
 
 
 # --- turns ----------------------------------------------------------------------------------------
-
-
-def test_who_sends_much_is_read_in_turns(stage: Stage, endpoint: Open) -> None:
-    server = endpoint(ignore)
-    talkers = [server.talk()[0] for _ in range(4)]
-    for talker in talkers[:3]:
-        talker.sendall(bytes(4 * READ_BYTES))
-    talkers[3].sendall(b"one")
-    stage.pass_time(0.01)
-    numbers = [server.sessions.index(session) for session in server.order]
-    assert sorted(numbers[:4]) == [0, 1, 2, 3]
-    assert [sorted(numbers[begin : begin + 3]) for begin in (4, 7, 10)] == [[0, 1, 2]] * 3
-    for session in server.sessions[:3]:
-        assert list(map(len, session.received)) == [READ_BYTES] * 4
 
 
 def test_answers_are_sent_when_all_were_read(stage: Stage, endpoint: Open) -> None:
@@ -301,26 +286,6 @@ def test_a_session_that_fails_costs_its_connection_only(
     assert server.statistics.connections == 1
 
 
-def test_a_stream_out_of_step_is_closed_behind_its_answers(stage: Stage, endpoint: Open) -> None:
-    server = endpoint()
-    talker, session = server.talk()
-
-    def out_of_step(session: Session, data: bytes) -> int:
-        if data == b"wrong":
-            raise FrameError("no header", received=data)
-        return echo(session, data)
-
-    server.on_receive = out_of_step
-    talker.send(b"right")
-    talker.receive(5)
-    session.peer.write(b"answer")
-    talker.send(b"wrong")
-    assert talker.receive(6) == b"answer"
-    assert talker.is_closed()
-    assert session.is_ended
-    assert server.statistics.closed_out_of_step == 1
-
-
 def test_who_sends_no_more_gets_the_answers_that_are_owed(stage: Stage, endpoint: Open) -> None:
     server = endpoint(ignore, frame_timeout=8)
     talker, session = server.talk()
@@ -388,42 +353,7 @@ def test_a_connection_that_is_closed_by_its_own_request_is_gone(
     assert server.statistics.closed_slow == 0
 
 
-def test_a_reset_closes_although_nothing_is_read(stage: Stage, endpoint: Open) -> None:
-    server = endpoint(ignore)
-    talker, session = server.talk()
-    session.state = SessionState.HELD
-    session.peer.follow()
-    talker.reset()
-    stage.pass_time(0.01)
-    assert session.is_closed
-    assert server.statistics.connections == 0
-
-
 # --- slow clients ---------------------------------------------------------------------------------
-
-
-def test_who_takes_no_answers_is_paused_once_and_read_again(stage: Stage, endpoint: Open) -> None:
-    server = endpoint(ignore, max_unsent=1000)
-    talker, session = server.talk()
-    peer, far = session.peer, talker.end.other
-    far.capacity = 500
-    peer.write(bytes(1500))
-    stage.pass_time(0.001)  # 500 on their way, 1000 unsent: not more than may be
-    assert server.statistics.paused == 0
-    talker.send(b"a")
-    stage.pass_time(0.001)
-    assert session.received == [b"a"]
-    peer.write(b"12")
-    talker.send(b"b")
-    stage.pass_time(1)
-    assert server.statistics.paused == 1
-    assert session.received == [b"a"]
-    peer.write(b"3")
-    stage.pass_time(1)
-    assert server.statistics.paused == 1
-    assert talker.receive(1503) == bytes(1500) + b"123"
-    stage.pass_time(1)
-    assert session.received == [b"a", b"b"]
 
 
 def test_the_time_of_a_frame_stands_still_while_nothing_is_read(
@@ -447,6 +377,3 @@ def test_the_time_of_a_frame_stands_still_while_nothing_is_read(
     assert not session.is_closed
     stage.pass_time(0.6)
     assert session.is_closed
-
-
-# --- rates ----------------------------------------------------------------------------------------
