@@ -22,7 +22,6 @@ from libmodbus_py import (
     Mapping,
     ModbusConnectionError,
     Route,
-    Security,
     Server,
     TlsContext,
 )
@@ -134,21 +133,6 @@ def test_other_certificates_can_be_set_while_the_server_runs(papers: Papers) -> 
         until(lambda: server.statistics.closed_untrusted == 1)
         with pytest.raises(ModbusConnectionError):
             plc.read_holding_registers(0, 1)
-
-
-def test_a_server_shows_its_renewed_certificate(papers: Papers) -> None:
-    files = papers.files(certificates.server())
-    security = Security(files.cert, files.key, trust=papers.ca)
-    new = certificates.server(days=30)
-    with serving(papers, security=security, limits=QUICK) as (_, port):
-        pinned = papers.client(trust=None, pin=papers.files(new).cert)
-        with pytest.raises(ModbusConnectionError, match="none of the pins"):
-            TlsContext("127.0.0.1", port, security=pinned).connect()
-        files.cert.write_bytes(new.pem)
-        files.key.write_bytes(new.key_pem())
-        security.reload()
-        with TlsContext("127.0.0.1", port, security=pinned) as plc:
-            assert plc.read_holding_registers(0, 1) == [0]
 
 
 def test_a_client_leaves_a_server_whose_certificate_is_revoked(

@@ -59,11 +59,6 @@ def contents(device: Device) -> tuple[list[int], list[bool]]:
     return list(device.mapping.holding_registers), list(device.mapping.coils)
 
 
-def test_another_protocol_is_skipped_and_the_next_request_answered(port: int) -> None:
-    with connect(port) as connection:
-        ask(connection, adu(READ, 1, protocol=7) + adu(READ, 2), adu(READ_ANSWER, 2))
-
-
 @pytest.mark.parametrize("length", [0, 1, 255, 65535])
 def test_a_length_that_cannot_be_closes_the_connection(port: int, length: int) -> None:
     with connect(port) as liar, TcpContext("127.0.0.1", port, unit=17) as innocent:

@@ -275,34 +275,6 @@ def test_serve_takes_options_of_other_kinds() -> None:
         ask_system(first)
 
 
-WRONG = [
-    ("--max-connections 0", "max_connections"),
-    ("--max-connections many", "max-connections"),
-    ("--connections-per-address 0", "connections_per_address"),
-    ("--when-full drop", "when-full"),
-    ("--frame-timeout 0", "frame_timeout"),
-    ("--handshake-timeout 0", "handshake_timeout"),
-    ("--idle-timeout -1", "idle_timeout"),
-    ("--max-unsent -1", "max_unsent"),
-    ("--allow 192.0.2.0/33", "allow"),
-    ("--requests-per-second 0", "requests_per_second"),
-    ("--unknown-unit ignore", "unknown-unit"),
-]
-
-
-def test_serve_with_a_limit_that_cannot_be_is_wrong_usage(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    for options, named in WRONG:
-        with pytest.raises(SystemExit) as ended:
-            main(["serve", "tcp://127.0.0.1:0", *options.split()])
-        assert ended.value.code == 2, options
-        told = capsys.readouterr()
-        assert told.out == "", options
-        assert named in told.err, options
-        assert told.err.count("\n") == 1, options
-
-
 # --- no descriptors left -----------------------------------------------------------------
 
 
