@@ -16,6 +16,9 @@ from libmodbus_py import Device, Mapping, pdu
 from tests.device.devices import new_device, words
 from tests.support.cases import each_case
 
+# Over TCP, to unit 1.
+READ_ONE = bytes.fromhex("0001 0000 0006 01 03 0000 0001")
+
 
 @pytest.fixture
 def quick_switches() -> Iterator[None]:
@@ -130,6 +133,9 @@ class TestLock:
             ),
             pytest.param(lambda mapping: mapping.__enter__(), id="enter"),
             pytest.param(lambda mapping: Device(mapping).answer(b"\3\0\0\0\1"), id="answer"),
+            pytest.param(
+                lambda mapping: Device(mapping).answer_chunk(READ_ONE, 0, 1), id="answer a chunk"
+            ),
         ],
     )
     def test_others_wait_until_the_mapping_is_left(self, work: Callable[[Mapping], object]) -> None:

@@ -7,11 +7,10 @@ from __future__ import annotations
 import asyncio
 import errno
 import socket
-import threading
 
 import pytest
 
-from libmodbus_py import Device, Mapping, ModbusConnectionError, Server, TcpContext
+from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.ports.endpoint import parse
 from tests.support.attacks import adu, connect
 
@@ -81,25 +80,3 @@ def test_serving_in_asyncio(device: Device) -> None:
             return answer
 
     assert asyncio.run(main()) == adu(ANSWER)
-
-
-def test_updates_under_the_mapping_lock_are_seen_whole(port: int, mapping: Mapping) -> None:
-    stop = threading.Event()
-
-    def update() -> None:
-        value = 0
-        while not stop.is_set():
-            value = (value + 1) & 0xFFFF
-            with mapping:
-                for address in range(150, 170):
-                    mapping.holding_registers[address] = value
-
-    updater = threading.Thread(target=update)
-    updater.start()
-    try:
-        with TcpContext("127.0.0.1", port, unit=17, timeout=5) as context:
-            for _ in range(200):
-                assert len(set(context.read_holding_registers(150, 20))) == 1
-    finally:
-        stop.set()
-        updater.join()
