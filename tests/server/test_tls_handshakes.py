@@ -9,8 +9,7 @@ import ssl
 
 import pytest
 
-from libmodbus_py import Device, Limits, Mapping, Server
-from libmodbus_py.ports.endpoint import parse
+from libmodbus_py import Limits
 from libmodbus_py.server import tls as server_tls
 from tests.simulation.stage import Stage, Talker
 from tests.support import certificates
@@ -106,26 +105,6 @@ def still_open(connection: Talker) -> bool:
     except ConnectionError:
         return False
     return False
-
-
-def test_who_has_asked_too_much_does_not_stop_the_line(stage: Stage, papers: Papers) -> None:
-    """Others wait for its handshake."""
-    device = Device(Mapping(coils=1, holding_registers=1))
-    limits = Limits(requests_per_second=0.001, handshake_timeout=1000)
-    server = Server(device, limits=limits, security=papers.server())
-    first = hello(papers)
-    with server.background("tls://127.0.0.1:0", "tcp://127.0.0.1:0") as running:
-        tls, tcp = (parse(url).port for url in running.urls)
-        eager = stage.talk(tcp, "127.0.0.2")
-        line = [stage.talk(tls, "127.0.0.2") for _ in range(30)]
-        # All of this is read in one turn.
-        for each in line:
-            each.sendall(first)
-        eager.sendall(5 * ONE)
-        begun = stage.now
-        assert is_served(papers, tls, stage)
-        assert stage.now - begun < 0.1
-        assert server.statistics.throttled == 0
 
 
 def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(
