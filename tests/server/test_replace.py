@@ -169,23 +169,6 @@ def test_notes_about_a_line_stay_with_their_unit(transport: str) -> None:
         assert count(pdu.SubFunction.SERVER_MESSAGE_COUNT) > 5
 
 
-def test_an_answer_that_is_kept_back_still_comes(stage: Stage) -> None:
-    server = Server({1: holding(1)}, {1: [Fault("delay", seconds=500)]})
-    with (
-        server.background("tcp://10.0.0.1:0") as running,
-        stage.talk(running.urls[0]) as waiting,
-        Context.from_url(running.urls[0], unit=1, timeout=1000) as client,
-    ):
-        waiting.sendall(bytes.fromhex("0001 0000 0006 01 03 0000 0001"))
-        stage.pass_time(1)
-        server.replace({1: holding(2)})
-        asked = stage.now
-        assert client.read_holding_registers(0, 1) == [2]
-        assert stage.now - asked < 0.01
-        assert waiting.receive(11)[-2:] == b"\0\1"
-        assert stage.now - asked == pytest.approx(499, abs=0.1)
-
-
 def test_a_hook_may_replace_what_calls_it() -> None:
     """In the middle of a chunk: what is asked behind it sees the new ones, in order."""
 
