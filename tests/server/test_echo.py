@@ -5,7 +5,6 @@ Servers on a line that returns all that is sent: their answers are not carried o
 from __future__ import annotations
 
 import logging
-import os
 from typing import Any
 
 import pytest
@@ -14,6 +13,7 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.serve import Fault
 from tests.simulation.lines import SerialLine
 from tests.simulation.stage import LineEnd, Stage
+from tests.support.peers import LinePeer, Write, until
 from tests.support.served import unit_one
 from tests.support.talk import ascii_frame, rtu
 
@@ -264,32 +264,16 @@ def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(
 
 def test_a_terminal_that_echoes() -> None:
     """On a real port, where bytes take no time."""
-    from libmodbus_py.tools.testing.wires import open_line, write_all
-    from tests.support.peers import until
 
-    far, near, path = open_line()
-    heard = bytearray()
-    answer = rtu(READ_BACK)
+    def echo(data: bytes, write: Write) -> None:
+        write(data)
 
-    def echo() -> bool:
-        try:
-            data = os.read(far, 4096)
-        except BlockingIOError:
-            return len(heard) >= len(answer)
-        heard.extend(data)
-        write_all(far, data)
-        return len(heard) >= len(answer)
-
-    try:
-        with unit_one(f"rtu://{path}?baudrate=9600") as (server, writes):
-            write_all(far, rtu(READ))
-            until(echo)
-            until(lambda: server.statistics.echoes == 1)
-            heard.clear()
-            write_all(far, rtu(WRITES[1]))
-            until(echo)
-            until(lambda: len(writes) == 1)
-    finally:
-        os.close(far)
-        os.close(near)
+    with (
+        LinePeer(echo) as line,
+        unit_one(f"rtu://{line.path}?baudrate=9600") as (server, writes),
+    ):
+        line.write(rtu(READ))
+        until(lambda: server.statistics.echoes == 1)
+        line.write(rtu(WRITES[1]))
+        until(lambda: b"".join(line.requests) == rtu(READ_BACK) + rtu(WRITES[1]))
     assert len(writes) == 1

@@ -5,15 +5,15 @@ A server on a serial line: noise, requests to others, and a port that is unplugg
 from __future__ import annotations
 
 import asyncio
-import fcntl
 import os
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from libmodbus_py import AsciiContext, Device, Mapping, RtuContext, Server
+from libmodbus_py import AsciiContext, Device, Mapping, ModbusTimeoutError, RtuContext, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server.limits import ServerStatistics
@@ -23,7 +23,7 @@ from libmodbus_py.server.serving import Devices
 from libmodbus_py.server.units import Units
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import LineEnd, Stage
-from tests.support.peers import until
+from tests.support.peers import LinePeer, ignore, until
 from tests.support.talk import rtu
 
 
@@ -42,6 +42,13 @@ def test_serial_server_answers_the_next_request_after_noise(kind: str, noise: by
             assert context.read_holding_registers(0, 2) == [0, 0]
 
 
+def is_answered(context: RtuContext) -> bool:
+    try:
+        return context.read_holding_registers(100, 1) == [1000]
+    except ModbusTimeoutError:
+        return False
+
+
 def test_an_unplugged_port_is_opened_again(
     device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -56,27 +63,8 @@ def test_an_unplugged_port_is_opened_again(
             first.unplug()
             path.unlink()
             path.symlink_to(second.server)
-            with RtuContext(second.client, unit=17, timeout=5) as context:
-                wait_until_open(second.server)
-                assert context.read_holding_registers(100, 1) == [1000]
-
-
-def wait_until_open(path: str) -> None:
-    """A port that is served is locked."""
-    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
-
-    def is_locked() -> bool:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        fcntl.flock(descriptor, fcntl.LOCK_UN)
-        return False
-
-    try:
-        until(is_locked)
-    finally:
-        os.close(descriptor)
+            with RtuContext(second.client, unit=17, timeout=0.1) as context:
+                until(lambda: is_answered(context))
 
 
 @pytest.mark.parametrize(
@@ -123,41 +111,22 @@ class Service:
     def close(self) -> None: ...
 
 
-async def received(wire: SerialWire, server: SerialServer, service: Service) -> bytes:
-    """Return what comes of all answers, written at once."""
-    await server.open()
-    for answer in ANSWERS:
-        service.channel.write(answer)
-    loop = asyncio.get_running_loop()
-    descriptor = os.open(wire.client, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    found, done = bytearray(), asyncio.Event()
-
-    def read() -> None:
-        found.extend(os.read(descriptor, 65_536))
-        if found.endswith(ANSWERS[-1]):
-            done.set()
-
-    loop.add_reader(descriptor, read)
-    try:
-        await done.wait()
-    finally:
-        loop.remove_reader(descriptor)
-        os.close(descriptor)
-        server.close()
-    return bytes(found)
-
-
 def test_the_latest_answers_wait_and_no_more_than_a_port_keeps() -> None:
     service = Service()
 
-    async def main(wire: SerialWire) -> bytes:
-        url = f"rtu://{wire.server}?baudrate=115200&rs485=rts-up&rts_delay=0.01"
+    async def write_all(path: str, is_over: Callable[[], bool]) -> None:
+        url = f"rtu://{path}?baudrate=115200&rs485=rts-up&rts_delay=0.01"
         server = SerialServer(parse(url), service, ServerStatistics())
-        return await received(wire, server, service)
+        await server.open()
+        for answer in ANSWERS:
+            service.channel.write(answer)
+        while not is_over():
+            await asyncio.sleep(0.001)
+        server.close()
 
-    with SerialWire() as wire:
-        found = asyncio.run(main(wire))
-    assert found.endswith(ANSWERS[-1])
+    with LinePeer(ignore) as line:
+        asyncio.run(write_all(line.path, lambda: ANSWERS[-1] in b"".join(line.requests)))
+    found = b"".join(line.requests)
     pieces = [found[at : at + 256] for at in range(0, len(found), 256)]
     assert pieces == [ANSWERS[0], *ANSWERS[-(MAX_UNSENT // 256) :]]
 
