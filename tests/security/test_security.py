@@ -42,33 +42,54 @@ def pem(kind: str, body: str = "AAAA") -> bytes:
     return f"-----BEGIN {kind}-----\n{body}\n-----END {kind}-----\n".encode()
 
 
-# What is in the file -> what is said of it; a number: there is no such file, or it is not a file.
-NO_CERTIFICATE: dict[str, tuple[Callable[[], bytes] | None, str]] = {
-    "missing": (None, "No such file or directory"),
-    "empty": (lambda: b"", "no certificate in PEM format"),
-    "DER": (lambda: certificates.client().der, "no certificate in PEM format"),
-    "no ASCII": (lambda: "Schlüssel".encode() * 100, "no certificate in PEM format"),
-    "a key": (lambda: certificates.client().key_pem(), "no certificate in PEM format"),
-    "cut": (lambda: certificates.client().pem[:300], "no certificate in PEM format"),
-    "no base64": (lambda: pem("CERTIFICATE", "!!!!"), "no certificate in PEM format"),
-    "no DER": (lambda: pem("CERTIFICATE"), "no certificate in PEM format"),
-    "one good, one bad": (
-        lambda: certificates.client().pem + pem("CERTIFICATE"),
-        "no certificate in PEM format",
+NO_CERTIFICATE: list[Callable[[], bytes]] = [
+    lambda: b"",
+    lambda: certificates.client().der,
+    lambda: "Schlüssel".encode() * 100,
+    lambda: certificates.client().key_pem(),
+    lambda: certificates.client().pem[:300],
+    lambda: pem("CERTIFICATE", "!!!!"),
+    lambda: pem("CERTIFICATE"),
+    lambda: certificates.client().pem + pem("CERTIFICATE"),
+]
+
+# What is in the file of a key, and what is said of it.
+NO_KEY: list[tuple[Callable[[], bytes], str]] = [
+    (lambda: b"", "no key in PEM format"),
+    (lambda: certificates.client().pem, "no key in PEM format"),
+    (
+        lambda: certificates.client().key.private_bytes(
+            serialization.Encoding.DER,
+            serialization.PrivateFormat.PKCS8,
+            serialization.NoEncryption(),
+        ),
+        "no key in PEM format",
     ),
-}
+    (lambda: pem("PRIVATE KEY"), "cannot be read"),
+    (lambda: certificates.client(None).key_pem(), "not the key of the certificate"),
+    (
+        lambda: certificates.client(key=certificates.rsa_key()).key_pem(),
+        "not the key of the certificate",
+    ),
+]
 
 
-@each_case("what", NO_CERTIFICATE)
-@each_case("argument", ["certificate", "trust", "pin"])
-def test_a_file_without_a_certificate_is_named(
-    tmp_path: Path, papers: Papers, files: Files, argument: str, what: str
+@each_case(
+    ("argument", "content", "reason"),
+    [
+        *(
+            (argument, content, "no certificate in PEM format")
+            for argument in ("certificate", "trust", "pin")
+            for content in NO_CERTIFICATE
+        ),
+        *(("key", content, reason) for content, reason in NO_KEY),
+    ],
+)
+def test_a_file_without_a_certificate_or_key_is_named(
+    papers: Papers, files: Files, argument: str, content: Callable[[], bytes], reason: str
 ) -> None:
-    content, reason = NO_CERTIFICATE[what]
-    file = tmp_path / "file.pem"
-    file.unlink(missing_ok=True)
-    if content is not None:
-        file.write_bytes(content())
+    file = papers.ca.parent / "file.pem"
+    file.write_bytes(content())
     options: dict[str, Any] = {"certificate": files.cert, "key": files.key}
     options |= {argument: file} if argument == "pin" else {"trust": papers.ca, argument: file}
     with pytest.raises(ValueError, match=exactly(f"{argument} {str(file)!r}: {reason}")):
@@ -84,40 +105,6 @@ def test_the_words_of_urls_are_taken_too(papers: Papers, files: Files) -> None:
         Security(files.cert, files.key, trust=papers.ca, ca=papers.ca)
     with pytest.raises(TypeError, match="security needs certificate, a PEM file"):
         Security(key=files.key, ca=papers.ca)
-
-
-NO_KEY: dict[str, tuple[Callable[[], bytes] | None, str]] = {
-    "missing": (None, "No such file or directory"),
-    "empty": (lambda: b"", "no key in PEM format"),
-    "certificate": (lambda: certificates.client().pem, "no key in PEM format"),
-    "DER": (
-        lambda: certificates.client().key.private_bytes(
-            serialization.Encoding.DER,
-            serialization.PrivateFormat.PKCS8,
-            serialization.NoEncryption(),
-        ),
-        "no key in PEM format",
-    ),
-    "no DER": (lambda: pem("PRIVATE KEY"), "cannot be read"),
-    "of another": (lambda: certificates.client(None).key_pem(), "not the key of the certificate"),
-    "of another kind": (
-        lambda: certificates.client(key=certificates.rsa_key()).key_pem(),
-        "not the key of the certificate",
-    ),
-}
-
-
-@each_case("what", NO_KEY)
-def test_a_file_without_the_key_is_named(
-    tmp_path: Path, papers: Papers, files: Files, what: str
-) -> None:
-    content, reason = NO_KEY[what]
-    file = tmp_path / "key.pem"
-    file.unlink(missing_ok=True)
-    if content is not None:
-        file.write_bytes(content())
-    with pytest.raises(ValueError, match=exactly(f"key {str(file)!r}: {reason}")):
-        Security(files.cert, file, trust=papers.ca)
 
 
 def test_without_a_file_of_its_own_the_key_is_looked_for_in_that_of_the_certificate(
