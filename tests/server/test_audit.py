@@ -170,27 +170,7 @@ def test_a_gateway_records_what_its_devices_answered(events: Events) -> None:
     ]
 
 
-def test_the_holder_of_the_certificate_is_recorded(papers: Papers, events: Events) -> None:
-    server = Server(device(), security=papers.server(), audit=events.append)
-    with server.background("tls://127.0.0.1:0") as running:
-        port = int(running.urls[0].rpartition(":")[2])
-        with TlsContext("127.0.0.1", port, security=papers.client()) as plc:
-            plc.write_register(0, 9)
-        stranger = papers.security(certificates.self_signed())
-        with pytest.raises(ModbusConnectionError):
-            TlsContext("127.0.0.1", port, security=stranger).read_coils(0, 1)
-        until(lambda: len(events) >= 3)
-    assert [(each.event, each.result) for each in events[:3]] == [
-        ("logon", "ok"),
-        ("write", "ok"),
-        ("handshake", "self-signed certificate"),
-    ]
-    assert [each.role for each in events[:3]] == ["Operator", "Operator", None]
-    assert whose(events[0]) == whose(events[1]) == named(certificates.client("Operator"))
-    assert whose(events[2]) == named(certificates.self_signed())
-
-
-def test_the_life_of_a_server_and_a_forced_end_are_recorded(
+def test_the_life_of_a_server_and_of_a_client_with_a_certificate_are_recorded(
     tmp_path: Path, papers: Papers, events: Events
 ) -> None:
     operator = certificates.client("Operator")
@@ -205,20 +185,21 @@ def test_the_life_of_a_server_and_a_forced_end_are_recorded(
     with server.background("tls://127.0.0.1:0") as running:
         (url,) = running.urls
         with TlsContext("127.0.0.1", parse(url).port, security=papers.client()) as plc:
-            plc.read_holding_registers(0, 1)
+            plc.write_register(0, 9)
             crl.write_bytes(certificates.revocation_list(operator))
             renewed = certificates.server(days=29)
             server.security = papers.security(renewed, crl=crl)
-            until(lambda: len(events) == 2 and len(events.own) == 2)
+            until(lambda: len(events) == 3 and len(events.own) == 2)
             with pytest.raises(ModbusConnectionError):  # it comes again, and more than once
                 plc.read_holding_registers(0, 1)
-            until(lambda: len(events) >= 3)
-    assert [(each.event, each.result, each.role) for each in events[:3]] == [
+            until(lambda: len(events) >= 4)
+    assert [(each.event, each.result, each.role) for each in events[:4]] == [
         ("logon", "ok", "Operator"),
+        ("write", "ok", "Operator"),
         ("ended", "certificate revoked", "Operator"),
         ("handshake", "certificate revoked", None),
     ]
-    assert whose(events[1]) == whose(events[2]) == named(operator)
+    assert {whose(each) for each in events} == {named(operator)}
     assert [(each.event, each.result) for each in events.own] == [
         ("start", url),
         ("renewed", url),
