@@ -48,34 +48,25 @@ LINE, HOST = "/dev/ttyUSB0", "192.0.2.1"
 
 
 @each_case(
-    ("make", "option", "meant"),
+    ("place", "option", "meant", "makers"),
     [
-        *((make, "stopbits", "stop_bits") for make in (RtuContext, AsciiContext, SerialPort)),
-        *((make, "bytesize", "data_bits") for make in (RtuContext, Client, Context.from_url)),
-        *((make, "stopbit", "stop_bits") for make in (RtuContext, Client, SerialPort)),
-        (SerialPort, "baud", "baudrate"),
-        (Client, "baud_rate", "baudrate"),
-        (RtuContext, "slave", "unit"),
-        (RtuContext, "timout", "timeout"),
-        (RtuContext, "handle_local_echo", "echo"),
+        (LINE, "stopbits", "stop_bits", [RtuContext, AsciiContext, SerialPort]),
+        (LINE, "bytesize", "data_bits", [RtuContext, Client, Context.from_url]),
+        (LINE, "stopbit", "stop_bits", [RtuContext, Client, SerialPort]),
+        (LINE, "baud", "baudrate", [SerialPort]),
+        (LINE, "baud_rate", "baudrate", [Client]),
+        (LINE, "slave", "unit", [RtuContext]),
+        (LINE, "timout", "timeout", [RtuContext]),
+        (LINE, "handle_local_echo", "echo", [RtuContext]),
+        (HOST, "device_id", "unit", [TcpContext, UdpContext, Client, AsyncClient]),
+        (HOST, "retry", "retries", [TcpContext, AsyncClient, Context.from_url]),
+        (HOST, "time_out", "timeout", [TcpContext, Client, AsyncClient]),
     ],
 )
-def test_serial_lines(make: Any, option: str, meant: str) -> None:
-    with pytest.raises(TypeError, match=f"'{option}' must be one of .*; did you mean {meant}"):
-        make(LINE, **{option: 1})
-
-
-@each_case(
-    ("make", "option", "meant"),
-    [
-        *((make, "device_id", "unit") for make in (TcpContext, UdpContext, Client, AsyncClient)),
-        *((make, "retry", "retries") for make in (TcpContext, AsyncClient, Context.from_url)),
-        *((make, "time_out", "timeout") for make in (TcpContext, Client, AsyncClient)),
-    ],
-)
-def test_networks(make: Any, option: str, meant: str) -> None:
-    with pytest.raises(TypeError, match=f"'{option}' must be one of .*; did you mean {meant}"):
-        make(HOST, **{option: 1})
+def test_options_of_classes(place: str, option: str, meant: str, makers: list[Any]) -> None:
+    for make in makers:
+        with pytest.raises(TypeError, match=f"'{option}' must be one of .*; did you mean {meant}"):
+            make(place, **{option: 1})
 
 
 def test_an_option_that_nothing_is_like() -> None:
