@@ -11,13 +11,11 @@ import gc
 import os
 import pickle
 import resource
-import signal
-import sys
 import termios
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -35,6 +33,7 @@ from tests.support.clients import ALL, BLOCKING, NATIVE, asking, read
 from tests.support.peers import LinePeer, TcpPeer, Write, peer_at, until
 from tests.support.reads import good, good_at
 from tests.support.scripted import run as run_watched
+from tests.support.signals import in_child
 
 # --- forks ------------------------------------------------------------------------------------
 
@@ -42,22 +41,6 @@ from tests.support.scripted import run as run_watched
 def assert_read(client: Any, address: int) -> None:
     """Check that a register gives its address."""
     assert client.read_holding_registers(address, 1) == [address]
-
-
-def in_child(act: Callable[[], object], meanwhile: Callable[[], object] = lambda: None) -> int:
-    """Fork, do it in the child, and give its exit status: 0, 1 for an error, -14 for a hang."""
-    child = os.fork()
-    if child == 0:
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(10)
-        try:
-            act()
-        except BaseException as error:
-            print(repr(error), file=sys.stderr)
-            os._exit(1)
-        os._exit(0)
-    meanwhile()
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")

@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import signal
 import threading
 from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
@@ -32,6 +30,7 @@ from tests.support.clients import Simulated
 from tests.support.in_loops import run_client
 from tests.support.peers import Write, mbap
 from tests.support.reads import good
+from tests.support.signals import interrupt, on_alarm
 
 METER = RegisterMap([Point("a", "holding_registers", 0), Point("b", "holding_registers", 9)])
 
@@ -260,31 +259,15 @@ def test_other_requests_go_on_until_another_thread_ends_the_wait(url: str) -> No
     assert found == []
 
 
-@contextlib.contextmanager
-def waiting_until_a_signal(url: str, handle: Callable[[Client], object]) -> Iterator[Any]:
-    """Yield a client and its watch, which waits for a day when the signal comes."""
+def test_ctrl_c_leaves_and_a_signal_handler_may_close(url: str) -> None:
     with Client(url) as plc:
         watching = plc.watch(METER, every=86_400)
         next(watching)
-        before = signal.signal(signal.SIGALRM, lambda *_: handle(plc))
-        try:
-            signal.setitimer(signal.ITIMER_REAL, 0.05)
-            yield plc, watching
-        finally:
-            signal.signal(signal.SIGALRM, before)
-
-
-def interrupt(_: Client) -> None:
-    raise KeyboardInterrupt
-
-
-def test_a_signal_handler_may_close_and_ctrl_c_leaves(url: str) -> None:
-    with waiting_until_a_signal(url, Client.close) as (_, watching):
-        assert list(watching) == []
-    with waiting_until_a_signal(url, interrupt) as (plc, watching):
-        with pytest.raises(KeyboardInterrupt):
+        with on_alarm(interrupt, 0.05), pytest.raises(KeyboardInterrupt):
             next(watching)
         assert plc.read_holding_registers(0, 1) == [0]
+        with on_alarm(plc.close, 0.05):
+            assert list(watching) == []
 
 
 # --- points with intervals of their own, and totals that fall ---------------------------------

@@ -7,7 +7,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import signal
 import socket
 import threading
 import time
@@ -31,6 +30,7 @@ from tests.support.clients import Connect
 from tests.support.peers import dead, until
 from tests.support.scripted import run as run_in_loop
 from tests.support.secured import context_of
+from tests.support.signals import in_child, interrupt, on_alarm
 from tests.support.tls_clients import LONG, SOON, Serving, descriptors
 from tests.support.tls_peers import Peer, Relay, raw
 
@@ -115,27 +115,11 @@ def test_close_ends_a_handshake(connect: Connect, papers: Papers) -> None:
                 waiting.result(SOON)
 
 
-def interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
-
-
-@contextlib.contextmanager
-def signalled(handle: Callable[..., None]) -> Iterator[None]:
-    """Send this process a signal in 0.3 s."""
-    old = signal.signal(signal.SIGALRM, handle)
-    try:
-        signal.setitimer(signal.ITIMER_REAL, 0.3)
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, old)
-
-
 def test_a_handler_that_closes_in_the_handshake(papers: Papers) -> None:
     with raw(stalls) as url:
         plc = Context.from_url(url, security=papers.client(), timeout=60)
         before = descriptors()
-        with signalled(lambda *_: plc.close()), pytest.raises(ModbusConnectionError):
+        with on_alarm(plc.close, 0.3), pytest.raises(ModbusConnectionError):
             plc.connect()
         until(lambda: descriptors() <= before)
 
@@ -149,7 +133,7 @@ def test_a_client_goes_on_after_ctrl_c_in_the_handshake(papers: Papers, serving:
             Context.from_url(relay.url, security=papers.client(), timeout=LONG)
         ) as plc,
     ):
-        with signalled(interrupt), pytest.raises(KeyboardInterrupt):
+        with on_alarm(interrupt, 0.3), pytest.raises(KeyboardInterrupt):
             plc.connect()
         assert plc.state is State.DISCONNECTED
         is_silent = False
@@ -211,14 +195,12 @@ def test_a_forked_child_leaves_the_connection_alone(papers: Papers) -> None:
     server = Server(Device(Mapping(holding_registers=10)))
     with secured(server, papers) as url, Context.from_url(url, timeout=LONG) as plc:
         plc.write_register(0, 7)
-        child = os.fork()
-        if child == 0:
-            code = 1
-            with contextlib.suppress(BaseException):
-                code = 0 if plc.read_holding_registers(0, 1) == [7] else 2
-                plc.close()
-            os._exit(code)
-        assert os.waitpid(child, 0)[1] == 0
+
+        def ask_and_close() -> None:
+            assert plc.read_holding_registers(0, 1) == [7]
+            plc.close()
+
+        assert in_child(ask_and_close) == 0
         assert plc.read_holding_registers(0, 1) == [7]
         assert plc.statistics.connects == 1
         assert server.statistics.handshakes == 2
@@ -230,11 +212,7 @@ def test_an_asyncio_client_that_ends_in_a_child_leaves_the_connection_alone(
     async def main(url: str) -> None:
         async with AsyncClient(url, timeout=LONG) as plc:
             await plc.write_register(0, 7)
-            child = os.fork()
-            if child == 0:
-                plc._driver._port.close()
-                os._exit(0)
-            os.waitpid(child, 0)
+            assert in_child(plc._driver._port.close) == 0
             assert await plc.read_holding_registers(0, 1) == [7]
             assert plc.statistics.connects == 1
 

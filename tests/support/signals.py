@@ -1,0 +1,46 @@
+"""
+What happens to this process in the midst of a test: signals, and forks.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+__all__ = ["in_child", "interrupt", "on_alarm"]
+
+
+def interrupt() -> None:
+    """Raise what Ctrl-C raises."""
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def on_alarm(act: Callable[[], object], seconds: float) -> Iterator[None]:
+    """Let a signal handler do it in so many seconds."""
+    before = signal.signal(signal.SIGALRM, lambda *_: act())
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def in_child(act: Callable[[], object], meanwhile: Callable[[], object] = lambda: None) -> int:
+    """Fork, do it in the child, and give its exit status: 0, 1 for an error, -14 for a hang."""
+    child = os.fork()
+    if child == 0:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(10)
+        try:
+            act()
+        except BaseException as error:
+            print(repr(error), file=sys.stderr)
+            os._exit(1)
+        os._exit(0)
+    meanwhile()
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
