@@ -11,7 +11,8 @@ import pytest
 
 from libmodbus_py import Device, Mapping, RtuContext, Server
 from tests.support.clients import ALL
-from tests.support.peers import FakeUnit, answer, peer_at
+from tests.support.peers import LinePeer, peer_at
+from tests.support.reads import good_at
 
 # Each is a program of its own, so that no thread of pytest is forked.
 pytestmark = pytest.mark.slow
@@ -19,23 +20,11 @@ pytestmark = pytest.mark.slow
 HEAD = """
 import asyncio, gc, os, signal, socket, sys
 from libmodbus_py import AsyncClient, Client, Device, Mapping, ModbusConnectionError
-from tests.support.peers import answer, dead, peer_at
+from tests.support.peers import dead, peer_at
+from tests.support.reads import good_at
+from tests.support.signals import in_child
 
 signal.alarm(50)
-
-
-def in_child(act):
-    # Fork, do it in the child, and return its exit status.
-    child = os.fork()
-    if not child:
-        signal.alarm(30)
-        try:
-            act()
-        except BaseException as error:
-            print(repr(error), file=sys.stderr, flush=True)
-            os._exit(1)
-        os._exit(0)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 def sockets():
@@ -56,25 +45,19 @@ def is_open(descriptor):
     return True
 
 
-def reply(request, write):
-    write(answer(request, SCHEME))
+reply = good_at(SCHEME)
 """
 
 
+def ended(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run Python to its end."""
+    command = [sys.executable, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=55, check=False)
+
+
 def run(program: str, scheme: str = "tcp") -> None:
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-W",
-            "ignore::DeprecationWarning",
-            "-c",
-            f"SCHEME = {scheme!r}\n{HEAD}{program}",
-        ],
-        capture_output=True,
-        text=True,
-        timeout=55,
-        check=False,
-    )
+    whole = f"SCHEME = {scheme!r}\n{HEAD}{program}"
+    done = ended("-W", "ignore::DeprecationWarning", "-c", whole)
     assert (done.stdout, done.stderr, done.returncode) == ("good\n", "", 0)
 
 
@@ -276,13 +259,8 @@ print("ok")
 @ALL
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu"])
 def test_no_descriptor_left_is_a_connection_error_that_passes(scheme: str, kind: str) -> None:
-    with peer_at(scheme, lambda request, write: write(answer(request, scheme))) as peer:
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, peer.url, kind],
-            capture_output=True,
-            text=True,
-            timeout=30,
-        )
+    with peer_at(scheme, good_at(scheme)) as peer:
+        done = ended("-c", PROGRAM, peer.url, kind)
     assert done.stdout == "ok\n", done.stderr
 
 
@@ -314,13 +292,7 @@ asyncio.run(main())
 def test_a_program_that_ends_with_open_clients_ends_quietly(warn: bool, how: str) -> None:
     options = ["-W", "default"] if warn else []
     with Server(Device(Mapping(coils=8))).background("tcp://127.0.0.1:0") as running:
-        done = subprocess.run(
-            [sys.executable, *options, "-c", LEFT_OPEN, running.urls[0], how],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+        done = ended(*options, "-c", LEFT_OPEN, running.urls[0], how)
     assert done.returncode == 0
     lines = [line for line in done.stderr.splitlines() if "ResourceWarning" not in line]
     if not warn:
@@ -331,7 +303,7 @@ def test_a_program_that_ends_with_open_clients_ends_quietly(warn: bool, how: str
 
 def test_a_port_is_opened_that_a_killed_program_left_as_it_was() -> None:
     """Its settings are those that are to be set, and a pseudo-terminal refuses one of them."""
-    with FakeUnit(lambda request: [answer(request, "rtu")]) as unit:
+    with LinePeer(good_at("rtu")) as unit:
         program = (
             "import os, sys, libmodbus_py as m\n"
             "context = m.RtuContext(sys.argv[1], 115200)\n"
@@ -339,7 +311,7 @@ def test_a_port_is_opened_that_a_killed_program_left_as_it_was() -> None:
             "os.kill(os.getpid(), 9)"
         )
         for times in range(3):
-            subprocess.run([sys.executable, "-c", program, unit.path], check=False, timeout=30)
+            ended("-c", program, unit.path)
             if times:
                 with RtuContext(unit.path, 115200) as context:
                     assert context.read_holding_registers(times, 1) == [times]

@@ -35,7 +35,7 @@ def in_child(act: Callable[[], object], meanwhile: Callable[[], object] = lambda
     child = os.fork()
     if child == 0:
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(10)
+        signal.alarm(30)
         try:
             act()
         except BaseException as error:
