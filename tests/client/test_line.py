@@ -36,15 +36,6 @@ def test_an_answer_may_come_in_any_pieces(size: int) -> None:
     assert batch.outcomes == [[1]]
 
 
-def test_a_pause_within_an_answer_does_no_harm() -> None:
-    talk = Talk(LINE)
-    batch = talk.ask(1)
-    talk.come(value(1)[:4])
-    talk.wait(0.5)
-    talk.come(value(1)[4:])
-    assert batch.outcomes == [[1]]
-
-
 def test_3_5_characters_of_silence_are_kept_before_each_request() -> None:
     """Of 11 bits each: 4.01 ms at 9600 bit/s; and the request itself takes 9.17 ms."""
     talk = Talk("rtu:///dev/nowhere?baudrate=9600")
@@ -83,18 +74,6 @@ def test_turning_the_line_counts_as_sending() -> None:
 
 
 # --- what does not end the wait --------------------------------------------------------
-
-
-@pytest.mark.parametrize("noise", ["00", "FF", "FE 00", "00 FF 55", "01", "01 03"])
-def test_noise_before_the_answer_does_not_end_the_wait(noise: str) -> None:
-    talk = Talk(LINE)
-    for number in range(40):
-        batch = talk.ask(number)
-        talk.come(bytes.fromhex(noise))
-        talk.wait(0.03)
-        talk.come(value(number))
-        talk.wait(0.03)
-        assert batch.outcomes == [[number]]
 
 
 def test_noise_alone_is_a_frame_error_at_the_end_that_says_so() -> None:

@@ -24,15 +24,19 @@ BUSY = b"\x83\x06"
 
 class Device:
     """
-    Answers one request after the other, 5 ms each.
+    Answers one request after the other.
 
     Args:
         places: for requests, the one that is being answered included.
         refusal: the PDU that answers those without a place; None to lose them.
+        takes: how many seconds an answer takes.
     """
 
-    def __init__(self, world: Any, places: int, refusal: bytes | None = None) -> None:
+    def __init__(
+        self, world: Any, places: int, refusal: bytes | None = None, takes: float = 0.005
+    ) -> None:
         self._events = world.network.events
+        self._takes = takes
         self._places = places
         self._refusal = refusal
         self._waiting: deque[tuple[bytes, Write]] = deque()
@@ -46,13 +50,13 @@ class Device:
         self._waiting.append((request, write))
         self.most = max(self.most, len(self._waiting))
         if len(self._waiting) == 1:
-            self._events.after(0.005, self._answer)
+            self._events.after(self._takes, self._answer)
 
     def _answer(self) -> None:
         request, write = self._waiting.popleft()
         write(echo(request))
         if self._waiting:
-            self._events.after(0.005, self._answer)
+            self._events.after(self._takes, self._answer)
 
 
 @each_scheme
@@ -168,15 +172,7 @@ def test_a_device_that_stood_still_is_not_limited_to_one(world: World, scheme: s
 
 def test_a_device_that_answers_too_many_too_late_gets_half_as_many(world: World) -> None:
     """As a gateway does to a slow line: 16 answers of 0.1 s each take longer than the timeout."""
-
-    class Slow(Device):
-        def _answer(self) -> None:
-            request, write = self._waiting.popleft()
-            write(echo(request))
-            if self._waiting:
-                self._events.after(0.1, self._answer)
-
-    peer = world.peer("tcp", Slow(world, 100))
+    peer = world.peer("tcp", Device(world, 100, takes=0.1))
     with world.connect(peer.url, timeout=1) as context:
         assert context.execute_many(reads(60)) == echoes(60)
         again = context.statistics.retries
