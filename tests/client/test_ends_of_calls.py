@@ -18,19 +18,18 @@ from libmodbus_py import AsyncClient, Context, pdu
 from tests.simulation.loop import complaints_of
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
+from tests.support.clients import making
 from tests.support.peers import Peer, Write, answer, peer_at
-
-PLACES = {
-    "tcp": "tcp://10.0.0.1",
-    "rtu": "rtu:///dev/line?baudrate=115200",
-    "udp": "udp://10.0.0.1",
-}
+from tests.support.urls import url_for
 
 PLACES_OF_SIGNALS = ("call", "c_call", "c_return")
 
+# What frames need to arrive, in seconds.
+SETTLED = 0.1
+
 ERRORS = [TimeoutError("its own"), MemoryError(), KeyboardInterrupt()]
 
-TRANSPORTS = pytest.mark.parametrize("scheme", PLACES)
+TRANSPORTS = pytest.mark.parametrize("scheme", ["tcp", "rtu", "udp"])
 RAISED = pytest.mark.parametrize("error", ERRORS, ids=lambda each: type(each).__name__)
 
 
@@ -127,11 +126,11 @@ def strike_each_moment(
 def test_nothing_is_sent_of_a_call_that_a_context_was_thrown_out_of(
     scheme: str, error: BaseException
 ) -> None:
-    network = Network()
-    peer = Scripted(network, PLACES[scheme], replying(scheme))
-    with network.installed(), Context.from_url(peer.url, native=False, retries=1) as context:
-        settle = partial(pass_time, network)
-        assert strike_each_moment(context, peer, scheme, error, settle) > 50
+    with making("python") as world:
+        peer = world.peer(scheme, replying(scheme))
+        with world.connect(peer.url, retries=1) as context:
+            settle = partial(world.sleep, SETTLED)
+            assert strike_each_moment(context, peer, scheme, error, settle) > 50
 
 
 @pytest.mark.parametrize(
@@ -147,13 +146,6 @@ def test_nothing_is_sent_of_a_call_that_c_carries(scheme: str, error: BaseExcept
         options, step = ({"timeout": 0.25}, 15) if scheme == "rtu" else ({}, 1)
         with Context.from_url(peer.url, native=True, retries=1, **options) as context:
             assert strike_each_moment(context, peer, scheme, error, step=step) * step > 100
-
-
-def pass_time(network: Network) -> None:
-    """Let pass as much time as frames need."""
-    until = network.events.now + 0.1
-    while network.events.now < until:
-        network.events.advance(until)
 
 
 def ended(loop: asyncio.AbstractEventLoop, tasks: list[asyncio.Task[Any]]) -> None:
@@ -181,7 +173,7 @@ class Leaving:
 def test_no_caller_waits_for_a_client_whose_hook_ends_the_program(scheme: str, hook: str) -> None:
     """Three callers at once; the program goes on after SystemExit, and every caller is told."""
     network = Network()
-    peer = Scripted(network, PLACES[scheme], replying(scheme))
+    peer = Scripted(network, url_for(scheme, line="/dev/line?baudrate=115200"), replying(scheme))
     loop = network.loop()
     leave = Leaving()
     options = {hook: leave} if hook in ("trace", "on_state", "may_send") else {}
@@ -220,7 +212,7 @@ def test_no_caller_waits_for_a_client_whose_hook_ends_the_program(scheme: str, h
             for task, expected in zip(tasks, (None, [30], [40]), strict=True):
                 if task.exception() is None and not isinstance(task.result(), Exception):
                     assert task.result() == expected
-            pass_time(network)
+            loop.run_until_complete(asyncio.sleep(SETTLED))
             assert loop.run_until_complete(plc.read_holding_registers(51, 1)) == [51]
             assert not plc._driver._callers
             loop.run_until_complete(plc.close())
@@ -234,17 +226,17 @@ def writes(first: int) -> list[pdu.WriteRegister]:
 
 
 def test_nothing_is_sent_of_many_requests_that_a_context_was_thrown_out_of() -> None:
-    network = Network()
-    peer = Scripted(network, PLACES["tcp"], replying("tcp"))
     error, number, is_struck = MemoryError(), 0, True
-    with network.installed(), Context.from_url(peer.url, native=False) as context:
-        while is_struck:
-            number += 1
-            call = partial(context.execute_many, writes(10 * number), max_in_flight=3)
-            is_struck, raised = struck(call, number, error)
-            assert raised is (error if is_struck else None), (number, raised)
-            pass_time(network)
-            before = len(peer.requests)
-            assert context.read_holding_registers(10 * number + 9, 1) == [10 * number + 9]
-            assert len(peer.requests) == before + 1, number
+    with making("python") as world:
+        peer = world.peer("tcp", replying("tcp"))
+        with world.connect(peer.url) as context:
+            while is_struck:
+                number += 1
+                call = partial(context.execute_many, writes(10 * number), max_in_flight=3)
+                is_struck, raised = struck(call, number, error)
+                assert raised is (error if is_struck else None), (number, raised)
+                world.sleep(SETTLED)
+                before = len(peer.requests)
+                assert context.read_holding_registers(10 * number + 9, 1) == [10 * number + 9]
+                assert len(peer.requests) == before + 1, number
     assert number > 200

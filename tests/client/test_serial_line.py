@@ -4,7 +4,6 @@ What is particular to serial lines: silence, echo, direction control, settings.
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import re
 import subprocess
@@ -34,6 +33,7 @@ from tests.support.clients import ALL, Connect, asking, read
 from tests.support.peers import FakeUnit, answer
 from tests.support.replies import exchange
 from tests.support.talk import ASCII, LINE, Talk, ascii_frame, kinds, rtu
+from tests.support.transports import serving
 
 ANSWER = framing.RtuFramer("server").encode(framing.Frame(1, b"\x03\x02\x00\x07"))
 
@@ -158,15 +158,8 @@ def test_settings_in_the_url_reach_the_port(device: Device, query: str) -> None:
 @ALL
 @pytest.mark.parametrize("scheme", ["ascii+tcp", "ascii"])
 def test_an_accepted_delimiter_is_followed_and_a_restart_ends_it(scheme: str, kind: str) -> None:
-    with contextlib.ExitStack() as stack:
-        server = Server(Device(Mapping(holding_registers=10)))
-        if scheme == "ascii":
-            wire = stack.enter_context(SerialWire())
-            stack.enter_context(server.background(f"ascii://{wire.server}?baudrate=115200"))
-            url = f"ascii://{wire.client}?baudrate=115200"
-        else:
-            url = stack.enter_context(server.background("ascii+tcp://127.0.0.1:0")).urls[0]
-        client = stack.enter_context(asking(kind, url))
+    server = Server(Device(Mapping(holding_registers=10)))
+    with serving(scheme, server) as url, asking(kind, url) as client:
         client.write_register(3, 42)
         client.diagnostics(3, 0x2100)
         assert read(client, 3) == 42

@@ -25,12 +25,8 @@ from libmodbus_py import (
 )
 from libmodbus_py.ports.endpoint import parse
 from tests.support.clients import ALL, EVERYWHERE, Connect, World, asking, read
-from tests.support.peers import UdpPeer, Write, answer, answering, echo
-from tests.support.reads import reads
-
-
-def good(request: bytes) -> list[bytes]:
-    return [echo(request)]
+from tests.support.peers import Answer, UdpPeer, Write, answer, answering, echo
+from tests.support.reads import echoes, good, reads
 
 
 @pytest.fixture
@@ -77,7 +73,7 @@ def test_many_requests_to_our_server(context: Any) -> None:
 
 def test_url_with_an_ipv6_address(connect: Connect) -> None:
     with (
-        UdpPeer(answering(good), family=socket.AF_INET6) as server,
+        UdpPeer(good, family=socket.AF_INET6) as server,
         connect(server.url, unit=3) as context,
     ):
         assert context.read_holding_registers(5, 1) == [5]
@@ -85,15 +81,6 @@ def test_url_with_an_ipv6_address(connect: Connect) -> None:
 
 
 # --- datagrams that do not fit -------------------------------------------------------------
-
-
-@EVERYWHERE
-def test_doubled_answer_reaches_nobody(world: World) -> None:
-    peer = world.peer("udp", answering(lambda request: good(request) * 3))
-    with world.connect(peer.url, max_in_flight=16) as context:
-        for address in range(20):
-            assert context.read_holding_registers(address, 1) == [address]
-        assert context.execute_many(reads(50)) == [[address] for address in range(50)]
 
 
 def damaged(request: bytes) -> list[bytes]:
@@ -111,13 +98,17 @@ def damaged(request: bytes) -> list[bytes]:
     ]
 
 
+def doubled(request: bytes) -> list[bytes]:
+    return [echo(request)] * 2
+
+
 @EVERYWHERE
-def test_damaged_datagrams_do_not_end_the_wait(world: World) -> None:
-    peer = world.peer("udp", answering(lambda request: [*damaged(request), echo(request)]))
+@pytest.mark.parametrize("beside", [damaged, doubled])
+def test_what_comes_beside_an_answer_reaches_nobody(world: World, beside: Answer) -> None:
+    peer = world.peer("udp", answering(lambda request: [*beside(request), echo(request)]))
     with world.connect(peer.url, max_in_flight=16) as context:
-        for address in range(10):
-            assert context.read_holding_registers(address, 1) == [address]
-        assert context.execute_many(reads(50)) == [[address] for address in range(50)]
+        assert [read(context, address) for address in range(20)] == list(range(20))
+        assert context.execute_many(reads(50)) == echoes(50)
 
 
 def test_damaged_datagrams_are_no_answer(world: World) -> None:
@@ -205,13 +196,13 @@ def test_port_where_nobody_listens_is_a_connection_error_at_once(
 
 
 def test_port_that_comes_back_is_used_again(connect: Connect) -> None:
-    first = UdpPeer(answering(good))
+    first = UdpPeer(good)
     with connect(first.url) as context:
         with first:
             assert context.read_holding_registers(1, 1) == [1]
         with pytest.raises(ModbusConnectionError):
             context.read_holding_registers(1, 1)
-        with UdpPeer(answering(good), port=first.port):
+        with UdpPeer(good, port=first.port):
             assert context.read_holding_registers(2, 1) == [2]
 
 
