@@ -114,8 +114,7 @@ def test_tcp_answer_followed_by_garbage(world: World) -> None:
     def with_garbage(request: bytes) -> list[bytes]:
         return [mbap(request, GOOD) + b"\xde\xad\xbe\xef"]
 
-    peer = world.peer("tcp", answering(with_garbage, with_garbage, good_tcp))
-    with world.connect(peer.url) as context:
+    with world.client_of("tcp", answering(with_garbage, with_garbage, good_tcp)) as context:
         for _ in range(4):
             assert values(context) == VALUES
 
@@ -143,8 +142,7 @@ def test_trickling_answer_does_not_extend_the_deadline(world: World) -> None:
         for at, byte in enumerate(mbap(request, GOOD)):
             write(bytes([byte]), after=at * 0.3)
 
-    peer = world.peer("tcp", trickle)
-    with world.connect(peer.url, timeout=0.2) as context:
+    with world.client_of("tcp", trickle, timeout=0.2) as context:
         for _ in range(2):
             with world.lasting(0.2), pytest.raises(ModbusTimeoutError):
                 values(context)
@@ -239,8 +237,7 @@ def test_serial_resynchronises_after_trouble(world: World, trouble: str, scheme:
             "nothing": [],
         }[trouble]
 
-    unit = world.peer(scheme, answering(good, good, troubled, good))
-    with world.connect(unit.url, timeout=TIMEOUT) as context:
+    with world.client_of(scheme, answering(good, good, troubled, good), timeout=TIMEOUT) as context:
         assert values(context) == VALUES
         assert values(context) == VALUES
         try:
@@ -301,8 +298,7 @@ def test_what_stands_before_each_answer_on_a_line_harms_none(
         if pause:
             write(answer(request, "rtu"), after=pause)
 
-    unit = world.peer("rtu", strayed)
-    with world.connect(unit.url) as client:
+    with world.client_of("rtu", strayed) as client:
         assert [read(client, address) for address in range(40)] == list(range(40))
 
 
@@ -370,8 +366,7 @@ def test_what_came_meanwhile_is_no_answer_to_the_next_request(world: Simulated) 
         write(answer(request, "rtu+tcp"))
         write(answer(b"\1\3\0\x63", "rtu+tcp"), after=0.05)
 
-    peer = world.peer("rtu+tcp", twice)
-    with world.connect(peer.url, timeout=1.0) as client:
+    with world.client_of("rtu+tcp", twice, timeout=1.0) as client:
         for address in range(5):
             assert read(client, address) == address
             world.compute(0.1)

@@ -239,7 +239,7 @@ def test_handles_of_several_units_share_the_connection(world: World) -> None:
 
 @EVERYWHERE
 def test_close_is_idempotent_and_final(world: World) -> None:
-    plc = world.connect(world.peer("tcp", good).url)
+    plc = world.client_of("tcp", good)
     assert not plc.closed
     plc.execute(REQUEST)
     plc.close()

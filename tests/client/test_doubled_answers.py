@@ -42,8 +42,7 @@ def test_no_value_is_that_of_another_request(world: World, scheme: str) -> None:
             doubled += 1
             write(adu, after=after + chance.uniform(0, 0.02))
 
-    peer = world.peer(scheme, some_twice)
-    with world.connect(peer.url, timeout=1) as context:
+    with world.client_of(scheme, some_twice, timeout=1) as context:
         failed = failures(context, 1500)
     assert doubled > 5
     assert failed <= doubled
@@ -57,8 +56,7 @@ def test_a_copy_right_behind_each_answer_is_never_the_next_value(world: World, s
         write(answer(request, scheme), after=0.01)
         write(answer(request, scheme), after=0.011)
 
-    peer = world.peer(scheme, twice)
-    with world.connect(peer.url, timeout=1) as client:
+    with world.client_of(scheme, twice, timeout=1) as client:
         assert failures(client, 20) < 10
 
 

@@ -78,8 +78,7 @@ def longest_hex(text: str) -> int:
 
 
 def test_long_noise_is_cut(world: World) -> None:
-    unit = world.peer("rtu", answering(lambda request: [b"\x00" * 500]))
-    with world.connect(unit.url, timeout=0.15) as client:
+    with world.client_of("rtu", answering(lambda request: [b"\x00" * 500]), timeout=0.15) as client:
         caught = failure(client)
     assert longest_hex(str(caught)) <= 32
     assert len(caught.received) == 500

@@ -123,8 +123,7 @@ def test_a_line_that_is_never_quiet_ends_the_wait(
 ) -> None:
     """From the first request on, and while it waits for the silence that must come before."""
     noise = b"0123456789ABCDEF" if scheme == "ascii" else bytes(range(0x80, 0x90))
-    unit = world.peer(scheme, flooding(world.network, noise, pause))
-    with world.connect(unit.url, timeout=0.2) as client:
+    with world.client_of(scheme, flooding(world.network, noise, pause), timeout=0.2) as client:
         for _ in range(3):
             before = world.now
             error = failure(lambda: read(client, 1))
@@ -183,8 +182,7 @@ def test_an_idle_client_leaves_a_flood_unread(
     """An event loop that is told of each byte would do nothing else."""
     with making("asyncio") as world:
         assert isinstance(world, Simulated)
-        peer = world.peer(scheme, flooding(world.network, data, pause))
-        with world.connect(peer.url, timeout=0.1) as client:
+        with world.client_of(scheme, flooding(world.network, data, pause), timeout=0.1) as client:
             failure(lambda: read(client, 1))
             world.sleep(30.0)  # 64 KiB take 8 s
             port, reads = client._driver._port, []

@@ -351,8 +351,7 @@ def test_pages_that_do_not_answer_are_invalid(asked: str | int, answer: str) -> 
 @EVERYWHERE
 def test_identification_that_leads_in_circles_gives_what_is_there(world: World) -> None:
     page = bytes.fromhex("2b0e0101ff0003 000141 010142 020143")  # more follows, from object 0 on
-    peer = world.peer("tcp", answering(lambda request: [mbap(request, page)]))
-    with world.connect(peer.url) as client:
+    with world.client_of("tcp", answering(lambda request: [mbap(request, page)])) as client:
         found = client.read_device_identification()
         assert not found.complete
         assert found.objects[0] == b"A"

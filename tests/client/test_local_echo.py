@@ -53,8 +53,7 @@ def with_setting(url: str, setting: str) -> str:
 def test_an_echo_is_told_once_and_harms_no_read(
     world: World, scheme: str, stray: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    peer = world.peer(scheme, returning(scheme, stray=stray))
-    with world.connect(peer.url, timeout=1) as client:
+    with world.client_of(scheme, returning(scheme, stray=stray), timeout=1) as client:
         assert [read(client, address) for address in range(30)] == list(range(30))
         assert client.statistics.echoes == 1
         assert client.statistics.late_answers == 0

@@ -67,7 +67,7 @@ def good(found: dict[str, Any]) -> dict[str, Any]:
 @EVERYWHERE
 def test_a_hole_costs_ten_requests_once(world: World) -> None:
     device = Meter(7)
-    with world.connect(world.peer("tcp", device).url) as plc:
+    with world.client_of("tcp", device) as plc:
         counts = []
         for _ in range(10):
             found = plc.read_map(POINTS, return_exceptions=True)
@@ -86,7 +86,7 @@ def test_a_hole_costs_ten_requests_once(world: World) -> None:
 
 
 def test_a_plan_of_nothing_is_read_whatever_is_known(world: World) -> None:
-    with world.connect(world.peer("tcp", Meter(7)).url) as plc:
+    with world.client_of("tcp", Meter(7)) as plc:
         plc.read_map(POINTS, return_exceptions=True)
         assert plc.read_many(Plan([])) == plc.read_many(Plan([]), return_exceptions=True) == []
 
@@ -94,7 +94,7 @@ def test_a_plan_of_nothing_is_read_whatever_is_known(world: World) -> None:
 @EVERYWHERE
 def test_without_return_exceptions_the_point_is_named(world: World) -> None:
     device = Meter(7, 12)
-    with world.connect(world.peer("tcp", device).url) as plc:
+    with world.client_of("tcp", device) as plc:
         for most in (1 + 6, 2, 2):
             with pytest.raises(IllegalDataAddress, match=r"p7: illegal data address") as caught:
                 plc.read_map(POINTS)
@@ -109,7 +109,7 @@ def test_without_return_exceptions_the_point_is_named(world: World) -> None:
 def test_a_hole_is_found_although_another_request_succeeds(world: World) -> None:
     points = RegisterMap([Point("far", H, 900), *(Point(f"p{at}", H, at) for at in range(20))])
     device = Meter(7)
-    with world.connect(world.peer("tcp", device).url) as plc:
+    with world.client_of("tcp", device) as plc:
         found = plc.read_map(points, return_exceptions=True)
         assert good(found) == {"far": 900, **values(7)}
 
@@ -118,7 +118,7 @@ def test_a_hole_is_found_although_another_request_succeeds(world: World) -> None
 def test_nothing_more_is_sent_after_the_first_failure(world: World) -> None:
     points = RegisterMap([Point("a", H, 0), Point("b", H, 10), Point("c", H, 20)])
     device = Meter(10)
-    with world.connect(world.peer("tcp", device).url, max_in_flight=1) as plc:
+    with world.client_of("tcp", device, max_in_flight=1) as plc:
         with pytest.raises(IllegalDataAddress):
             plc.read_map(points, max_in_flight=1)
         assert device.asked == [(0, 1), (10, 1)]
@@ -128,7 +128,7 @@ def test_a_plan_learns_for_each_device_by_itself(world: Simulated) -> None:
     plan = Plan({f"p{at}": (H, at) for at in range(20)})
     one, other = Meter(7), Meter(11)
     with (
-        world.connect(world.peer("tcp", one).url) as first,
+        world.client_of("tcp", one) as first,
         world.connect(Scripted(world.network, "tcp://10.0.0.2", other).url) as second,
     ):
         for _ in range(3):
@@ -172,7 +172,7 @@ def test_another_client_knows_nothing(world: World) -> None:
 
 def test_only_plans_and_maps_have_unreadable_items(world: World) -> None:
     with (
-        world.connect(world.peer("tcp", Meter()).url) as plc,
+        world.client_of("tcp", Meter()) as plc,
         pytest.raises(TypeError, match="what must be a RegisterMap or a Plan, not list"),
     ):
         plc.unreadable([(H, 0)])
@@ -180,7 +180,7 @@ def test_only_plans_and_maps_have_unreadable_items(world: World) -> None:
 
 def test_items_that_are_no_plan_are_read_as_they_are(world: World) -> None:
     device = Meter(7)
-    with world.connect(world.peer("tcp", device).url) as plc:
+    with world.client_of("tcp", device) as plc:
         found = plc.read_many([(H, at) for at in range(20)], return_exceptions=True)
         assert all(isinstance(each, IllegalDataAddress) for each in found)
         assert device.taken() == 1
@@ -210,7 +210,7 @@ def test_it_is_tried_again_when_it_is_time(world: World) -> None:
 def test_silence_is_no_hole(world: World) -> None:
     device = Meter()
     device.silent.add(7)
-    with world.connect(world.peer("tcp", device).url, timeout=0.5) as plc:
+    with world.client_of("tcp", device, timeout=0.5) as plc:
         for _ in range(3):
             found = plc.read_map(POINTS, return_exceptions=True)
             assert all(isinstance(each, ModbusTimeoutError) for each in found.values())
@@ -219,7 +219,7 @@ def test_silence_is_no_hole(world: World) -> None:
 
 def test_what_is_found_is_logged_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "libmodbus_py.client.procedures")
-    with world.connect(world.peer("tcp", Meter(7)).url) as plc:
+    with world.client_of("tcp", Meter(7)) as plc:
         for _ in range(3):
             plc.read_map(POINTS, return_exceptions=True)
         assert caplog.messages == [

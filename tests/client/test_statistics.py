@@ -72,8 +72,7 @@ def test_each_request_has_one_result(world: World) -> None:
 
 
 def test_repetitions_have_results_of_their_own(world: World) -> None:
-    peer = world.peer("tcp", answering(silent, good))
-    with world.connect(peer.url, timeout=0.2, retries=3) as plc:
+    with world.client_of("tcp", answering(silent, good), timeout=0.2, retries=3) as plc:
         plc.execute_many([REQUEST])
         assert plc.statistics.results == {(3, "timeout"): 1, (3, "ok"): 1}
         check(plc.statistics)
@@ -81,8 +80,7 @@ def test_repetitions_have_results_of_their_own(world: World) -> None:
 
 def test_what_nobody_waits_for_any_more_is_cancelled(world: World) -> None:
     """The first failure ends a batch; the answers to the others come, and are dropped."""
-    peer = world.peer("tcp", answering(refused, good))
-    with world.connect(peer.url, timeout=1) as plc:
+    with world.client_of("tcp", answering(refused, good), timeout=1) as plc:
         with pytest.raises(ModbusError):
             plc.execute_many([REQUEST] * 8, max_in_flight=4)
         results = dict(plc.statistics.results)

@@ -47,8 +47,7 @@ def silent(request: bytes) -> list[bytes]:
 
 @EVERYWHERE
 def test_timeouts_of_the_client_the_handle_and_the_request(world: World) -> None:
-    peer = world.peer("tcp", answering(echoing, silent))
-    with world.connect(peer.url, timeout=30) as plc:
+    with world.client_of("tcp", answering(echoing, silent), timeout=30) as plc:
         assert plc.execute(REQUEST) == [5]
         plc.timeout = 0.2
         for ask, timeout in (

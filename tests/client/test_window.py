@@ -62,8 +62,7 @@ class Device:
 @each_scheme
 def test_a_device_that_takes_many_gets_many(world: World, scheme: str) -> None:
     device = Device(world, 16)
-    peer = world.peer(scheme, device)
-    with world.connect(peer.url) as context:
+    with world.client_of(scheme, device) as context:
         assert context.max_in_flight == 1
         assert context.execute_many(reads(100)) == echoes(100)
         assert device.most == 16
@@ -77,8 +76,7 @@ def test_a_device_that_loses_requests_loses_no_value(
     world: World, scheme: str, places: int
 ) -> None:
     """It costs a quarter of the timeout once; from then on one is in flight, and none is lost."""
-    peer = world.peer(scheme, Device(world, places))
-    with world.connect(peer.url, timeout=4) as context:
+    with world.client_of(scheme, Device(world, places), timeout=4) as context:
         with world.lasting(200 * 0.005, more=1.2):
             assert context.execute_many(reads(200)) == echoes(200)
         assert context.max_in_flight == 1
@@ -93,8 +91,7 @@ def test_a_device_that_loses_requests_loses_no_value(
 
 @each_scheme
 def test_a_busy_device_gets_one_at_a_time(world: World, scheme: str) -> None:
-    peer = world.peer(scheme, Device(world, 2, BUSY))
-    with world.connect(peer.url, timeout=60) as context:
+    with world.client_of(scheme, Device(world, 2, BUSY), timeout=60) as context:
         with world.lasting(50 * 0.005, more=0.2):  # a refusal is known at once
             assert context.execute_many(reads(50)) == echoes(50)
         assert context.max_in_flight == context.statistics.falls == 1
@@ -103,8 +100,7 @@ def test_a_busy_device_gets_one_at_a_time(world: World, scheme: str) -> None:
 @each_scheme
 def test_one_that_was_set_is_obeyed_at_once(world: World, scheme: str) -> None:
     device = Device(world, 4)
-    peer = world.peer(scheme, device)
-    with world.connect(peer.url, max_in_flight=8, timeout=0.3) as context:
+    with world.client_of(scheme, device, max_in_flight=8, timeout=0.3) as context:
         found = context.execute_many(reads(8), return_exceptions=True)
         assert found[:4] == echoes(4)
         assert [type(each) for each in found[4:]] == [ModbusTimeoutError] * 4
@@ -172,8 +168,7 @@ def test_a_device_that_stood_still_is_not_limited_to_one(world: World, scheme: s
 
 def test_a_device_that_answers_too_many_too_late_gets_half_as_many(world: World) -> None:
     """As a gateway does to a slow line: 16 answers of 0.1 s each take longer than the timeout."""
-    peer = world.peer("tcp", Device(world, 100, takes=0.1))
-    with world.connect(peer.url, timeout=1) as context:
+    with world.client_of("tcp", Device(world, 100, takes=0.1), timeout=1) as context:
         assert context.execute_many(reads(60)) == echoes(60)
         again = context.statistics.retries
         assert 0 < again < 32
@@ -191,8 +186,7 @@ def test_one_dead_request_holds_others_up_once(world: World, scheme: str) -> Non
         if request[9] != 5:
             write(echo(request))
 
-    peer = world.peer(scheme, but_five)
-    with world.connect(peer.url, timeout=1) as context, world.lasting(1.25, more=0.1):
+    with world.client_of(scheme, but_five, timeout=1) as context, world.lasting(1.25, more=0.1):
         found = context.execute_many(reads(100), return_exceptions=True)
         assert isinstance(found[5], ModbusTimeoutError)
         assert found[:5] + found[6:] == echoes(5) + echoes(100)[6:]
@@ -201,8 +195,7 @@ def test_one_dead_request_holds_others_up_once(world: World, scheme: str) -> Non
 
 @each_scheme
 def test_nothing_is_concluded_of_a_device_that_never_answers(world: World, scheme: str) -> None:
-    peer = world.peer(scheme, ignore)
-    with world.connect(peer.url, timeout=1) as context:
+    with world.client_of(scheme, ignore, timeout=1) as context:
         found = context.execute_many(reads(16), return_exceptions=True)
         assert {type(each) for each in found} == {ModbusTimeoutError}
         assert context.statistics.falls == context.statistics.retries == 0

@@ -169,6 +169,10 @@ class World:
         """Return a `Peer` or a `Scripted` that runs until the world ends."""
         raise NotImplementedError
 
+    def client_of(self, scheme: str, on_request: OnRequest, **options: Any) -> Any:
+        """Return a client of a peer that runs until the world ends."""
+        return self.connect(self.peer(scheme, on_request).url, **options)
+
     @property
     def now(self) -> float:
         """The time in seconds."""
