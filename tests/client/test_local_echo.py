@@ -41,6 +41,20 @@ def rtu_of(request: pdu.Request[Any]) -> bytes:
     return rtu((b"\x01" + request.encode()).hex())
 
 
+def confirmed_by_itself(talk: Talk) -> None:
+    """Check that a write is confirmed by the frame of its request."""
+    batch = talk.ask(WRITE)
+    talk.come(talk.sent[-1])
+    assert batch.outcomes == [None]
+
+
+def taken_for_a_value(talk: Talk) -> None:
+    """Check that an answer which is equal to its request is its result."""
+    batch = talk.ask(COILS)
+    talk.come(talk.sent[-1])
+    assert len(batch.outcomes[0]) == 24
+
+
 def with_setting(url: str, setting: str) -> str:
     return f"{url}{'&' if '?' in url else '?'}{setting}" if setting else url
 
@@ -88,9 +102,7 @@ def test_the_first_answer_that_is_equal_to_its_request_is_none() -> None:
 def test_a_value_that_is_equal_to_its_request_is_taken_where_no_echo_is() -> None:
     talk = Talk(LINE, timeout=1)
     exchange(talk, 1)
-    batch = talk.ask(COILS)
-    talk.come(rtu_of(COILS))
-    assert len(batch.outcomes[0]) == 24
+    taken_for_a_value(talk)
 
 
 TELLING = [
@@ -141,17 +153,13 @@ def test_an_echo_that_ends_is_noticed() -> None:
     talk = echoing()
     for number in range(5):
         exchange(talk, number)
-    batch = talk.ask(WRITE)
-    talk.come(talk.sent[-1])
-    assert batch.outcomes == [None]
+    confirmed_by_itself(talk)
 
 
 def test_a_new_connection_may_be_without_an_echo() -> None:
     talk = echoing("rtu+tcp://192.0.2.1")
     talk.reconnect()
-    batch = talk.ask(WRITE)
-    talk.come(talk.sent[-1])
-    assert batch.outcomes == [None]
+    confirmed_by_itself(talk)
 
 
 def test_half_an_echo_is_not_taken_over_to_a_new_connection() -> None:
@@ -275,10 +283,6 @@ def test_without_an_echo_that_is_set_a_write_that_comes_back_is_confirmed() -> N
         talk.come(talk.sent[-1], value(number))
         talk.wait(0.1)
         assert batch.outcomes == [[number]]  # what comes back is noise
-    batch = talk.ask(WRITE)
-    talk.come(talk.sent[-1])
-    assert batch.outcomes == [None]
-    batch = talk.ask(COILS)
-    talk.come(rtu_of(COILS))
-    assert len(batch.outcomes[0]) == 24
+    confirmed_by_itself(talk)
+    taken_for_a_value(talk)
     assert talk.statistics.echoes == 0
