@@ -5,10 +5,18 @@ What the tests of clients share.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
 from tests.support.clients import World, making
+from tests.support.transports import TRANSPORTS
+
+
+@pytest.fixture(params=TRANSPORTS)
+def transport(request: pytest.FixtureRequest) -> Any:
+    """Each transport of the real system."""
+    return request.param
 
 
 @pytest.fixture(params=["python", "asyncio"])

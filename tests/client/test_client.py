@@ -30,14 +30,7 @@ from tests.support.peers import Write, echo
 from tests.support.pymodbus_peers import FRAMERS, pymodbus_serving
 from tests.support.reads import echoes, reads
 from tests.support.scripted import run
-from tests.support.transports import TRANSPORTS, serving
-
-
-@pytest.fixture(params=TRANSPORTS)
-def transport(request: pytest.FixtureRequest) -> str:
-    assert isinstance(request.param, str)
-    return request.param
-
+from tests.support.transports import serving
 
 # --- one vocabulary -------------------------------------------------------------------
 

@@ -36,15 +36,9 @@ from libmodbus_py.protocol.pdu import ServerId, SubFunction
 from tests.support.cases import each_case
 from tests.support.clients import EVERYWHERE, Connect, World, making
 from tests.support.peers import UNKNOWN_FUNCTION, answering, mbap
-from tests.support.transports import TRANSPORTS, serving
+from tests.support.transports import serving
 
 UNIT = 17
-
-
-@pytest.fixture(params=TRANSPORTS)
-def transport(request: pytest.FixtureRequest) -> str:
-    assert isinstance(request.param, str)
-    return request.param
 
 
 @pytest.fixture
