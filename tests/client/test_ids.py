@@ -8,13 +8,7 @@ import random
 
 import pytest
 
-from libmodbus_py import (
-    FrameError,
-    ModbusConnectionError,
-    ModbusTimeoutError,
-    Traced,
-    pdu,
-)
+from libmodbus_py import FrameError, ModbusConnectionError, ModbusTimeoutError, Traced, pdu
 from tests.support.replies import exchange
 from tests.support.talk import TCP, Talk, kinds, tcp
 

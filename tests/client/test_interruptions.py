@@ -19,14 +19,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    AsyncClient,
-    Context,
-    ModbusConnectionError,
-    ModbusError,
-    State,
-    TcpContext,
-)
+from libmodbus_py import AsyncClient, Context, ModbusConnectionError, ModbusError, State, TcpContext
 from tests.support.clients import ALL, BLOCKING, NATIVE, Awaited, Connect, asking, connecting
 from tests.support.peers import TcpPeer, dead, ignore, peer_at, until
 from tests.support.reads import good, good_at

@@ -6,12 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py import (
-    FrameError,
-    InvalidResponse,
-    ModbusTimeoutError,
-    pdu,
-)
+from libmodbus_py import FrameError, InvalidResponse, ModbusTimeoutError, pdu
 from tests.support.cases import each_case
 from tests.support.talk import LINE, Talk, kinds, rtu, value
 

@@ -21,14 +21,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    AsyncClient,
-    Context,
-    ModbusConnectionError,
-    RtuContext,
-    TcpContext,
-    pdu,
-)
+from libmodbus_py import AsyncClient, Context, ModbusConnectionError, RtuContext, TcpContext, pdu
 from tests.support.clients import ALL, BLOCKING, NATIVE, asking, read
 from tests.support.peers import LinePeer, TcpPeer, Write, peer_at, until
 from tests.support.reads import good, good_at

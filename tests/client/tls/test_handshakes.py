@@ -15,15 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from libmodbus_py import (
-    AsyncClient,
-    Context,
-    Device,
-    Mapping,
-    ModbusConnectionError,
-    Server,
-    State,
-)
+from libmodbus_py import AsyncClient, Context, Device, Mapping, ModbusConnectionError, Server, State
 from tests.support import certificates
 from tests.support.certificates import Papers, secured
 from tests.support.clients import Connect
