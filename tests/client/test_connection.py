@@ -8,7 +8,7 @@ import pytest
 
 from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, pdu
 from libmodbus_py.client.call import NOT_ASKED
-from tests.support.replies import BOTH, addresses, answer, refusal
+from tests.support.replies import BOTH, addresses, answer, refusal, unanswered
 from tests.support.talk import LINE, LOST, TCP, Talk, kinds, tcp, value
 
 # --- timeouts --------------------------------------------------------------------------
@@ -86,9 +86,8 @@ def test_who_has_waited_for_a_connection_for_too_long_is_told_so() -> None:
 def test_after_three_timeouts_in_a_row_the_next_request_goes_over_a_new_connection() -> None:
     talk = Talk(timeout=1)
     for _ in range(3):
-        talk.ask(1)
         assert talk.connection.broken is None
-        talk.wait(1)
+        unanswered(talk)
     batch = talk.ask(7)
     assert len(talk.sent) == 3
     talk.replace_broken()
@@ -126,8 +125,7 @@ def test_cancelled_requests_count_as_unanswered() -> None:
 def test_any_sign_of_life_starts_the_count_anew(life: str) -> None:
     talk = Talk(timeout=1)
     for _ in range(2):
-        talk.ask(1)
-        talk.wait(1)
+        unanswered(talk)
     if life == "a late answer":
         talk.come(answer(talk, 0))
     elif life == "another's answer":
@@ -137,8 +135,7 @@ def test_any_sign_of_life_starts_the_count_anew(life: str) -> None:
         talk.ask(2)
         talk.come(answer(talk) if life == "its answer" else refusal(talk, 2))
     for _ in range(2):
-        talk.ask(1)
-        talk.wait(1)
+        unanswered(talk)
     talk.ask(1)
     assert talk.connection.broken is None
 

@@ -13,7 +13,7 @@ from libmodbus_py import InvalidResponse, pdu
 from libmodbus_py.client.answers import REMEMBERED, Answers
 from tests.support.clients import World, read
 from tests.support.peers import Write, answer
-from tests.support.replies import exchange
+from tests.support.replies import exchange, unanswered
 from tests.support.talk import Talk, kinds, little_kept, rtu, value
 
 LINE = "rtu:///dev/nowhere?silence=0"
@@ -120,9 +120,7 @@ def test_answers_that_vary_in_time_are_believed_at_once() -> None:
 def test_values_are_right_again_after_a_pause(pause: float) -> None:
     """Longer than a response takes, which is 10 ms."""
     talk = warm()
-    lost = talk.ask(100)
-    talk.wait(1)
-    assert lost.is_done
+    unanswered(talk, 100)
     present = talk.ask(101)
     talk.wait(1)  # the line must be silent
     talk.wait(0.01)

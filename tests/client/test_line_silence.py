@@ -10,7 +10,7 @@ import pytest
 
 from libmodbus_py import FrameError, ModbusTimeoutError, pdu
 from libmodbus_py.ports.trace import Traced
-from tests.support.replies import exchange
+from tests.support.replies import exchange, unanswered
 from tests.support.talk import LINE, Talk, kinds, little_kept, value
 
 
@@ -28,17 +28,10 @@ def learnt(*unit: int) -> Talk:
     return talk
 
 
-def failed(talk: Talk, unit: int = 1) -> None:
-    """A request that got no answer within its second."""
-    assert kinds(failing := talk.ask(0, unit=unit)) != [[0]]
-    talk.wait(1)
-    assert kinds(failing) == [ModbusTimeoutError]
-
-
 def test_a_dead_unit_costs_its_timeout_once() -> None:
     """Two living units, each asked ten times, and a dead one asked once between them."""
     talk = Talk(LINE, timeout=1)
-    failed(talk, unit=9)
+    unanswered(talk, 0, unit=9)
     for number in range(10):
         for unit in (1, 2):
             exchange(talk, number, unit=unit)
@@ -48,7 +41,7 @@ def test_a_dead_unit_costs_its_timeout_once() -> None:
 
 def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_anew() -> None:
     talk = learnt(1, 2)
-    failed(talk, unit=1)
+    unanswered(talk, 0, unit=1)
     other = talk.ask(6, unit=2)
     talk.wait_until(1.5)
     talk.come(value(0, unit=1))
@@ -83,7 +76,7 @@ def trickled(talk: Talk, data: bytes, seconds: float) -> None:
 @pytest.mark.parametrize("data", [b"\x55", b"\x55" * 100])
 def test_a_line_that_does_not_fall_silent_is_waited_for_two_timeouts(data: bytes) -> None:
     talk = Talk(LINE, timeout=1)
-    failed(talk)
+    unanswered(talk, 0)
     batch = talk.ask(6)
     trickled(talk, data, 1.9)
     assert not batch.is_done
@@ -107,7 +100,7 @@ def test_a_repetition_does_not_wait_for_ever_for_silence() -> None:
 
 def test_a_caller_that_left_does_not_shorten_the_patience_of_the_next() -> None:
     talk = learnt(1)
-    failed(talk)
+    unanswered(talk, 0)
     leaving = talk.ask(6)
     trickled(talk, b"\x55", 1.5)
     talk.cancel(leaving)
@@ -221,7 +214,7 @@ def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
 
 def test_a_late_answer_in_pieces_is_one_and_each_piece_puts_off_the_next_request() -> None:
     talk = learnt(1)
-    failed(talk)
+    unanswered(talk, 0)
     batch = talk.ask(6)
     for piece in (value(5)[:3], value(5)[3:]):
         talk.wait(0.5)
@@ -258,7 +251,7 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
 def test_what_comes_unasked_is_traced_too(late: bytes) -> None:
     told: list[Traced] = []
     talk = Talk(LINE, timeout=1, trace=told.append)
-    failed(talk)
+    unanswered(talk, 0)
     talk.come(late)
     talk.wait(1)
     talk.ask(1)  # what is no frame is traced before the next request

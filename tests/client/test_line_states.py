@@ -16,7 +16,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.client.call import Batch
 from tests.support.cases import each_case
-from tests.support.replies import answer, exchange
+from tests.support.replies import answer, exchange, unanswered
 from tests.support.talk import LINE, TCP, Talk, kinds, rtu, value
 
 WRITE = pdu.WriteRegister(1, 2)
@@ -52,19 +52,16 @@ def used() -> Talk:
 def in_doubt() -> Talk:
     """Return a line whose unit 1 has not answered a read of register 5, two seconds ago."""
     talk = used()
-    batch = talk.ask(5)
-    talk.wait(1)
-    assert kinds(batch) == [ModbusTimeoutError]
+    unanswered(talk, 5)
     talk.wait(1)
     return talk
 
 
 def test_idle_and_a_request_asked_at_once_or_after_a_timeout_of_silence() -> None:
     talk = used()
-    first = talk.ask(5)
-    assert len(talk.sent) == 1
-    talk.wait(1)
-    assert kinds(first) == [ModbusTimeoutError]
+    begun_at = talk.now
+    unanswered(talk, 5)
+    assert talk.times == [begun_at]
     silent_from = talk.now
     talk.ask(6)
     talk.wait_for(2)
@@ -262,10 +259,8 @@ def test_hold_without_doubt_and_the_end_of_its_time() -> None:
 
 def test_doubt_and_a_frame_of_it_count_the_silence_anew() -> None:
     talk = used()
-    batch = talk.ask(5)
-    talk.wait(1)
-    assert batch.is_done
-    batch = talk.ask(6)
+    unanswered(talk, 5)
+    talk.ask(6)
     for _ in range(2):
         talk.wait(0.4)
         talk.come(value(5))

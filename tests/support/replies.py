@@ -6,9 +6,15 @@ from __future__ import annotations
 
 import pytest
 
-from .talk import LINE, TCP, Talk, rtu, tcp, value
+from libmodbus_py import ModbusTimeoutError
 
-__all__ = ["BOTH", "addresses", "answer", "answer_all", "exchange", "refusal", "reply"]
+from .talk import LINE, TCP, Talk, kinds, rtu, tcp, value
+
+# fmt: off
+__all__ = [
+    "BOTH", "addresses", "answer", "answer_all", "exchange", "refusal", "reply", "unanswered",
+]
+# fmt: on
 
 BOTH = pytest.mark.parametrize("url", [TCP, LINE])
 
@@ -42,6 +48,13 @@ def exchange(
     talk.wait(after)
     talk.come(reply(talk, f"03 02 {number:04X}"))
     assert batch.outcomes == [[number]]
+
+
+def unanswered(talk: Talk, address: int = 1, unit: int = 1) -> None:
+    """Ask for a register, and check that the request fails when its time is over."""
+    batch = talk.ask(address, unit=unit)
+    talk.wait(talk.settings.timeout)
+    assert kinds(batch) == [ModbusTimeoutError]
 
 
 def reply(talk: Talk, body: str, at: int = -1) -> bytes:
