@@ -165,17 +165,6 @@ def test_requests_that_were_not_sent_are_no_sign_of_a_dead_device() -> None:
     assert batch.outcomes == [[5]]
 
 
-def test_who_only_waits_for_a_connection_is_told_why_there_is_none() -> None:
-    talk = Talk(is_open=False)
-    joining, left = talk.join(), talk.join()
-    talk.connection.withdraw(left, talk.now)
-    talk.fail()
-    assert isinstance(joining.outcome, ModbusConnectionError)
-    assert joining.outcome.errno == 111
-    assert left.outcome is NOT_ASKED
-    assert talk.is_at_rest
-
-
 def test_requests_go_out_before_answers_are_decoded() -> None:
     talk = Talk(max_in_flight=2)
     batches = [talk.ask(1), talk.ask(2), talk.ask(3)]

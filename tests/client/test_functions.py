@@ -308,18 +308,6 @@ def test_hooks_are_told_who_asks_for_what(transport: str) -> None:
     assert all(access.peer.startswith(("127.0.0.1:", "/dev/pts/")) for access in seen)
 
 
-def test_before_read_may_refresh_the_values(transport: str) -> None:
-    mapping = Mapping(input_registers=4)
-    reads: list[Access] = []
-
-    def refresh(access: Access) -> None:
-        reads.append(access)
-        mapping.input_registers[0] = len(reads)
-
-    with talking_to(Device(mapping, before_read=refresh), transport) as context:
-        assert [context.read_input_registers(0, 1) for _ in range(3)] == [[1], [2], [3]]
-
-
 # --- pages of identification -------------------------------------------------------------------
 
 

@@ -95,13 +95,6 @@ def test_any_unit_is_taken_where_that_is_wanted() -> None:
     assert refused.outcomes[0].received == tcp(talk.sent[1], "83 09", unit=255)
 
 
-def test_a_frame_of_another_protocol_is_skipped() -> None:
-    talk = Talk()
-    batch = talk.ask(1)
-    talk.come(tcp(talk.sent[0], protocol=7), tcp(talk.sent[0]))
-    assert batch.outcomes == [[1]]
-
-
 @pytest.mark.parametrize("length", [0, 1, 255, 0xFFFF])
 def test_a_length_that_cannot_be_fails_all_and_breaks_the_connection(length: int) -> None:
     talk = Talk()
@@ -115,21 +108,6 @@ def test_a_length_that_cannot_be_fails_all_and_breaks_the_connection(length: int
     talk.replace_broken()
     talk.come(tcp(talk.sent[2]))
     assert waiting.outcomes == [[3]]
-
-
-def test_half_an_answer_is_shown_and_the_next_request_goes_over_a_new_connection() -> None:
-    talk = Talk(timeout=1)
-    batch = talk.ask(1)
-    half = tcp(talk.sent[0])[:8]
-    talk.come(half)
-    talk.wait(1)
-    assert kinds(batch) == [ModbusTimeoutError]
-    assert batch.outcomes[0].received == half
-    second = talk.ask(2)
-    assert talk.connection.broken is not None
-    talk.replace_broken()
-    talk.come(tcp(talk.sent[1]))
-    assert second.outcomes == [[2]]
 
 
 def test_a_datagram_that_is_no_frame_does_not_end_the_wait() -> None:

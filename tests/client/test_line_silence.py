@@ -28,17 +28,6 @@ def learnt(*unit: int) -> Talk:
     return talk
 
 
-def test_a_dead_unit_costs_its_timeout_once() -> None:
-    """Two living units, each asked ten times, and a dead one asked once between them."""
-    talk = Talk(LINE, timeout=1)
-    unanswered(talk, 0, unit=9)
-    for number in range(10):
-        for unit in (1, 2):
-            exchange(talk, number, unit=unit)
-    assert talk.now == 1
-    assert talk.statistics.responses == 20
-
-
 def test_a_late_answer_in_another_units_turn_is_dropped_and_starts_the_silence_anew() -> None:
     talk = learnt(1, 2)
     unanswered(talk, 0, unit=1)

@@ -349,12 +349,6 @@ def test_a_frame_exactly_at_the_end_of_hold(frame: bytes, is_first: bool) -> Non
     assert talk.is_at_rest
 
 
-def test_a_late_answer_equal_to_one_of_another_unit_is_no_reason_to_hold() -> None:
-    talk = used()
-    usual(talk, 7, unit=2)
-    exchange(talk, 6, 7)
-
-
 @each_case("by_itself", [True, False])
 def test_doubt_goes_on_over_another_connection(by_itself: bool) -> None:
     """The unit is behind the server: its late answer may come over the next connection, too."""

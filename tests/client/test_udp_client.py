@@ -15,13 +15,11 @@ import pytest
 from libmodbus_py import (
     Device,
     FrameError,
-    IllegalDataAddress,
     Mapping,
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
     Server,
-    pdu,
 )
 from libmodbus_py.ports.endpoint import parse
 from tests.support.clients import ALL, EVERYWHERE, Connect, World, asking, read
@@ -39,36 +37,6 @@ def refused_port() -> Iterator[int]:
 
 
 # --- what is asked for comes back ----------------------------------------------------------
-
-
-@pytest.fixture
-def context(connect: Connect, device: Device) -> Iterator[Any]:
-    with (
-        Server({17: device}).background("udp://127.0.0.1:0") as running,
-        connect(running.urls[0], unit=17) as made,
-    ):
-        yield made
-
-
-def test_tables_and_files_of_our_server(context: Any, mapping: Mapping) -> None:
-    assert context.read_coils(10, 3) == [True, False, True]
-    assert context.read_input_registers(200, 100)[:3] == [2000, 2001, 2002]
-    context.write_registers(110, [1, 2, 65535])
-    assert mapping.holding_registers[110:113] == [1, 2, 65535]
-    assert context.read_file_records([(4, 1, 2)]) == [[1, 2]]
-    with pytest.raises(IllegalDataAddress) as caught:
-        context.read_holding_registers(0, 1)
-    assert caught.value.sent[6:] == bytes.fromhex("11 03 0000 0001")
-    assert caught.value.received[6:] == bytes.fromhex("11 83 02")
-
-
-def test_many_requests_to_our_server(context: Any) -> None:
-    asked = [pdu.ReadHoldingRegisters(100 + at % 10, 1) for at in range(200)]
-    assert context.execute_many(asked) == [[1000 + at % 10] for at in range(200)]
-    assert context.read_many({"a": ("holding_registers", 100, 2), "b": ("coils", 10)}) == {
-        "a": [1000, 1001],
-        "b": [True],
-    }
 
 
 def test_url_with_an_ipv6_address(connect: Connect) -> None:
