@@ -332,21 +332,3 @@ def test_who_has_more_time_than_the_attempt_gets_another() -> None:
             await client.close()
 
     network.run(main)
-
-
-@pytest.mark.parametrize("kind", ["python", "asyncio"])
-def test_each_address_of_a_name_gets_a_share_of_the_time_of_the_request(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The first is dead; with half of the client's timeout for it no request came to the second."""
-    with dead() as port, socket.create_server(("127.0.0.1", 0)) as server:
-        found = [
-            (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", each))
-            for each in (port, server.getsockname()[1])
-        ]
-        monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
-        with connecting(kind) as connect:
-            client = connect("tcp://two.invalid", timeout=600)
-            with pytest.raises(ModbusTimeoutError):
-                client.execute(REQUEST, timeout=1)
-            client.close()

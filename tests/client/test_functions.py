@@ -253,15 +253,6 @@ def test_a_function_of_ones_own_works_at_both_ends(transport: str) -> None:
             context.execute(Reverse(b""))
 
 
-@pytest.mark.usefixtures("reverse")
-def test_a_registered_function_without_handler_is_refused(transport: str) -> None:
-    with (
-        talking_to(Device(Mapping()), transport) as context,
-        pytest.raises(IllegalFunction),
-    ):
-        context.execute(Reverse(b"x"))
-
-
 # --- hooks -----------------------------------------------------------------------------------
 
 
