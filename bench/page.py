@@ -17,8 +17,9 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tests.tools.page.browsers import browser, missing
-from tests.tools.page.watching import Visitor, until
+from tests.support.peers import until
+from tests.tools.page.browsers import missing, person_at
+from tests.tools.page.watching import Visitor
 
 CELLS = 10_000
 UPDATES = 10  # a second
@@ -72,20 +73,19 @@ def share(pid: int, seconds: float) -> float:
 
 def in_chromium(pid: int, url: str, seconds: float) -> tuple[float, float]:
     """Return the share, and how often in a second what is shown has changed."""
-    with browser(1200, 800) as driver:
-        driver.get(url)
+    with person_at(url) as person:
         cells = "return document.querySelectorAll('[data-cell]').length"
-        until(lambda: driver.execute_script(cells), 60)
-        driver.execute_script(
+        until(lambda: person.run(cells))
+        person.run(
             "window.updates = 0;"
             "import('/scripts/rows.js').then(({ onRows }) =>"
             "  onRows(() => { window.updates += 1; }));"
         )
         time.sleep(1)
-        first = driver.execute_script("return window.updates")
+        first = person.run("return window.updates")
         start = time.monotonic()
         found = share(pid, seconds)
-        last = driver.execute_script("return window.updates")
+        last = person.run("return window.updates")
         return found, (last - first) / (time.monotonic() - start)
 
 

@@ -15,8 +15,8 @@ from typing import Any
 
 from libmodbus_py import Context, Fault, ModbusError, Server, device_file
 from libmodbus_py.page import live_page
-from tests.tools.page.browsers import browser, missing
-from tests.tools.page.watching import until
+from tests.support.peers import until
+from tests.tools.page.browsers import missing, person_at
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -43,17 +43,12 @@ def main() -> int:
         live_page(server) as page,
         server.background("tcp://127.0.0.1:0") as running,
         Context.from_url(running.urls[0], unit=7) as plc,
-        browser(WIDTH, HEIGHT) as driver,
+        person_at(f"{page.url}#7/points", WIDTH, HEIGHT) as person,
     ):
-        driver.get(f"{page.url}#7/points")
         client = threading.Thread(target=talk, args=(plc, is_over.wait))
         client.start()
-        until(
-            lambda: driver.execute_script(
-                "return document.querySelector('#log').children.length > 30"
-            )
-        )
-        file.write_bytes(driver.get_screenshot_as_png())
+        until(lambda: person.run("return document.querySelector('#log').children.length > 30"))
+        file.write_bytes(person.driver.get_screenshot_as_png())
         is_over.set()
         client.join()
     size = file.stat().st_size

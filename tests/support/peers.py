@@ -20,7 +20,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from libmodbus_py import framing
 from libmodbus_py.ports.schemes import SCHEMES
@@ -28,6 +28,8 @@ from libmodbus_py.tools.testing.wires import open_line, read_what_is_there, writ
 
 from .secured import Sealing, with_certificates
 from .urls import rules_of
+
+T = TypeVar("T")
 
 # A function code that no standard defines.
 UNKNOWN_FUNCTION = 0x41
@@ -426,9 +428,10 @@ def url_of(bound: socket.socket) -> str:
     return f"tcp://127.0.0.1:{bound.getsockname()[1]}"
 
 
-def until(condition: Callable[[], object]) -> None:
-    """Wait for another thread."""
+def until(condition: Callable[[], T]) -> T:
+    """Wait for another thread or process; return what the condition gives when that is true."""
     end = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < end
+    while not (found := condition()):
+        assert time.monotonic() < end, "waited in vain"
         time.sleep(0.001)
+    return found

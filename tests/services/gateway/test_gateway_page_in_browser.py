@@ -12,8 +12,8 @@ from libmodbus_py.services.gateway.shown_gateway import ShownGateway
 from libmodbus_py.tools.page import samples
 from libmodbus_py.tools.page.page import table_page
 from libmodbus_py.tools.page.table_source import TableSource
+from tests.support.peers import until
 from tests.tools.page.browsers import IN_BROWSER, person_at
-from tests.tools.page.watching import until
 
 pytestmark = IN_BROWSER
 

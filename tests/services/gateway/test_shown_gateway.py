@@ -25,7 +25,8 @@ from libmodbus_py.services.gateway.statistics import GatewayStatistics, LineStat
 from libmodbus_py.tools.page import samples
 from libmodbus_py.tools.page.page import table_page
 from libmodbus_py.tools.page.table_source import TableSource
-from tests.tools.page.watching import Visitor, until
+from tests.support.peers import until
+from tests.tools.page.watching import Visitor
 
 FIRST, SECOND = "tcp://10.0.0.1", "rtu:///dev/line"
 

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from tests.support import programs
-from tests.tools.page.watching import until
+from tests.support.peers import until
 
 __all__ = ["IN_BROWSER", "Person", "person_at"]
 
@@ -44,7 +44,7 @@ OPTIONS = (
 )
 
 
-def _missing() -> str:
+def missing() -> str:
     """Return what is not installed, and the Debian packages of it; nothing if all is."""
     lacking = programs.missing(*PROGRAMS)
     if not lacking:
@@ -54,7 +54,7 @@ def _missing() -> str:
 
 
 IN_BROWSER = [
-    pytest.mark.skipif(bool(_missing()), reason=_missing()),
+    pytest.mark.skipif(bool(missing()), reason=missing()),
     pytest.mark.timeout(300),  # Chromium on a busy machine
 ]
 """The marks of tests that use a browser."""
@@ -174,7 +174,7 @@ class Person:
         return found
 
     def one(self, selector: str) -> Any:
-        return until(lambda: self.all(selector), 30)[0]
+        return until(lambda: self.all(selector))[0]
 
     def text(self, selector: str) -> str:
         """As it stands there, also where it is scrolled out of sight."""
@@ -193,7 +193,7 @@ class Person:
         )
 
     def sees(self, selector: str, text: str) -> None:
-        until(lambda: text in self.text(selector), 30)
+        until(lambda: text in self.text(selector))
 
     def click(self, selector: str, text: str = "") -> None:
         from selenium.common.exceptions import StaleElementReferenceException
@@ -203,12 +203,12 @@ class Person:
 
         def is_done() -> bool:
             try:
-                until(found, 30)[0].click()
+                until(found)[0].click()
             except StaleElementReferenceException:  # it was drawn again in that moment
                 return False
             return True
 
-        until(is_done, 30)
+        until(is_done)
 
     def types(self, *keys: str) -> None:
         """To whatever has the focus."""

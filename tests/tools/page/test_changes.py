@@ -24,7 +24,8 @@ from libmodbus_py.page import live_page
 from libmodbus_py.tools.simulator.device_file import load
 from libmodbus_py.tools.simulator.simulated import SimulatedDevice
 from tests.support.golden import Refused
-from tests.tools.page.watching import NAMES, Visitor, is_served, shown, until
+from tests.support.peers import until
+from tests.tools.page.watching import NAMES, Visitor, is_served, shown
 
 H = "holding_registers"
 

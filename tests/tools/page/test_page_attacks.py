@@ -16,7 +16,8 @@ import pytest
 
 from tests.support.cases import each_case
 from tests.support.commands import PAGE_TOKEN, Started, page_url, run
-from tests.tools.page.watching import Visitor, shown, until
+from tests.support.peers import until
+from tests.tools.page.watching import Visitor, shown
 
 PATHS = ["/", "/scripts/page.js", "/events", "/log.csv", "/value"]
 

@@ -26,10 +26,11 @@ from libmodbus_py.page import live_page
 from libmodbus_py.tools.page.page import table_page
 from libmodbus_py.tools.page.table_source import TableSource
 from libmodbus_py.tools.simulator.device_file import load
+from tests.support.peers import until
 from tests.tools.page.browsers import IN_BROWSER, person_at
 from tests.tools.page.tables import HOSTILE, Plant
 from tests.tools.page.test_changes import PLANT
-from tests.tools.page.watching import Visitor, is_served, made_server, until
+from tests.tools.page.watching import Visitor, is_served, made_server
 
 pytestmark = IN_BROWSER
 
@@ -162,7 +163,7 @@ def test_a_person_holds_a_value_and_reads_the_log(tmp_path: Path) -> None:
             assert len(person.all("#rows [data-at='0'] > *")) == len(person.all("#heads th"))
 
         # The value moves, and is drawn.
-        until(lambda: "L" in (person.attribute("#rows .spark path", "d") or ""), 30)
+        until(lambda: "L" in (person.attribute("#rows .spark path", "d") or ""))
         person.click("#rows th button", "level")
         person.sees("#charted", "level")
         person.sees("#read", "lowest")

@@ -16,7 +16,7 @@ from libmodbus_py import Device, Mapping, Server, ServerDeviceBusy
 from libmodbus_py.maps.point import Point
 from libmodbus_py.page import live_page
 
-__all__ = ["Visitor", "is_served", "made_server", "shown", "until"]
+__all__ = ["Visitor", "is_served", "made_server", "shown"]
 
 POINTS = (
     Point("temperature", "holding_registers", 0, type="float32", order="CDAB", units="°C"),
@@ -47,15 +47,6 @@ def made_server(**options: Any) -> Server:
     mapping.holding_registers.write(0, 21.5, "float32", order="CDAB")
     mapping.holding_registers.write(3, "abc", "string:8")
     return Server({1: NamedDevice(mapping), 2: Device(Mapping(holding_registers=8))}, **options)
-
-
-def until(true: Callable[[], Any], seconds: float = 15) -> Any:
-    """Return what it gives when that is something."""
-    end = time.monotonic() + seconds
-    while not (found := true()):
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.01)
-    return found
 
 
 def is_served(ask: Callable[[], object]) -> bool:
