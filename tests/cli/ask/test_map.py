@@ -1,5 +1,5 @@
 """
-The command map: what it says of files and makes of devices.
+The command map: what it says of files and makes of devices; and what sunspec prints of one.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def test_it_writes_and_prints_the_same(folder: Path) -> None:
     assert sorted(os.listdir(folder)) == ["meter.csv", "plant.py"]
 
 
-# --- map from-sunspec -------------------------------------------------------------
+# --- map from-sunspec, and sunspec -------------------------------------------------------------
 
 
 @pytest.mark.parametrize("suffix", ["toml", "csv"])
@@ -142,6 +142,16 @@ def test_the_map_has_the_points_that_are_discovered(tmp_path: Path, suffix: str)
             assert plc.read_map(load_map(path)) == plc.read_map(found)
     assert dict(load_map(path)) == dict(found)
     assert run("map", "from-sunspec", url, "-o", str(path)).code == 2
+
+
+def test_the_values_of_all_models_are_printed() -> None:
+    with sunspec_device(file_device("device_1547.json")) as url:
+        done = run("sunspec", url)
+    assert (done.code, done.err) == (0, "")
+    lines = [" ".join(line.split()) for line in done.out.splitlines()]
+    assert "40004 common.Mn SunSpecTest" in lines
+    assert any(line.endswith("DERMeasureAC.W 9800 W") for line in lines)
+    assert not any("InvSt" in line for line in lines)
 
 
 # --- map check --device -----------------------------------------------------------

@@ -6,6 +6,7 @@ rows over time, made of counters.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -13,11 +14,17 @@ from libmodbus_py.tools.page.samples import Counts, RowHistory, Samples, with_ga
 from tests.support.cases import each_case
 
 
-def made(*values: Any, most: int = 10, start: float = 100.0) -> Samples:
-    samples = Samples(most=most)
-    for at, value in enumerate(values):
-        samples.add(start + at, value)
+def sampled(given: Iterable[tuple[float, Any]], *options: Any) -> Samples:
+    """Return samples of values at times."""
+    samples = Samples(*options)
+    for time, value in given:
+        samples.add(time, value)
     return samples
+
+
+def made(*values: Any, most: int = 10) -> Samples:
+    """Return samples of a value in each second."""
+    return sampled(enumerate(values, 100), None, most)
 
 
 def test_the_latest_samples_are_kept_and_the_extremes_of_all() -> None:
@@ -51,9 +58,7 @@ def test_a_sparkline_has_the_last_samples_in_20_levels() -> None:
 
 
 def test_samples_that_are_too_close_replace_each_other_but_a_gap_hides_no_number() -> None:
-    samples = Samples()
-    for time, value in [(1.0, 5), (1.1, 9), (1.2, None), (2.0, None), (2.1, 4)]:
-        samples.add(time, value)
+    samples = sampled([(1.0, 5), (1.1, 9), (1.2, None), (2.0, None), (2.1, 4)])
     assert samples.pairs() == [(1.0, 9), (2.0, 4)]
     assert (samples.low, samples.high) == (4, 9)
 
@@ -68,9 +73,7 @@ def test_samples_that_are_too_close_replace_each_other_but_a_gap_hides_no_number
 )
 def test_a_time_without_samples_is_a_gap(every: float | None, values: list[float | None]) -> None:
     given = [(1.0, 1.0), (2.0, 2.0), (5.5, 3.0)]
-    samples = Samples(every)
-    for time, value in given:
-        samples.add(time, value)
+    samples = sampled(given, every)
     assert [each for _, each in samples.pairs()] == values
     assert samples.spark().count(-1) == values.count(None)
     assert [each for _, each in with_gaps([*given], every)] == values
@@ -78,15 +81,9 @@ def test_a_time_without_samples_is_a_gap(every: float | None, values: list[float
 
 def test_samples_are_in_the_order_of_time_and_a_gap_is_one_of_them() -> None:
     set_back = [(50, 1), (60, 2), (10, 3), (11, 4)]
-    samples = Samples()
-    for time, value in set_back:
-        samples.add(time, value)
-    assert samples.pairs() == sorted(set_back)
+    assert sampled(set_back).pairs() == sorted(set_back)
     with_a_gap = [(1, 1), (2, None), (900, None), (5000, 2)]
-    samples = Samples(1.0)
-    for time, given in with_a_gap:
-        samples.add(time, given)
-    assert samples.pairs() == with_a_gap
+    assert sampled(with_a_gap, 1.0).pairs() == with_a_gap
 
 
 # --- numbers made of counters ---------------------------------------------------------------------
