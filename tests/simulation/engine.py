@@ -104,18 +104,6 @@ class Engine:
         """Start the server again."""
         self.is_up = True
 
-    def cut(self, client: EngineClient) -> None:
-        """Hold back everything that is sent to a client, or by it."""
-        client.link.cut()
-
-    def mend(self, client: EngineClient) -> None:
-        """Undo `cut`: what was on its way arrives, unless the client has given up."""
-        client.link.mend()
-
-    def break_off(self, client: EngineClient) -> None:
-        """Break the connection of a client; it connects again."""
-        client.link.break_off()
-
     def forget(self, seconds: float = math.inf) -> None:
         """Let the server lose the changes of the last seconds, as one without its disk does."""
         since = self.events.now - seconds

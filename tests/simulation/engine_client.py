@@ -293,37 +293,34 @@ class Subscription:
             await asyncio.gather(self._task, return_exceptions=True)
 
 
-class Keys:
-    """The bucket, as nats-py has it."""
+class Asking:
+    """What asks the server, and waits so many seconds for its answer."""
 
     def __init__(self, client: EngineClient, timeout: float = 2.0) -> None:
-        self._client = client
-        self._timeout = timeout
-
-    async def update(self, key: str, value: bytes, last: int) -> int:
-        revision: int = await self._ask(self._client.engine.put, key, value, last)
-        return revision
-
-    async def delete(self, key: str, last: int) -> bool:
-        return bool(await self._ask(self._client.engine.put, key, None, last))
-
-    async def status(self) -> Any:
-        return await self._ask(self._client.engine.status)
-
-    async def _ask(self, request: Callable[..., None], *args: Any) -> Any:
-        return await self._client.ask(self._timeout, request, *args)
-
-
-class JetStream:
-    """What the package uses of nats-py's `JetStreamContext`."""
-
-    def __init__(self, client: EngineClient, timeout: float) -> None:
         self._client = client
         self._timeout = timeout
         self._engine = client.engine
 
     async def _ask(self, request: Callable[..., None], *args: Any) -> Any:
         return await self._client.ask(self._timeout, request, *args)
+
+
+class Keys(Asking):
+    """The bucket, as nats-py has it."""
+
+    async def update(self, key: str, value: bytes, last: int) -> int:
+        revision: int = await self._ask(self._engine.put, key, value, last)
+        return revision
+
+    async def delete(self, key: str, last: int) -> bool:
+        return bool(await self._ask(self._engine.put, key, None, last))
+
+    async def status(self) -> Any:
+        return await self._ask(self._engine.status)
+
+
+class JetStream(Asking):
+    """What the package uses of nats-py's `JetStreamContext`."""
 
     async def account_info(self) -> None:
         await self._ask(lambda reply: reply(None))

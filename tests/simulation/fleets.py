@@ -69,9 +69,9 @@ class Fleet:
         elif what == "stop":
             worker.process.stop()
         elif what == "cut":
-            engine.cut(worker.client)
+            worker.client.link.cut()
         elif what == "break":
-            engine.break_off(worker.client)
+            worker.client.link.break_off()
         elif what == "lose":
             engine.losses = random.choice([0.1, 0.5])
         else:
@@ -82,7 +82,7 @@ class Fleet:
         if what == "stop":
             worker.process.go_on()
         elif what == "cut":
-            engine.mend(worker.client)
+            worker.client.link.mend()
 
     def look(self) -> None:
         """No device is asked by two."""

@@ -71,10 +71,10 @@ async def unheard(client: EngineClient) -> None:
 async def test_what_waits_at_a_cut_arrives_when_it_is_mended_soon(
     engine: Engine, client: EngineClient
 ) -> None:
-    engine.cut(client)
+    client.link.cut()
     await unheard(client)
     assert engine.revision == 0
-    engine.mend(client)
+    client.link.mend()
     await asyncio.sleep(0.1)
     assert engine.revision == 1
     assert client.is_connected
@@ -90,12 +90,12 @@ async def test_a_lost_connection_is_noticed_and_made_again(
     if breaks == "stop":
         engine.stop()
     else:
-        engine.cut(client)
+        client.link.cut()
     await asyncio.sleep(7)
     assert changes == [False]
     await unheard(client)
     engine.start()
-    engine.mend(client)
+    client.link.mend()
     engine.write("slot._.1", b"{}")
     await asyncio.sleep(1)
     assert changes == [False, True]

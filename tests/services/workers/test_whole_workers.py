@@ -75,7 +75,7 @@ async def test_who_is_cut_off_asks_no_longer_than_its_lease(trial: Trial, second
     cut = trial.workers["a"]
     host = cut.process.host
     since = trial.now
-    trial.engine.cut(cut.client)
+    cut.client.link.cut()
     await asyncio.sleep(seconds)
     if seconds > 2 * LEASE:
         assert {worker for _, worker, _ in trial.offline()} == {"a"}
@@ -83,7 +83,7 @@ async def test_who_is_cut_off_asks_no_longer_than_its_lease(trial: Trial, second
         its = [at for at, peer in trial.asked.last.values() if peer.startswith(host)]
         assert max(its, default=0) < since + OWN_LEASE
         assert await trial.all_asked(60) < 2 * INTERVAL
-    trial.engine.mend(cut.client)
+    cut.client.link.mend()
     await trial.settle()
     assert len(trial.asked.hosts()) == 3
     assert trial.qualities() == ["good"]
@@ -165,9 +165,9 @@ async def test_clocks_may_go_wrong(trial: Trial) -> None:
     await trial.start("fast", rate=1.04)
     await trial.settle()
     for name in ("slow", "fast"):
-        trial.engine.cut(trial.workers[name].client)
+        trial.workers[name].client.link.cut()
         await asyncio.sleep(3 * LEASE)
-        trial.engine.mend(trial.workers[name].client)
+        trial.workers[name].client.link.mend()
         await trial.settle()
 
 
