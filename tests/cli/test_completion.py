@@ -16,6 +16,7 @@ import pytest
 from libmodbus_py.protocol.extras import how_to_add
 from tests.support.cases import each_case
 from tests.support.commands import PROGRAM
+from tests.support.programs import run_to_end
 
 argcomplete = pytest.importorskip("argcomplete")
 
@@ -33,9 +34,7 @@ def place(tmp_path: Path) -> Path:
 
 def shell(place: Path, command: list[str]) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PATH": f"{place / 'bin'}:{os.environ['PATH']}"}
-    return subprocess.run(
-        command, cwd=place, env=environment, capture_output=True, text=True, timeout=60
-    )
+    return run_to_end(*command, cwd=place, env=environment)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +79,7 @@ def test_without_argcomplete_it_says_what_to_install() -> None:
         "import sys; sys.modules['argcomplete'] = None\n"
         "from libmodbus_py.cli.main import main; sys.exit(main(['completion', 'bash']))"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    done = run_to_end(sys.executable, "-c", program)
     assert done.returncode == 1
     assert done.stderr == (
         f"libmodbus-py: completion needs argcomplete: {how_to_add('completion')}\n"

@@ -19,6 +19,7 @@ from libmodbus_py.tools.testing.wires import SerialWire
 from tests.cli.serving import FLEET_OF_ONE
 from tests.support.commands import PROGRAM, Started
 from tests.support.peers import FakeServer, until
+from tests.support.programs import run_to_end
 
 FLEET = f"[defaults]\ninterval = 0.05\n{FLEET_OF_ONE}"
 
@@ -66,12 +67,7 @@ def test_a_reader_that_goes_away_ends_it(tmp_path: Path, device: str, name: str)
     (tmp_path / "fleet.toml").write_text(FLEET.format(url=device))
     arguments = [each.format(url=device, folder=tmp_path) for each in COMMANDS[name][0]]
     program = " ".join(f"'{word}'" for word in [*PROGRAM, *arguments])
-    done = subprocess.run(
-        ["bash", "-o", "pipefail", "-c", f"{program} | head -1"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    done = run_to_end("bash", "-o", "pipefail", "-c", f"{program} | head -1")
     assert done.stdout.count("\n") == 1
     assert (done.returncode, done.stderr) == (1, "")
 

@@ -6,14 +6,12 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
 import sys
 
 import pytest
 
-from tests.support.commands import run
-
-COMMAND = [sys.executable, "-m", "libmodbus_py"]
+from tests.support.commands import PROGRAM, run
+from tests.support.programs import run_to_end
 
 
 def modules_after(*arguments: str) -> set[str]:
@@ -24,9 +22,7 @@ def modules_after(*arguments: str) -> set[str]:
         "atexit.register(lambda: print('MODULES', *sys.modules, file=sys.stderr))\n"
         "sys.exit(main(sys.argv[1:]))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, timeout=30
-    )
+    done = run_to_end(sys.executable, "-c", program, *arguments)
     return set(done.stderr.partition("MODULES ")[2].split())
 
 
@@ -71,14 +67,14 @@ def test_a_read_brings_a_blocking_client() -> None:
 
 
 def test_version() -> None:
-    done = subprocess.run([*COMMAND, "--version"], capture_output=True, text=True, timeout=30)
+    done = run_to_end(*PROGRAM, "--version")
     assert done.stdout == "libmodbus-py 0.1.0\n"
 
 
 @pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&-"])
 def test_closed_streams_hurt_nobody(closed: str) -> None:
     line = f"'{sys.executable}' -m libmodbus_py --version {closed}"
-    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, timeout=30)
+    done = run_to_end("sh", "-c", line)
     assert done.returncode == 0
     assert done.stderr == ""
 
@@ -98,12 +94,7 @@ def test_ctrl_c_while_it_starts_shows_nothing_of_python() -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"tcp://127.0.0.1:{silent.getsockname()[1]}?timeout=20"
         for delay in ("0.001", "0.005", "0.02", "0.1", "0.5"):
-            done = subprocess.run(
-                [sys.executable, "-c", program, delay, url],
-                capture_output=True,
-                text=True,
-                timeout=30,
-            )
+            done = run_to_end(sys.executable, "-c", program, delay, url)
             assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
 
 
@@ -127,11 +118,6 @@ def test_what_the_terminal_cannot_show_is_written_in_ascii() -> None:
     program = (
         "import sys; from libmodbus_py.cli import output; output.prepare(); print('21.5 \\u00b0C')"
     )
-    done = subprocess.run(
-        [sys.executable, "-X", "utf8=0", "-c", program],
-        env=os.environ | {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"},
-        capture_output=True,
-        text=True,
-        timeout=30,
-    )
+    plain = os.environ | {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}
+    done = run_to_end(sys.executable, "-X", "utf8=0", "-c", program, env=plain)
     assert done.stdout == "21.5 \\u00b0C\n"

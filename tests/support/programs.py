@@ -11,7 +11,7 @@ import subprocess
 import time
 from typing import Any, Self
 
-__all__ = ["HeldPort", "find", "listens", "missing", "program"]
+__all__ = ["HeldPort", "find", "listens", "missing", "program", "run_to_end"]
 
 # Debian installs servers here, and leaves these folders out of the PATH of ordinary users.
 SERVER_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
@@ -39,6 +39,14 @@ def program(name: str) -> str:
 def missing(*names: str) -> list[str]:
     """Return those of these programs that are not installed."""
     return [name for name in names if find(name) is None]
+
+
+def run_to_end(
+    *command: object, seconds: float = 60, **options: Any
+) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end, which must come within so many seconds; collect what it prints."""
+    words = [str(each) for each in command]
+    return subprocess.run(words, capture_output=True, text=True, timeout=seconds, **options)
 
 
 class HeldPort:

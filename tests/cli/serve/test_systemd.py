@@ -8,7 +8,6 @@ import configparser
 import os
 import shlex
 import socket
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from libmodbus_py.cli.commands import parsed
 from libmodbus_py.cli.serve.running import notify_ready
 from tests.cli.serving import FLEET_OF_ONE
 from tests.support.commands import Started
-from tests.support.programs import missing, program
+from tests.support.programs import missing, program, run_to_end
 
 
 @pytest.fixture
@@ -104,16 +103,9 @@ def test_the_command_of_a_unit_is_one_of_ours(unit: Path) -> None:
 @pytest.mark.skipif(bool(missing("systemd-analyze")), reason="systemd is not installed")
 def test_systemd_calls_a_unit_well_protected(unit: Path) -> None:
     analyze = program("systemd-analyze")
-    done = subprocess.run(
-        [analyze, "security", "--offline=yes", f"--threshold={MOST_EXPOSED * 10:.0f}", unit],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
+    threshold = f"--threshold={MOST_EXPOSED * 10:.0f}"
+    done = run_to_end(analyze, "security", "--offline=yes", threshold, unit)
     assert done.returncode == 0, done.stdout[-200:] + done.stderr
-    verified = subprocess.run(
-        [analyze, "verify", unit], capture_output=True, text=True, check=False, timeout=60
-    )
+    verified = run_to_end(analyze, "verify", unit)
     unknown = [line for line in verified.stderr.splitlines() if "Unknown" in line]
     assert unknown == []

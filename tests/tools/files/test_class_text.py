@@ -5,7 +5,6 @@ Python classes for register maps: what they have, and that no text of a map beco
 from __future__ import annotations
 
 import ast
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from libmodbus_py import Client, Device, Point, RegisterMap, Server, load_map
 from libmodbus_py.maps.register_map import attribute_names
 from libmodbus_py.tools.files.map_texts import class_name, class_text
 from tests.support.cases import each_case
+from tests.support.programs import run_to_end
 
 TYPING = Path(__file__).parents[2] / "typing"
 
@@ -247,13 +247,7 @@ def test_checkers_take_a_map_of_nasty_names(tmp_path: Path) -> None:
         [TOOLS / "ruff", "check", "--isolated", "--no-cache", "."],
         [*mypy, "meter.py", "none.py"],
     ):
-        done = subprocess.run(
-            [str(each) for each in command],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-            env={"PATH": "/usr/bin:/bin", "MYPYPATH": str(TYPING.parents[1])},
-        )
+        environment = {"PATH": "/usr/bin:/bin", "MYPYPATH": str(TYPING.parents[1])}
+        done = run_to_end(*command, seconds=170, cwd=tmp_path, env=environment)
         assert done.returncode == 0, done.stdout + done.stderr
     made(NASTY)

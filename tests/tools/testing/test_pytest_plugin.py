@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import re
 import runpy
-import subprocess
 import sys
 from collections.abc import Callable
 
 import pytest
 
 from libmodbus_py.tools.testing import plugin
+from tests.support.programs import run_to_end
 
 pytest_plugins = ["pytester"]
 
@@ -257,10 +257,7 @@ class TestImports:
             "import libmodbus_py.tools.testing.plugin;"
             "print(*sorted(set(sys.modules) - before))"
         )
-        run = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        )
-        loaded = run.stdout.split()
+        loaded = run_to_end(sys.executable, "-c", code).stdout.split()
         assert "libmodbus_py.tools.testing.plugin" in loaded
         ours = {name.split(".")[1] for name in loaded if name.startswith("libmodbus_py.")}
         assert not ours & {"binding", "client", "server", "device", "listener", "ports"}
