@@ -34,21 +34,6 @@ def code_of(client: Context) -> int | None:
     return None
 
 
-def test_two_users_do_not_undo_each_other() -> None:
-    server = made_server(GIVEN)
-    with (
-        server.background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1) as client,
-    ):
-        assert code_of(client) == 4
-        mine = server.fault_switch.switch_on(MINE)
-        with server.fault_switch.switch_on(YOURS, unit=1):
-            assert code_of(client) == 6
-            mine.switch_off()
-            assert code_of(client) == 6
-        assert code_of(client) == 4
-
-
 def test_the_latest_comes_first_and_the_given_last() -> None:
     server = made_server(GIVEN)
     mine = server.fault_switch.switch_on(MINE, MINE)

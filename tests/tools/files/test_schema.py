@@ -1,6 +1,5 @@
 """
-The keys of files: every mistake in a table is told with the path of its key, its line, and the key
-that was meant; and amounts with units.
+The keys of files: a wrong key is told with the one that was meant; and amounts with units.
 """
 
 from __future__ import annotations
@@ -10,12 +9,10 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import load
-from libmodbus_py.protocol.mistakes import Path as KeyPath
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.tools.files.csv_text import CELLS
 from libmodbus_py.tools.files.map_file import POINT, READERS
 from libmodbus_py.tools.files.schema import in_bytes, in_seconds
-from libmodbus_py.tools.files.texts import line_of
 from tests.support.cases import each_case
 
 
@@ -65,48 +62,6 @@ def test_a_wrong_key(tmp_path: Path, text: str, meant: str) -> None:
     with pytest.raises(ValueError, match="no such key; allowed are ") as raised:
         load(file)
     assert str(raised.value).endswith(f"; {meant}")
-
-
-# --- lines of keys in TOML -------------------------------------------------------------------
-
-TEXT = """\
-# a comment with key = 1
-title = 3
-[[unit]]
-id = 1
-[unit.server_id]
-running = true
-[[unit.coils]]
-address = 0
-[[unit.coils]]
-address = 10
-counter = { step = 1 }
-[[unit]]
-[[unit.coils]]
-value = true
-"""
-
-
-@each_case(
-    ("path", "line"),
-    [
-        ((), None),
-        (("title",), 2),
-        (("unit", 0), 3),
-        (("unit", 0, "id"), 4),
-        (("unit", 0, "server_id", "running"), 6),
-        (("unit", 0, "server_id", "additional"), 5),
-        (("unit", 0, "coils", 0, "address"), 8),
-        (("unit", 0, "coils", 1), 9),
-        (("unit", 0, "coils", 1, "counter", "step"), 11),
-        (("unit", 0, "coils", 1, "address", 3), 10),
-        (("unit", 1, "coils", 0, "value"), 14),
-        (("unit", 1, "id"), 12),
-        (("fault",), None),
-    ],
-)
-def test_a_key_is_found_in_its_own_table(path: KeyPath, line: int | None) -> None:
-    assert line_of(TEXT, path) == line
 
 
 # --- times and sizes with units --------------------------------------------------------------
