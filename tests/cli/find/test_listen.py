@@ -90,7 +90,10 @@ def test_a_line_for_each_a_summary_and_a_capture(target: str, number: int, tmp_p
     assert "  errors        1 exception 2" in rest
     assert "unit 2: 1 transactions" in rest
     assert "\x1b" not in read + refused + written + rest
-    assert "4 transactions" in listen(file).out
+    *found, end = map(json.loads, listen(file, "--json").out.splitlines())
+    assert [each["kind"] for each in found] == ["answered", "exception", "answered", "unanswered"]
+    assert (found[0]["response"], found[3]["response"]) == ([7, 8, 9], None)
+    assert end["summary"]["units"]["1"]["functions"] == {"3": 2, "6": 1}
 
 
 def test_a_signal_right_behind_the_first_line_ends_it_well(
@@ -139,24 +142,6 @@ def test_a_second_signal_ends_it_though_nobody_reads(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr("libmodbus_py.cli.find.listen.print", interrupt, raising=False)
     assert listen(DECODED).code == 130
-
-
-def test_json(target: str) -> None:
-    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--json") as made:
-        ask(url_of(made))
-        found = [json.loads(line) for line in lines_of(made, 3)]
-        made.send_signal(signal.SIGINT)
-        rest, _ = made.communicate()
-    lost, end = map(json.loads, rest.splitlines())
-    assert found[0]["kind"] == "answered"
-    assert found[0]["request"] == {"name": "ReadHoldingRegisters", "address": 0, "count": 3}
-    assert found[0]["response"] == [7, 8, 9]
-    assert found[0]["duration"] >= 0
-    assert found[1]["exception"] == 2
-    assert (lost["kind"], lost["response"]) == ("unanswered", None)
-    summary = end["summary"]
-    assert summary["transactions"] == 4
-    assert summary["units"]["1"]["functions"] == {"3": 2, "6": 1}
 
 
 def test_a_capture_is_read_again(golden: Golden, monkeypatch: pytest.MonkeyPatch) -> None:
