@@ -80,26 +80,10 @@ def test_functions_that_nobody_knows_go_through_as_bytes(stage: Stage) -> None:
     """On a line between, their ends are found by the CRC."""
 
     @pdu.register
-    class Own(pdu.Request[bytes]):
+    class Own(pdu.RawRequest):
         function = 101
         request_length = pdu.unknown_length
         response_length = pdu.unknown_length
-
-        def __init__(self, data: bytes) -> None:
-            self.data = data
-
-        def encode(self) -> bytes:
-            return bytes([self.function]) + self.data
-
-        @classmethod
-        def decode(cls, pdu: bytes) -> Own:
-            return cls(pdu[1:])
-
-        def encode_response(self, result: bytes) -> bytes:
-            return bytes([self.function]) + result
-
-        def _decode_response(self, pdu: bytes) -> bytes:
-            return pdu[1:]
 
     device = Device(Mapping(), handlers={Own: lambda request: request.data[::-1]})
     try:

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py.services.workers.records import (
+    SETTINGS,
     Connection,
     FleetSettings,
     Holding,
@@ -34,26 +35,21 @@ def line(connection: str = LINE, timeout: float = 1) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "record",
+    ("key", "record"),
     [
-        FleetSettings(),
-        FleetSettings(0.5, "continue", True, 60.0, 1 << 16),
-        FleetSettings(60.0),
-        Connection("", LINE, 0.0, '{"devices": []}'),
-        Connection("north", LINE, 60.0, '{"devices": [{"name": "d"}]}'),
-        Member("a.1", "here", ("", "north"), 10.0, 3, 17, {"up": 1}),
-        Member("a.1", "ended", (), 0.5),
+        (SETTINGS, FleetSettings()),
+        (SETTINGS, FleetSettings(0.5, "continue", True, 60.0, 1 << 16)),
+        (SETTINGS, FleetSettings(60.0)),
+        (f"connection._.{DIGEST}", Connection("", LINE, 0.0, '{"devices": []}')),
+        (f"connection.north.{DIGEST}", Connection("north", LINE, 60.0, '{"devices": [{"a": 1}]}')),
+        ("worker.a.1", Member("a.1", "here", ("", "north"), 10.0, 3, 17, {"up": 1})),
+        ("worker.a.1", Member("a.1", "ended", (), 0.5)),
+        ("slot.north.0", Holding(Slot("north", 0), "a.1", "b.2")),
+        ("slot._.255", Holding(Slot("", 255), "a.1", "b.2")),
     ],
 )
-def test_what_is_written_is_read_as_it_was(record: FleetSettings | Connection | Member) -> None:
-    key = "settings" if isinstance(record, FleetSettings) else record.bucket_key
+def test_what_is_written_is_read_as_it_was(key: str, record: Any) -> None:
     assert decode(key, record.encode()) == record
-
-
-@pytest.mark.parametrize("number", [0, 255])
-def test_the_holder_of_a_slot_is_read(number: int) -> None:
-    slot = Slot("north", number)
-    assert decode(slot.key, Holding(slot, "a.1", "b.2").encode()) == Holding(slot, "a.1", "b.2")
 
 
 @pytest.mark.parametrize(
