@@ -306,6 +306,18 @@ def refusals() -> Iterator[Exchange]:
         yield Exchange(function, "refused", ask)
 
 
+def check_all(context: Context) -> None:
+    """Assert that a context gets the answers and the refusals of the standard functions."""
+    for check, exchange in each(exchanges(), lambda case: f"{case.function}-{case.name}"):
+        with check:
+            assert exchange.ask(context) == exchange.answer
+            assert exchange.look(context) == exchange.seen
+            restore_through(context, exchange.function)
+    for exchange in refusals():
+        with pytest.raises(IllegalDataAddress):
+            exchange.ask(context)
+
+
 # --- our contexts and a server of others -----------------------------------------------------
 
 

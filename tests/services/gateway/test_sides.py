@@ -13,7 +13,6 @@ from libmodbus_py import (
     Access,
     Context,
     Device,
-    ExceptionResponse,
     Gateway,
     IllegalFunction,
     Mapping,
@@ -25,7 +24,7 @@ from tests.services.gateway.gates import small
 from tests.simulation.stage import Stage
 from tests.support.certificates import Papers
 from tests.support.gateways import passage
-from tests.support.interop import exchanges, make_device, refusals
+from tests.support.interop import check_all
 
 FRONTS = ["tcp", "udp", "rtu+udp", "rtu+tcp", "ascii+tcp", "rtu", "ascii"]
 SIDES = [(front, back) for front in FRONTS for back in FRONTS]
@@ -45,15 +44,7 @@ def test_any_function_goes_over_sockets_and_ports_of_the_system(front: str, back
 
 
 def every_function(context: Context) -> None:
-    for each in exchanges():
-        try:
-            assert each.ask(context) == each.answer, each
-            assert each.look(context) == each.seen, each
-        finally:
-            restore(context)
-    for each in refusals():
-        with pytest.raises(ExceptionResponse):
-            each.ask(context)
+    check_all(context)
     assert context.read_file_records([(4, 7, 2)]) == [[5007, 5008]]
     context.write_file_records([(4, 7, [1, 2])])
     assert context.read_file_records([(4, 7, 2)]) == [[1, 2]]
@@ -66,14 +57,6 @@ def every_function(context: Context) -> None:
     assert context.diagnostics(0, 0x1234) == 0x1234
     with pytest.raises(IllegalFunction):
         context.execute(pdu.EncapsulatedTransport(13, b"abc"))
-
-
-def restore(context: Context) -> None:
-    fresh = make_device().mapping
-    context.write_registers(100, fresh.holding_registers[100:223])
-    context.write_registers(223, fresh.holding_registers[223:300])
-    context.write_registers(300, fresh.holding_registers[300:400])
-    context.write_coils(10, fresh.coils[10:1978])
 
 
 def test_functions_that_nobody_knows_go_through_as_bytes(stage: Stage) -> None:
