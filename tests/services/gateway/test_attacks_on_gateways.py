@@ -5,8 +5,6 @@ gets only right values, and nothing of the attack is left.
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Callable
 
 import pytest
@@ -28,7 +26,6 @@ from tests.simulation.scripted import Scripted, Write
 from tests.simulation.stage import Stage
 from tests.support.attacks import ATTACKS, UNIT, Attack
 from tests.support.gateways import passage
-from tests.support.peers import until
 
 OVER_TCP = [attack for attack in ATTACKS if attack.scheme == "tcp"]
 
@@ -92,36 +89,6 @@ def test_a_device_that_says_anything_has_nothing_of_it_passed_on(stage: Stage, w
                 return False
 
         assert any(answers_again() for _ in range(60))
-
-
-def where(descriptor: str) -> str:
-    """Return the target of a descriptor, or nothing once it is closed."""
-    try:
-        return os.readlink(descriptor)
-    except FileNotFoundError:
-        return ""
-
-
-@pytest.mark.parametrize("back", ["tcp", "udp", "rtu"])
-def test_a_forked_child_has_nothing_of_its_lines(back: str) -> None:
-    """Else a device would not see the gateway go."""
-    with passage("tcp", back, {1: small()}) as through, through.context(1) as context:
-        assert context.read_holding_registers(0, 1) == [0]
-        answering = through.gateway._dispatcher
-        assert answering is not None
-        descriptor = answering.lines[0].client._driver._port.descriptor
-        mine = os.readlink(f"/proc/self/fd/{descriptor}")
-        child = os.fork()
-        if not child:
-            signal.pause()
-            os._exit(0)
-        try:
-            assert context.read_holding_registers(0, 1) == [0]
-            theirs = f"/proc/{child}/fd/{descriptor}"
-            until(lambda: where(theirs) != mine)
-        finally:
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
 
 
 def test_floods_from_many_connections_leave_a_line_to_everybody(stage: Stage) -> None:

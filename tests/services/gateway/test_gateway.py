@@ -5,9 +5,7 @@ A gateway over time: connections that come and go, routes that change, and its e
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import gc
-from pathlib import Path
 
 import pytest
 
@@ -16,43 +14,17 @@ from libmodbus_py import (
     Fault,
     Gateway,
     GatewayPathUnavailable,
-    GatewayTargetFailedToRespond,
     Route,
     Server,
     pdu,
 )
 from libmodbus_py.services.gateway.line import GatewayLine
-from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.stage import Stage
 from tests.support.given import simulated
 from tests.support.peers import until
 
 ONE, SEVEN = bytes.fromhex("03 02 0000"), bytes.fromhex("03 02 0007")
-
-
-def test_a_serial_port_that_is_unplugged_and_comes_back_is_opened_again(tmp_path: Path) -> None:
-    port = tmp_path / "ttyUSB0"
-    with contextlib.ExitStack() as stack:
-        before, after = (stack.enter_context(SerialWire()) for _ in range(2))
-        port.symlink_to(before.client)
-        _, url = stack.enter_context(gateway([Route(f"rtu://{port}?timeout=0.3")]))
-        context = stack.enter_context(Context.from_url(url, unit=1, timeout=5))
-
-        def answers() -> bool:
-            try:
-                return context.read_holding_registers(0, 1) == [0]
-            except GatewayTargetFailedToRespond:
-                return False
-
-        with Server({1: small()}).background(f"rtu://{before.server}"):
-            assert answers()
-        before.unplug()
-        assert not answers()
-        port.unlink()
-        port.symlink_to(after.client)
-        with Server({1: small()}).background(f"rtu://{after.server}"):
-            until(answers)
 
 
 def test_routes_change_and_connections_stay(stage: Stage) -> None:
