@@ -398,23 +398,6 @@ async def test_who_joined_late_is_not_refused_because_the_first_waited_for_too_l
 # --- the connection -------------------------------------------------------------------------------
 
 
-@on_line("tcp://10.0.0.1?timeout=5&max_in_flight=1")
-async def test_those_who_wait_are_answered_over_the_next_connection_with_one_request(
-    plant: Plant,
-) -> None:
-    plant.silent.add(1)
-    lost, askers = Asker(), [Asker() for _ in range(3)]
-    plant.ask(1, lost)
-    for asker in askers:
-        plant.ask(2, asker, merge=True)
-    await asyncio.sleep(0.5)
-    plant.peer.drop_all()
-    await asyncio.sleep(2)
-    assert lost.answers == [REFUSED]
-    assert [asker.answers for asker in askers] == [[answer_of(2, 2)]] * 3
-    assert plant.asked == [1, 2]
-
-
 @on_line("tcp://10.0.0.1")
 async def test_a_device_that_is_not_there_is_told_once_and_when_it_is_back(
     plant: Plant, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch

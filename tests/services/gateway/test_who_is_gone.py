@@ -104,38 +104,6 @@ def test_a_trial_that_waits_for_the_connection_is_not_sent(url: str) -> None:
     plant.run(main)
 
 
-@on_line("tcp://10.0.0.1?timeout=0.5")
-async def test_requests_behind_a_write_are_not_sent(plant: Plant) -> None:
-    """On a connection with transaction ids a write is alone in flight."""
-    plant.silent.add(9)
-    for _ in range(3):
-        plant.ask(1, Asker())
-        await asyncio.sleep(0.1)
-    plant.ask(9, Asker(), WRITE)
-    gone = [plant.ask(unit, Asker()) for unit in (1, 2, 3)]
-    await asyncio.sleep(0.1)
-    for each in gone:
-        plant.line.leave(each)
-    await asyncio.sleep(2)
-    assert plant.asked == [1, 1, 1, 9]
-
-
-@on_line("tcp://10.0.0.1?timeout=0.5")
-async def test_a_read_that_was_lost_beside_others_is_not_sent_again(plant: Plant) -> None:
-    plant.silent.add(9)
-    plant.ask(1, Asker())
-    await asyncio.sleep(0.1)
-    gone, other, next_one = plant.ask(9, Asker()), Asker(), Asker()
-    plant.ask(1, other)
-    await asyncio.sleep(0.1)
-    assert plant.asked == [1, 9, 1]
-    plant.line.leave(gone)
-    plant.ask(1, next_one)
-    await asyncio.sleep(2)
-    assert plant.asked == [1, 9, 1, 1]
-    assert (other.answers, next_one.answers) == ([answer_of(1, 3)], [answer_of(1, 4)])
-
-
 @pytest.mark.parametrize(("scheme", "is_sent"), [("tcp", False), ("rtu+tcp", True)])
 def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(
     stage: Stage, scheme: str, is_sent: bool
