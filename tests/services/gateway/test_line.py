@@ -13,6 +13,7 @@ from libmodbus_py.services.gateway import line as gateway_line
 from libmodbus_py.services.gateway.line import BUSY, MOST_CACHED, NO_ANSWER, Cache, Forwarded
 from tests.services.gateway.gates import (
     INPUTS,
+    LINE,
     READ,
     REFUSED,
     TIMEOUT,
@@ -194,6 +195,25 @@ async def test_reads_that_would_be_sent_again_are_refused_with_their_silent_unit
     assert [asker.answers for asker in askers] == [[f"8{each}0b"] for each in (1, 2, 3, 4)]
     assert len(other.answers) == 1
     assert plant.unit(9).resting == 2  # the second one was sent again before the line knew
+
+
+@on_line(f"{LINE}?timeout=2")
+async def test_a_damaged_answer_has_its_unit_wait_and_nobody_else(plant: Plant) -> None:
+    """The line must be silent before that unit is asked again; others need not wait for it."""
+    plant.damaging = {1}
+    asker = Asker()
+    plant.ask(1, asker)
+    await asyncio.sleep(0.1)
+    assert asker.answers == [REFUSED]
+    damaged_at = plant.peer.times[0] + plant.delay
+    for unit in (1, 2):
+        plant.ask(unit, Asker())
+    await asyncio.sleep(1)
+    plant.ask(3, Asker())
+    await asyncio.sleep(2)
+    assert plant.asked == [1, 2, 3, 1]
+    since = [at - damaged_at for at in plant.peer.times[1:]]
+    assert since == pytest.approx([0.05, 1.05, 2.0], abs=0.05)
 
 
 # --- turns ----------------------------------------------------------------------------------------
