@@ -54,7 +54,7 @@ WORDS = {
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 # Where these come from, seconds are simulated.
-CLOCKS = ("tests.simulation", "tests.support.given")
+CLOCKS = ("tests.simulation",)
 
 # What fails a test, besides `assert`; `timeout` fails what does not happen.
 FAILING = {"raises", "fail", "warns", "timeout", "fnmatch_lines", "no_fnmatch_line", "wait_for"}

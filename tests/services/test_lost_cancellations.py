@@ -19,7 +19,7 @@ from libmodbus_py.services.engine.buckets import Watch
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.tasks import AGAIN, FINISHING_S, end_tasks, finish
-from tests.support.given import simulated
+from tests.simulation.given import simulated
 from tests.support.outputs import Picky, reading
 
 

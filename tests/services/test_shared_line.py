@@ -13,8 +13,8 @@ from libmodbus_py.client.asynchronous import AsyncClient
 from libmodbus_py.pdu import ReadCoils
 from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.line import FairQueue, LineRequest, SharedLine, rest_after
+from tests.simulation.given import simulated
 from tests.support.cases import each_case
-from tests.support.given import simulated
 from tests.support.talk import little_kept
 
 TIMEOUT = 1.0

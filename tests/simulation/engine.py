@@ -23,9 +23,10 @@ from libmodbus_py.services.engine.buckets import Bucket, Change
 from libmodbus_py.services.workers.records import BUCKET
 
 from .engine_client import EngineClient, Keys, Link, Message, Subscription
+from .given import giving
 from .network import Network
 
-__all__ = ["Engine", "EngineClient", "Message"]
+__all__ = ["Engine", "EngineClient", "Message", "with_engine"]
 
 # Seconds that a message takes each way: the least and the most.
 DELAY = (0.0002, 0.002)
@@ -295,3 +296,19 @@ def _matches(pattern: str, subject: str) -> bool:
     return len(wanted) == len(given) and all(
         one in ("*", other) for one, other in zip(wanted, given, strict=True)
     )
+
+
+def _run_with_engine(test: Callable[..., Any]) -> None:
+    network = Network()
+    engine = Engine(network)
+
+    async def main() -> None:
+        client = engine.client()
+        await test(engine, client)
+        await client.close()
+
+    network.run(main)
+
+
+with_engine = giving(_run_with_engine, count=2)
+"""Let a test have a server of NATS on simulated time, and a client of it."""

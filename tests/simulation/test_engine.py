@@ -13,9 +13,8 @@ from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.engine.connection import EngineError
 from libmodbus_py.services.workers.records import FleetSettings
-from tests.support.given import with_engine
 
-from .engine import Engine, EngineClient
+from .engine import Engine, EngineClient, with_engine
 from .network import Network
 from .workers import SimulatedWorker, push_fleet
 

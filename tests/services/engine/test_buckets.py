@@ -12,9 +12,8 @@ import pytest
 
 from libmodbus_py.services.engine.buckets import Change, Watch
 from libmodbus_py.services.engine.connection import EngineGone
-from tests.simulation.engine import Engine, EngineClient
+from tests.simulation.engine import Engine, EngineClient, with_engine
 from tests.support.cases import each_case
-from tests.support.given import with_engine
 
 
 @with_engine

@@ -14,10 +14,10 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.gateway.line import NO_ANSWER, Forwarded, GatewayLine, request_of
 from libmodbus_py.services.gateway.routes import GatewayOptions
 from libmodbus_py.services.gateway.statistics import LineStatistics
+from tests.simulation.given import giving
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.stage import Stage
-from tests.support.given import giving
 from tests.support.talk import rtu
 
 READ_ONE = bytes.fromhex("03 0000 0001")

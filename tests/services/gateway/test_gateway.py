@@ -20,8 +20,8 @@ from libmodbus_py import (
 )
 from libmodbus_py.services.gateway.line import GatewayLine
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
+from tests.simulation.given import simulated
 from tests.simulation.stage import Stage
-from tests.support.given import simulated
 from tests.support.peers import until
 
 ONE, SEVEN = bytes.fromhex("03 02 0000"), bytes.fromhex("03 02 0007")

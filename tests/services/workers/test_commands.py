@@ -19,8 +19,8 @@ from libmodbus_py.services.workers import messages
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.trial import INTERVAL, LEASE, Trial, tried
 from tests.simulation.engine import EngineClient
+from tests.simulation.given import giving
 from tests.simulation.workers import push_fleet
-from tests.support.given import giving
 
 INBOX = "_INBOX.u9ii73oAyVwgjXVUkC6cqN"
 

@@ -14,8 +14,7 @@ from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.engine.connection import EngineError, EngineGone
 from libmodbus_py.services.workers.contents import Pushed, connections_of, push, seen_now
 from libmodbus_py.services.workers.records import SETTINGS, FleetSettings
-from tests.simulation.engine import Engine, EngineClient
-from tests.support.given import with_engine
+from tests.simulation.engine import Engine, EngineClient, with_engine
 
 LEASE = 10.0
 MAP = RegisterMap([Point("level", "holding_registers", 0)])

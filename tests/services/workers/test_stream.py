@@ -9,8 +9,7 @@ from typing import Any, cast
 
 from libmodbus_py.services.fleet.readings import Reading
 from libmodbus_py.services.workers.messages import Stream
-from tests.simulation.engine import Engine, EngineClient
-from tests.support.given import with_engine
+from tests.simulation.engine import Engine, EngineClient, with_engine
 
 
 def reading(name: str, value: Any, *, time: float = 100.0) -> Reading:

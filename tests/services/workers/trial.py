@@ -15,9 +15,9 @@ from libmodbus_py.ports.trace import Traced
 from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.simulation.engine import Engine
+from tests.simulation.given import giving
 from tests.simulation.network import Network
 from tests.simulation.workers import SimulatedWorker, push_fleet
-from tests.support.given import giving
 
 __all__ = ["INTERVAL", "LEASE", "UNITS", "Asked", "Trial", "tried"]
 

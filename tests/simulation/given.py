@@ -9,10 +9,9 @@ import inspect
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from tests.simulation.engine import Engine
-from tests.simulation.network import Network
+from .network import Network
 
-__all__ = ["giving", "simulated", "with_engine"]
+__all__ = ["giving", "simulated"]
 
 Test = Callable[..., Coroutine[Any, Any, None]]
 
@@ -40,19 +39,3 @@ def giving(run: Callable[[Test], None], count: int = 1) -> Callable[[Test], Call
 
 simulated = giving(lambda test: Network().run(test), count=0)
 """Run a test in simulated time; it is given nothing but its fixtures."""
-
-
-def _run_with_engine(test: Test) -> None:
-    network = Network()
-    engine = Engine(network)
-
-    async def main() -> None:
-        client = engine.client()
-        await test(engine, client)
-        await client.close()
-
-    network.run(main)
-
-
-with_engine = giving(_run_with_engine, count=2)
-"""Let a test have a server of NATS on simulated time, and a client of it."""
