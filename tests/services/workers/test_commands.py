@@ -184,7 +184,8 @@ async def test_workers_follow_whether_commands_are_taken(to: Listener) -> None:
 @pytest.fixture
 def failures(monkeypatch: pytest.MonkeyPatch) -> list[Exception]:
     """Errors of the next subscriptions to commands."""
-    subscribe, errors = EngineClient.subscribe, [nats.errors.ConnectionClosedError()] * 2
+    subscribe = EngineClient.subscribe
+    errors: list[Exception] = [nats.errors.ConnectionClosedError()] * 2
 
     async def fail_first(client: EngineClient, subject: str, cb: Any = None) -> Any:
         if errors and subject.startswith("modbus.write"):
