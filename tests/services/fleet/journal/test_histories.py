@@ -20,74 +20,70 @@ from libmodbus_py.services.fleet.journal.journal_reader import (
 )
 from libmodbus_py.services.fleet.journal.schema import JournalError, numbered
 from tests.services.fleet.journal.journals import readings
+from tests.support.cases import each_case
 
 SINCE = 1_700_000_000.0
 
 
-def values(*numbers: Any, quality: str = "good") -> list[HistoricalValue]:
-    return [HistoricalValue(SINCE + at, each, quality) for at, each in enumerate(numbers)]
+def at(time: float, value: Any, quality: str = "good") -> HistoricalValue:
+    return HistoricalValue(SINCE + time, value, quality)
 
 
-def seconds(found: list[HistoricalValue]) -> list[float]:
-    return [each.time - SINCE for each in found]
+def values(*numbers: Any) -> list[HistoricalValue]:
+    return [at(time, number) for time, number in enumerate(numbers)]
+
+
+def left(given: list[HistoricalValue], length: float, most: int) -> list[float]:
+    """Return the seconds of the values that stand for the others."""
+    return [each.time - SINCE for each in thinned(given, SINCE, SINCE + length, most)]
 
 
 @pytest.mark.parametrize(("most", "spans"), [(3, 1), (5, 1), (6, 2), (29, 9), (30, 10)])
 def test_each_of_equal_spans_has_its_extremes(most: int, spans: int) -> None:
-    given = values(*range(100))
-    found = seconds(thinned(given, SINCE, SINCE + 100, most))
     length = 100 / spans
-    firsts = [-int(-at * length // 1) for at in range(spans + 1)]
+    firsts = [-int(-number * length // 1) for number in range(spans + 1)]
     expected = [at for first, end in pairwise(firsts) for at in (first, end - 1)]
-    assert found == expected
+    assert left(values(*range(100)), 100, most) == expected
 
 
-def test_as_many_as_may_be_are_all() -> None:
-    given = values(*range(30))
-    assert thinned(given, SINCE, SINCE + 30, 30) == given
-    assert len(thinned(given, SINCE, SINCE + 30, 29)) == 18
-
-
-def test_a_span_keeps_its_first_smallest_last_greatest_and_first_bad_value_in_order() -> None:
-    given = values(5, 9, 1, 1, None, 9, "text", 5)
-    assert seconds(thinned(given, SINCE, SINCE + 8, 3)) == [2, 4, 5]
-    assert seconds(thinned(values(7, 7, 7, 7), SINCE, SINCE + 4, 3)) == [0, 3]
-    assert seconds(thinned(values(4, 3, 2, 1), SINCE, SINCE + 4, 3)) == [0, 3]
-
-
-def test_a_number_of_another_quality_is_no_extreme() -> None:
-    bad = HistoricalValue(SINCE + 2.5, 1000, "invalid")
-    given = [*values(1, 2, 3), bad]
-    given.sort()
-    assert seconds(thinned([*given, *values(1, 2, 3)[:0]], SINCE, SINCE + 3, 3)) == [0, 2, 2.5]
-
-
-def test_values_at_the_end_belong_to_the_last_span() -> None:
-    given = [HistoricalValue(SINCE + at, at, "good") for at in (0, 1, 2, 10, 10, 10, 10)]
-    assert seconds(thinned(given, SINCE, SINCE + 10, 6)) == [0, 2, 10, 10]
-
-
-def test_values_that_are_no_numbers_are_one_of_a_span() -> None:
-    words = [HistoricalValue(SINCE + at, "on", "good") for at in range(10)]
-    assert thinned(words, SINCE, SINCE + 10, 3) == words[:1]
-    assert thinned([], 0.0, 0.0, 3) == []
+@each_case(
+    ("given", "length", "most", "expected"),
+    [
+        (values(*range(30)), 30, 30, [*range(30)]),  # as many as may be are all
+        # Of a span the first smallest, the last greatest, and the first bad one, in their order.
+        (values(5, 9, 1, 1, None, 9, "text", 5), 8, 3, [2, 4, 5]),
+        (values(7, 7, 7, 7), 4, 3, [0, 3]),
+        (values(4, 3, 2, 1), 4, 3, [0, 3]),
+        (values(*["on"] * 10), 10, 3, [0]),
+        # A number of another quality is no extreme.
+        ([*values(1, 2, 3), at(2.5, 1000, "invalid")], 3, 3, [0, 2, 2.5]),
+        # Values at the end belong to the last span.
+        ([at(time, time) for time in (0, 1, 2, 10, 10, 10, 10)], 10, 6, [0, 2, 10, 10]),
+        ([], 0, 3, []),
+    ],
+)
+def test_some_values_stand_for_others(
+    given: list[HistoricalValue], length: float, most: int, expected: list[float]
+) -> None:
+    assert left(given, length, most) == expected
 
 
 def test_no_time_at_all_is_one_span() -> None:
-    given = [HistoricalValue(SINCE, number, "good") for number in range(9)]
+    given = [at(0, number) for number in range(9)]
     assert [each.value for each in thinned(given, SINCE, SINCE, 3)] == [0, 8]
 
 
-@pytest.mark.parametrize("most", [3, 1_000_000])
-def test_three_values_to_a_million_may_be_asked_for(tmp_path: Path, most: int) -> None:
-    with pytest.raises(JournalError):  # there is no such file
-        history(str(tmp_path / "none.db"), "meter", "level", SINCE, SINCE + 1, most)
-
-
-@pytest.mark.parametrize("most", [2, 1_000_001])
-def test_another_number_of_values_is_refused(tmp_path: Path, most: int) -> None:
-    with pytest.raises(ValueError, match="most"):
-        history(str(tmp_path / "none.db"), "meter", "level", SINCE, SINCE + 1, most)
+@each_case(
+    ("most", "error"), [(2, ValueError), (3, None), (1_000_000, None), (1_000_001, ValueError)]
+)
+def test_three_values_to_a_million_may_be_asked_for(
+    tmp_path: Path, most: int, error: type[Exception] | None
+) -> None:
+    """There is no such file, so that what may be asked for ends with another error."""
+    path = str(tmp_path / "none.db")
+    with pytest.raises(error or JournalError, match="most" if error else "none.db"):
+        history(path, "meter", "level", SINCE, SINCE + 1, most)
+    assert past_in(path)("meter", "level", SINCE, SINCE + 1, 100) == []
 
 
 def test_numbers_and_gaps_of_a_value(tmp_path: Path) -> None:
@@ -108,7 +104,3 @@ def test_numbers_and_gaps_of_a_value(tmp_path: Path) -> None:
         assert past_in(path)("a", "p1", 3.5, 9.0, 100) == [(4.0, 7.0)]
     finally:
         file.close()
-
-
-def test_a_journal_that_cannot_be_read_has_no_past(tmp_path: Path) -> None:
-    assert past_in(str(tmp_path / "none.db"))("a", "p1", 0.0, 9.0, 100) == []
