@@ -58,7 +58,7 @@ def test_each_of_equal_spans_has_its_extremes(most: int, spans: int) -> None:
         # A number of another quality is no extreme.
         ([*values(1, 2, 3), at(2.5, 1000, "invalid")], 3, 3, [0, 2, 2.5]),
         # Values at the end belong to the last span.
-        ([at(time, time) for time in (0, 1, 2, 10, 10, 10, 10)], 10, 6, [0, 2, 10, 10]),
+        ([at(time, time) for time in (0, 1, 2, 7, 10, 10, 10)], 10, 6, [0, 2, 7, 10]),
         ([], 0, 3, []),
     ],
 )
