@@ -309,14 +309,6 @@ class TestChanges:
 
 class TestLease:
     @in_simulated_time
-    async def test_a_poll_that_is_held_does_not_keep_others_from_their_turn(self) -> None:
-        plant = Plant()
-        async with plant.polls(plant.device(1), plant.device(2), may_ask=lambda key: False):
-            await asyncio.sleep(5)
-            assert plant.fleet.statistics.skipped == 0
-            assert plant.fleet.statistics.held >= 8
-
-    @in_simulated_time
     async def test_who_may_ask_nothing_has_polled_once_at_once(self) -> None:
         plant = Plant()
         fleet = Fleet([plant.device(1), plant.device(2)], may_ask=lambda key: False)
