@@ -208,3 +208,7 @@ async def good(request: bytes) -> bytes:
     count = int.from_bytes(request[10:12], "big")
     body = bytes([request[6], 3, 2 * count]) + b"\0\7" * count
     return request[:4] + len(body).to_bytes(2, "big") + body
+
+
+async def silent(request: bytes) -> None:
+    """No answer to any request."""

@@ -22,6 +22,7 @@ from tests.services.fleet.fleets import (
     in_simulated_time,
     meter,
     polling,
+    silent,
     simulated_run,
     until,
 )
@@ -53,13 +54,9 @@ async def late(request: bytes) -> bytes:
     return await good(request)
 
 
-async def never(request: bytes) -> None:
-    return None
-
-
 @pytest.mark.parametrize(
     "manners",
-    [flooding, doubled, garbage, of_another, short, late, never],
+    [flooding, doubled, garbage, of_another, short, late, silent],
     ids=lambda f: f.__name__,
 )
 @in_simulated_time

@@ -26,6 +26,7 @@ from tests.services.fleet.fleets import (
     in_simulated_time,
     meter,
     polling,
+    silent,
     simulated,
     stand_still,
     until,
@@ -128,10 +129,7 @@ async def test_a_loop_that_stood_still_skips_and_counts() -> None:
 
 @in_simulated_time
 async def test_timeouts_are_those_of_each_device() -> None:
-    async def never(request: bytes) -> None:
-        return None
-
-    async with Peer(never) as peer:
+    async with Peer(silent) as peer:
         fast = meter("fast", f"{peer.url}?timeout=5&max_in_flight=2", unit=1, timeout=0.05)
         slow = meter("slow", f"{peer.url}?timeout=5&max_in_flight=2", unit=2)
         async with polling(fast, slow) as (fleet, _):

@@ -5,7 +5,6 @@ metrics forget it.
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Sequence
 
 from libmodbus_py import Fleet
@@ -17,6 +16,7 @@ from tests.services.fleet.fleets import (
     in_simulated_time,
     meter,
     polling,
+    silent,
     until,
 )
 
@@ -60,10 +60,7 @@ async def test_of_a_device_that_stays_only_points_that_are_gone_are_taken_back()
 
 @in_simulated_time
 async def test_what_was_never_reported_is_not_taken_back() -> None:
-    async def never(request: bytes) -> None:
-        await asyncio.Event().wait()
-
-    async with Peer(never) as peer:
+    async with Peer(silent) as peer:
         async with polling(meter("a", f"{peer.url}?timeout=60")) as (fleet, readings):
             await until(lambda: peer.requests)
             fleet.replace([])

@@ -11,7 +11,7 @@ import pytest
 from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
 from libmodbus_py.maps.point_plan import PointPlan
 from libmodbus_py.services.fleet.trial import Tried, overloads, trying
-from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter
+from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, silent
 from tests.support.cases import each_case
 
 
@@ -74,9 +74,6 @@ async def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
 
 @in_simulated_time
 async def test_who_looks_at_the_first_result_only_leaves_nothing_behind() -> None:
-    async def silent(request: bytes) -> None:
-        return None
-
     async with (
         Server({1: Device(Mapping(holding_registers=3))}).serving("tcp://127.0.0.1:0") as good,
         Peer(silent) as peer,
@@ -98,9 +95,6 @@ async def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object, **__: object) -> object:
         raise RuntimeError("a defect")
 
-    async def silent(request: bytes) -> None:
-        return None
-
     monkeypatch.setattr(PointPlan, "results", broken)
     async with Peer() as peer, Peer(silent) as dead:
         devices = meter("a", peer.url), meter("b", dead.url, timeout=60)
@@ -110,9 +104,6 @@ async def test_a_defect_ends_the_trial(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @in_simulated_time
 async def test_devices_that_do_not_answer_are_told_with_the_reason() -> None:
-    async def silent(request: bytes) -> None:
-        return None
-
     async with Peer() as peer, Peer(silent) as dead:
         found = await tried(
             meter("good", peer.url),
