@@ -173,9 +173,10 @@ def test_telegraf_gets_lines_from_the_command_at_once(plant: Path) -> None:
         assert started.wait() == 0
 
 
-def test_telegraf_reads_what_the_broker_gets(plant: Path, broker: Broker) -> None:
+@in_real_time
+async def test_telegraf_reads_what_the_broker_gets(plant: Path, broker: Broker) -> None:
     (inputs,) = tomllib.loads(block("Telegraf", "toml", "mqtt_consumer"))["inputs"]["mqtt_consumer"]
-    heard = heard_from(plant, broker, *inputs["topics"])
+    heard = await heard_from(plant, broker, *inputs["topics"])
     (parsing,) = inputs["topic_parsing"]
     assert [parsing["topic"]] == inputs["topics"]
     for topic, payload in heard.items():
@@ -191,33 +192,29 @@ def test_telegraf_reads_what_the_broker_gets(plant: Path, broker: Broker) -> Non
     assert heard["plant/north/voltage"]["value"] == 230.5
 
 
-def heard_from(plant: Path, broker: Broker, *topics: str) -> dict[str, Any]:
-    """Poll once with the output to MQTT of the page, and return the last message of each topic."""
-    from tests.services.fleet.outputs.brokers import hearing, run  # MQTT's client is an extra
+async def heard_from(plant: Path, broker: Broker, *topics: str) -> dict[str, Any]:
+    """Poll with the output to MQTT of the page, and return the last message of each topic."""
+    from tests.services.fleet.outputs.brokers import hearing  # MQTT's client is an extra
 
     add(plant, block("Node-RED", "toml").replace("mqtt://127.0.0.1", broker.url))
-
-    async def go() -> dict[str, Any]:
-        with Started("poll", plant):
-            async with hearing(broker, *topics) as heard:
-                await until(lambda: len({topic for topic, *_ in heard}) >= expected)
-                return {topic: payload for topic, payload, _ in heard}
-
     expected = 2 if topics == ("plant/+/+",) else len(topics)
-    found: dict[str, Any] = run(go())
-    return found
+    with Started("poll", plant):
+        async with hearing(broker, *topics) as heard:
+            await until(lambda: len({topic for topic, *_ in heard}) >= expected)
+            return {topic: payload for topic, payload, _ in heard}
 
 
 # --- what reads MQTT ------------------------------------------------------------------------
 
 
-def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, broker: Broker) -> None:
+@in_real_time
+async def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, broker: Broker) -> None:
     nodes = {node["id"]: node for node in json.loads(block("Node-RED", "json"))}
     for node in nodes.values():
         assert {target for wires in node.get("wires", ()) for target in wires} <= nodes.keys()
     assert {nodes[each]["broker"] for each in ("in", "out")} == {"broker"}
     assert nodes["broker"]["type"] == "mqtt-broker"
-    heard = heard_from(plant, broker, nodes["in"]["topic"])
+    heard = await heard_from(plant, broker, nodes["in"]["topic"])
     (rule,) = nodes["good"]["rules"]
     good = [payload for payload in heard.values() if payload["quality"] == rule["v"]]
     assert {payload["value"] for payload in good} == {230.5, 20.0}
@@ -242,10 +239,11 @@ async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> Non
     assert result["ok"] is True
 
 
-def test_home_assistant_reads_topics_that_there_are(plant: Path, broker: Broker) -> None:
+@in_real_time
+async def test_home_assistant_reads_topics_that_there_are(plant: Path, broker: Broker) -> None:
     text = block("Home Assistant", "yaml")
     read = re.findall(r"(?<!command_)topic: ([\w/-]+)", text)
-    heard = heard_from(plant, broker, *dict.fromkeys(read))
+    heard = await heard_from(plant, broker, *dict.fromkeys(read))
     assert heard["plant/north/voltage"]["value"] == 230.5
     assert heard["plant/north/setpoint"]["value"] == 20.0
     assert (heard["plant/status"], heard["plant-devices/north"]) == ("online", "online")

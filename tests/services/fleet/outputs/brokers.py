@@ -18,7 +18,7 @@ import aiomqtt
 from libmodbus_py import Fleet, Server
 from libmodbus_py.fleet import OutputStatistics
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from tests.services.fleet.fleets import LONGEST, meter, simulated, until
+from tests.services.fleet.fleets import meter, simulated, until
 from tests.support.programs import HeldPort, listens, program
 
 
@@ -79,10 +79,6 @@ class Broker:
         self.kill()
         for port in self._held:
             port.close()
-
-
-def run(test: Any) -> Any:
-    return asyncio.run(asyncio.wait_for(test, 2 * LONGEST))
 
 
 @asynccontextmanager

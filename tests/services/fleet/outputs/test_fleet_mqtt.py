@@ -21,7 +21,7 @@ from libmodbus_py.services.fleet.outputs import mqtt_connection
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.tools.certificates import Identity
 from tests.services.fleet.fleets import RealPeer, in_real_time, meter, until
-from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish, run
+from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish
 from tests.support import certificates
 from tests.support.cases import each_case
 from tests.support.certificates import Papers
@@ -87,11 +87,12 @@ async def test_a_broker_that_is_not_trusted_gets_nothing(
         assert heard == []
 
 
-def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> None:
+@in_real_time
+async def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> None:
     (tmp_path / "ca.pem").write_text("nothing")
     output = Mqtt("mqtts://127.0.0.1:1", ca=str(tmp_path / "ca.pem"))
     with pytest.raises(OSError, match="contains no certificate"):
-        run(output.open())
+        await output.open()
 
 
 @in_real_time

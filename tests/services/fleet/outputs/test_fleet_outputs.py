@@ -22,12 +22,11 @@ from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.output import Output, OutputError
 from libmodbus_py.services.fleet.statistics import LastValues
 from tests.services.fleet.fleets import (
-    LONGEST,
     Peer,
     RealPeer,
+    in_real_time,
     in_simulated_time,
     meter,
-    simulated_run,
     until,
 )
 from tests.support.outputs import Picky
@@ -40,10 +39,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tasks, "FINISHING_S", 0.2)
 
 
-def run(test: Any) -> Any:
-    return asyncio.run(asyncio.wait_for(test, 2 * LONGEST))
-
-
 async def polled(
     output: Output, is_so: Any, interval: float = 0.02, kind: type[Peer | RealPeer] = Peer
 ) -> Fleet:
@@ -54,9 +49,10 @@ async def polled(
     return fleet
 
 
-def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
+@in_simulated_time
+async def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
     output = Picky(next=[1.5], buffer=20)
-    fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 30))
+    fleet = await polled(output, lambda fleet: fleet.statistics.polls > 30)
     lost = fleet.statistics.outputs["picky"]
     assert lost.dropped > 10
     assert len(output.accepted) + lost.dropped == fleet.statistics.readings
@@ -64,11 +60,11 @@ def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
     assert len(output.accepted) <= 3 + 2 * output.buffer
 
 
-def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> None:
-    output = Picky(
-        next=[OSError(errno.EIO, "no"), OSError(errno.EIO, "no"), 0, RuntimeError("a bug")]
-    )
-    fleet = simulated_run(polled(output, lambda fleet: fleet.statistics.polls > 60, interval=0.05))
+@in_simulated_time
+async def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> None:
+    no = OSError(errno.EIO, "no")
+    output = Picky(next=[no, no, 0, RuntimeError("a bug")])
+    fleet = await polled(output, lambda fleet: fleet.statistics.polls > 60, interval=0.05)
     # Twice as long after each failure, and as at first after a success.
     pauses = [after - before for before, after in pairwise(output.opened_at)]
     assert pauses == pytest.approx([0.5, 1.0, 0.5], abs=0.1)
@@ -119,9 +115,10 @@ async def test_who_iterates_no_more_loses_the_oldest() -> None:
 
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("path", ["/dev/full", "/nowhere/at/all", "/proc/version"])
-def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> None:
+@in_real_time
+async def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> None:
     output = JsonOutput(path)
-    fleet = run(polled(output, lambda fleet: fleet.statistics.polls > 10, kind=RealPeer))
+    fleet = await polled(output, lambda fleet: fleet.statistics.polls > 10, kind=RealPeer)
     statistics = fleet.statistics.outputs[f"json {path}"]
     assert statistics.written == 0
     assert statistics.failures >= 1
@@ -130,31 +127,27 @@ def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> N
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path: Path) -> None:
+@in_real_time
+async def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path: Path) -> None:
     path = tmp_path / "pipe"
     os.mkfifo(path)
     reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     threads = threading.active_count()
+    output = JsonOutput(str(path), buffer=100)
     try:
-        output = JsonOutput(str(path), buffer=100)
-
-        async def go() -> Fleet:
-            async with RealPeer() as peer:
-                devices = [meter(f"{at}", peer.url, unit=at, interval=0.02) for at in range(1, 21)]
-                fleet = Fleet(devices, outputs=[output])
-                async with fleet:
-                    await until(lambda: fleet.statistics.outputs[output.name].dropped > 100)
-                    before = fleet.statistics.polls
-                    await until(lambda: fleet.statistics.polls > before + 20)
-            return fleet
-
-        assert run(go()).statistics.failures == 0
+        async with RealPeer() as peer:
+            devices = [meter(f"{at}", peer.url, unit=at, interval=0.02) for at in range(1, 21)]
+            async with Fleet(devices, outputs=[output]) as fleet:
+                await until(lambda: fleet.statistics.outputs[output.name].dropped > 100)
+                before = fleet.statistics.polls
+                await until(lambda: fleet.statistics.polls > before + 20)
+        assert fleet.statistics.failures == 0
     finally:
         with suppress(BlockingIOError):
             while os.read(reader, 1 << 16):
                 pass
         os.close(reader)
-    run(until(lambda: threading.active_count() <= threads))
+    await until(lambda: threading.active_count() <= threads)
 
 
 class Described(Picky):
