@@ -69,21 +69,6 @@ def test_an_output_goes_on_in_the_next_run(path: str, inline: None) -> None:
     assert late.ids == in_journal(path)[len(first) :]
 
 
-def test_a_write_that_was_accepted_and_failed_is_repeated_with_the_same_ids(
-    path: str, inline: None
-) -> None:
-    class Unconfirmed(Picky):
-        async def write(self, readings: Sequence[Reading]) -> None:
-            await super().write(readings)
-            if len(self.batches) == 1:
-                raise TimeoutError("the confirmation was lost")
-
-    broker = Unconfirmed()
-    run_for(path, 100, broker)
-    assert sorted({*broker.ids}) == in_journal(path)
-    assert len(broker.ids) == len({*broker.ids}) + 3  # one batch
-
-
 def test_a_live_output_gets_the_readings_of_this_run_only(path: str, inline: None) -> None:
     run_for(path, 100, Picky("live", is_away=True))
     live = Picky("live")
