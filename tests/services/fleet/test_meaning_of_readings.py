@@ -4,13 +4,11 @@ Readings of points that say what their registers mean.
 
 from __future__ import annotations
 
-import json
 import math
 from typing import Any
 
 from libmodbus_py import Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
-from libmodbus_py.services.fleet.outputs.forms import as_json
 from libmodbus_py.services.fleet.poller import Poller
 from libmodbus_py.services.fleet.readings import classified
 from tests.support.cases import each_case
@@ -72,15 +70,6 @@ def test_a_reading_without_a_value_is_bad_and_has_a_reason() -> None:
     assert found["current"] == (None, "bad", "Missing")
     assert values(5001, 0, 0, 0, 300, 0x7F80, 0)["v"] == (None, "bad", "BadScale")
     assert values(5001, 0, 0, 0, 300, 0x7F80, 0)["current"] == (None, "bad", "Infinite")
-
-
-def test_json_of_readings_can_be_read_by_all() -> None:
-    def refuse(constant: str) -> None:
-        raise AssertionError(constant)
-
-    lines = as_json(Polls().readings(5001, 0, 0x51, 0, 300, 0x7F80, 0)).decode().splitlines()
-    found = [json.loads(line, parse_constant=refuse) for line in lines]
-    assert [each["value"] for each in found] == [None, "off", {"door": True, "mode": 5}, 0, None]
 
 
 def test_a_total_that_falls_is_told_when_it_was_read_again() -> None:
