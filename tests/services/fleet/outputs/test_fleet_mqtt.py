@@ -27,22 +27,6 @@ from tests.support.cases import each_case
 from tests.support.certificates import Papers
 
 
-@pytest.mark.parametrize("qos", [0, 1])
-@in_real_time
-async def test_last_values_are_kept_for_who_comes_later(broker: Broker, qos: int) -> None:
-    async with RealPeer() as peer:
-        device = meter("plant/1 +", peer.url, interval=60)
-        await Fleet([device], outputs=[Mqtt(broker.url, qos=qos)]).run(once=True)
-    async with hearing(broker, "#") as heard:
-        await until(lambda: len(heard) >= 4)
-    assert all(retained for _, _, retained in heard)
-    values = {topic: found for topic, found, _ in heard if topic != "modbus/status"}
-    assert set(values) == {f"modbus/plant%2F1 %2B/{name}" for name in device.names}
-    told = values["modbus/plant%2F1 %2B/voltage"]
-    assert {**told, "time": ""} == {"time": "", "value": 0.7, "unit": "V", "quality": "good"}
-    assert heard_of(heard, "modbus/status") == ["offline"]
-
-
 def secure(broker: Broker, papers: Papers, identity: Identity) -> str:
     """Let the broker listen for TLS, too, and return that URL."""
     files = papers.files(identity)

@@ -120,6 +120,7 @@ def test_removed_devices_take_no_room() -> None:
     assert (known.published, known._answered) == ({}, {})
 
 
+@pytest.mark.parametrize("qos", [0, 1])
 @pytest.mark.parametrize(
     ("options", "polls", "retained"),
     [
@@ -143,20 +144,26 @@ def test_removed_devices_take_no_room() -> None:
 )
 @in_real_time
 async def test_what_a_broker_retained_is_there_again_each_time_it_returns(
-    broker: Broker, options: Any, polls: list[list[Reading]], retained: dict[str, Any]
+    broker: Broker, options: Any, polls: list[list[Reading]], retained: dict[str, Any], qos: int
 ) -> None:
-    """Though nothing is read again: mosquitto keeps nothing on the disk unless told to."""
-    async with pumping(Mqtt(broker.url, **options)) as pump:
+    """Nothing is read again: mosquitto keeps nothing on the disk unless told to."""
+
+    async def heard_later() -> dict[str, tuple[Any, bool]]:
+        async with hearing(broker, "#") as heard:
+            await until(lambda: retained.keys() <= {topic for topic, *_ in heard})
+        found = {topic: (told(payload), is_retained) for topic, payload, is_retained in heard}
+        return {topic: found[topic] for topic in retained}
+
+    async with pumping(Mqtt(broker.url, qos=qos, **options)) as pump:
         for readings in polls:
             count = pump.statistics.written + len(readings)
             pump.buffer.put(readings)
             await until(lambda count=count: pump.statistics.written == count)
+        assert await heard_later() == {topic: (each, True) for topic, each in retained.items()}
         for _ in range(4):
             await broker.restart(pump.statistics)
-        async with hearing(broker, "#") as heard:
-            await until(lambda: retained.keys() <= {topic for topic, *_ in heard})
-    found = {topic: told(payload) for topic, payload, _ in heard}
-    assert {topic: found[topic] for topic in retained} == retained
+        found = await heard_later()
+    assert {topic: each for topic, (each, _) in found.items()} == retained
 
 
 @pytest.fixture
