@@ -5,8 +5,8 @@ What tests of fleets share: devices, maps, and waiting for what must happen.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterable
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from contextvars import ContextVar
 from functools import partial, wraps
 from typing import Any, Self, TypeVar
@@ -14,8 +14,8 @@ from typing import Any, Self, TypeVar
 from libmodbus_py import Device, Fleet, Mapping, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
 from tests.simulation.network import Network
-from tests.simulation.scripted import Scripted
-from tests.support.scripted import all_accepted
+from tests.simulation.scripted import Scripted, Write
+from tests.support.scripted import Scripted as RealScripted
 
 METER = RegisterMap(
     [
@@ -116,9 +116,9 @@ async def until(is_so: Callable[[], object]) -> None:
             await asyncio.sleep(0.01)
 
 
-class Answering:
+class Peer:
     """
-    A Modbus/TCP server of any manners.
+    A Modbus/TCP server of any manners, on the network of `simulated_run`.
 
     Args:
         answer: gives the bytes to send for a request, in its own time; None for nothing.
@@ -130,26 +130,6 @@ class Answering:
         self._answer = answer or good
         self._tasks: set[asyncio.Task[None]] = set()
 
-    def _take(self, request: bytes, write: Callable[[bytes], object]) -> None:
-        task = asyncio.create_task(self._reply(request, write))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    async def _reply(self, request: bytes, write: Callable[[bytes], object]) -> None:
-        if (answer := await self._answer(request)) is not None:
-            write(answer)
-
-    async def _end(self, connections: Iterable[Any]) -> None:
-        for connection in connections:
-            connection.close()
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-
-
-class Peer(Answering):
-    """Such a server on the network of `simulated_run`."""
-
     async def __aenter__(self) -> Self:
         # What comes is noted while the loop waits, so that it must be woken.
         wake = partial(asyncio.get_running_loop().call_soon_threadsafe, self._take)
@@ -159,7 +139,20 @@ class Peer(Answering):
 
     async def __aexit__(self, *_: object) -> None:
         NETWORK.get().unlisten(self.url)
-        await self._end(self.connections)
+        for connection in self.connections:
+            connection.close()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def _take(self, request: bytes, write: Write) -> None:
+        task = asyncio.create_task(self._reply(request, write))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _reply(self, request: bytes, write: Write) -> None:
+        if (answer := await self._answer(request)) is not None:
+            write(answer)
 
     @property
     def requests(self) -> list[bytes]:
@@ -174,40 +167,22 @@ class Peer(Answering):
         return [request[6] for request in self.requests]
 
 
-class RealPeer(Answering):
-    """Such a server on a real socket, in the same event loop: for outputs that are real."""
-
-    async def __aenter__(self) -> Self:
-        self.requests: list[bytes] = []
-        self.connections: list[asyncio.StreamWriter] = []
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
-        self.url = f"tcp://127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        await all_accepted()
-        self._server.close()
-        await self._end(self.connections)
-        await self._server.wait_closed()
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.connections.append(writer)
-        with suppress(asyncio.IncompleteReadError, OSError):
-            while True:
-                head = await reader.readexactly(6)
-                request = head + await reader.readexactly(int.from_bytes(head[4:], "big"))
-                self.requests.append(request)
-                self._take(request, writer.write)
-        writer.close()
+def real_peer() -> AbstractAsyncContextManager[RealScripted]:
+    """A server on a real socket, in the same event loop: for outputs that are real."""
+    return RealScripted(lambda request, write: write(sevens(request))).serving()
 
 
-async def good(request: bytes) -> bytes:
+def sevens(request: bytes) -> bytes:
     """The answer to a read of registers, each 7; to a write its echo."""
     if request[7] != 3:
         return request[:12].replace(request[4:6], b"\0\6", 1)
     count = int.from_bytes(request[10:12], "big")
     body = bytes([request[6], 3, 2 * count]) + b"\0\7" * count
     return request[:4] + len(body).to_bytes(2, "big") + body
+
+
+async def good(request: bytes) -> bytes:
+    return sevens(request)
 
 
 async def silent(request: bytes) -> None:

@@ -16,12 +16,12 @@ from libmodbus_py.services.fleet import fleet as fleets
 from tests.services.fleet.fleets import (
     NETWORK,
     Peer,
-    RealPeer,
     good,
     in_real_time,
     in_simulated_time,
     meter,
     polling,
+    real_peer,
     silent,
     simulated_run,
     until,
@@ -123,7 +123,7 @@ async def test_run_may_be_cancelled_at_any_time(turns: int) -> None:
 
 @in_real_time
 async def test_a_fork_leaves_the_parent_alone() -> None:
-    async with RealPeer() as peer:
+    async with real_peer() as peer:
         devices = [meter(f"{unit}", peer.url, unit=unit) for unit in range(1, 6)]
         async with polling(*devices) as (fleet, _):
             await until(lambda: fleet.statistics.up == 5)
@@ -133,7 +133,7 @@ async def test_a_fork_leaves_the_parent_alone() -> None:
             assert os.waitpid(child, 0)[1] == 0
             polls = fleet.statistics.polls
             await until(lambda: fleet.statistics.polls > polls + 10)
-            assert len(peer.connections) == 1
+            assert peer.connections == 1
             assert fleet.statistics.failures == 0
 
 

@@ -20,7 +20,7 @@ from libmodbus_py import Fleet
 from libmodbus_py.services.fleet.outputs import mqtt_connection
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.tools.certificates import Identity
-from tests.services.fleet.fleets import RealPeer, in_real_time, meter, until
+from tests.services.fleet.fleets import in_real_time, meter, real_peer, until
 from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish
 from tests.support import certificates
 from tests.support.cases import each_case
@@ -44,7 +44,7 @@ def secure(broker: Broker, papers: Papers, identity: Identity) -> str:
 async def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
     papers = Papers(tmp_path)
     url = secure(broker, papers, certificates.server())
-    async with RealPeer() as peer:
+    async with real_peer() as peer:
         device = meter("a", peer.url, interval=60)
         output = Mqtt(url, ca=str(papers.ca))
         await Fleet([device], outputs=[output]).run(once=True)
@@ -62,7 +62,7 @@ async def test_a_broker_that_is_not_trusted_gets_nothing(
     identity = certificates.server(**({} if is_foreign else {"hosts": ("other.example",)}))
     trusted = papers.authority(certificates.foreign_authority()) if is_foreign else papers.ca
     url = secure(broker, papers, identity)
-    async with RealPeer() as peer, hearing(broker, "#") as heard:
+    async with real_peer() as peer, hearing(broker, "#") as heard:
         output = Mqtt(url, ca=str(trusted), password="secret", user="user")
         async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:
             statistics = fleet.statistics.outputs[output.name]
@@ -99,7 +99,7 @@ async def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) ->
 async def test_a_broker_that_dies_and_returns_loses_little_and_stops_nobody(
     broker: Broker, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async with RealPeer() as peer:
+    async with real_peer() as peer:
         output = Mqtt(broker.url)
         fleet = Fleet([meter("a", peer.url, interval=0.05)], outputs=[output])
         async with fleet:
@@ -130,7 +130,7 @@ async def test_wrong_credentials_are_one_line(
     said = "Not authorized"
     broker.settings[1] = f"password_file {broker._folder / 'passwords'}"
     broker.change()
-    async with RealPeer() as peer:
+    async with real_peer() as peer:
         output = Mqtt(broker.url, **options)
         async with Fleet([meter("a", peer.url)], outputs=[output]) as fleet:
             statistics = fleet.statistics.outputs[output.name]
@@ -152,7 +152,7 @@ async def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.M
     monkeypatch.setattr(mqtt_connection, "TIMEOUT_S", 0.2)
     silent = socket.create_server(("127.0.0.1", 0))
     port = silent.getsockname()[1]
-    async with RealPeer() as peer:
+    async with real_peer() as peer:
         output = Mqtt(f"mqtt://127.0.0.1:{port}")
         async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:
             await until(lambda: fleet.statistics.outputs[output.name].trouble)

@@ -8,6 +8,7 @@ import asyncio
 import errno
 import os
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
@@ -23,10 +24,10 @@ from libmodbus_py.services.fleet.outputs.output import Output, OutputError
 from libmodbus_py.services.fleet.statistics import LastValues
 from tests.services.fleet.fleets import (
     Peer,
-    RealPeer,
     in_real_time,
     in_simulated_time,
     meter,
+    real_peer,
     until,
 )
 from tests.support.outputs import Picky
@@ -40,7 +41,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 async def polled(
-    output: Output, is_so: Any, interval: float = 0.02, kind: type[Peer | RealPeer] = Peer
+    output: Output, is_so: Any, interval: float = 0.02, kind: Callable[[], Any] = Peer
 ) -> Fleet:
     async with kind() as peer:
         fleet = Fleet([meter("a", peer.url, interval=interval)], outputs=[output])
@@ -118,7 +119,7 @@ async def test_who_iterates_no_more_loses_the_oldest() -> None:
 @in_real_time
 async def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> None:
     output = JsonOutput(path)
-    fleet = await polled(output, lambda fleet: fleet.statistics.polls > 10, kind=RealPeer)
+    fleet = await polled(output, lambda fleet: fleet.statistics.polls > 10, kind=real_peer)
     statistics = fleet.statistics.outputs[f"json {path}"]
     assert statistics.written == 0
     assert statistics.failures >= 1
@@ -135,7 +136,7 @@ async def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path
     threads = threading.active_count()
     output = JsonOutput(str(path), buffer=100)
     try:
-        async with RealPeer() as peer:
+        async with real_peer() as peer:
             devices = [meter(f"{at}", peer.url, unit=at, interval=0.02) for at in range(1, 21)]
             async with Fleet(devices, outputs=[output]) as fleet:
                 await until(lambda: fleet.statistics.outputs[output.name].dropped > 100)
