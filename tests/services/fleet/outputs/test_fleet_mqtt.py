@@ -95,33 +95,6 @@ async def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) ->
         await until(lambda: heard_of(heard, "poller")[1:] == ["offline"])
 
 
-@in_real_time
-async def test_a_broker_that_dies_and_returns_loses_little_and_stops_nobody(
-    broker: Broker, caplog: pytest.LogCaptureFixture
-) -> None:
-    async with real_peer() as peer:
-        output = Mqtt(broker.url)
-        fleet = Fleet([meter("a", peer.url, interval=0.05)], outputs=[output])
-        async with fleet:
-            statistics = fleet.statistics.outputs[output.name]
-            await until(lambda: statistics.written > 10)
-            broker.kill()
-            await until(lambda: statistics.trouble)
-            before = fleet.statistics.polls
-            await until(lambda: fleet.statistics.polls > before + 10)
-            assert statistics.waiting > 0
-            await asyncio.to_thread(broker.start)
-            written = statistics.written
-            await until(lambda: statistics.written > written + 30 and not statistics.trouble)
-            async with hearing(broker, "modbus/#") as heard:
-                await until(lambda: heard_of(heard, "modbus/status") == ["online"])
-        assert fleet.statistics.failures == 0
-        # Those in the connection when it was lost are lost with it (QoS 0), no others.
-        assert statistics.dropped == 0
-    assert "accepts readings again" in caplog.text
-    assert "Traceback" not in caplog.text
-
-
 @pytest.mark.parametrize("options", [{"user": "user", "password": "wrong"}, {}])
 @in_real_time
 async def test_wrong_credentials_are_one_line(
@@ -230,6 +203,30 @@ async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
 # --- what cannot be -----------------------------------------------------------------------------
 
 
+BAD_TOPICS = {
+    "topic must hold": ["x/{name}", "x/{device}/{name}/{zone}", "x/{device!r}/{name}"],
+    "topic must hold {device} and {name} once": ["plant", "plant/{site}/{device}/{name}"],
+    "topic must hold {device} once": ["x/{device}/{zone}"],
+    "each level must have one {name}": [
+        *("x/{device}{name}", "x/{device}-{name}", "x/{name}.{device}/y", "x/{device}/{name}/{"),
+        *("x}/{device}/{name}", "x/{device}}/{name}", "x/{{device}/{name}"),
+        *("plant/{label.site}{device}/{name}", "plant/{label.site/{device}/{name}"),
+        *("plant/{label.site}-{label.line}/{device}/{name}", "plant/{label.}/{device}/{name}"),
+    ],
+    "must be a topic without": ["#/{device}/{name}"],
+}
+
+BAD_STATES = {
+    "device_status must hold {device} once": ["states", "{device}/{name}", "{device}/{device}"],
+    "device_status: each level must have one {name}": ["x{/{device}"],
+    "device_status must not be another topic": [
+        *("{device}/a/b", "modbus/{device}/x/set/result", "modbus/{device}"),
+    ],
+    "device_status must be a topic without + and #": ["#/{device}"],
+    "device_status must be text": [7],
+}
+
+
 @each_case(
     ("options", "named"),
     [
@@ -241,30 +238,12 @@ async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
         ({"retain": 1}, "retain must be true or false"),
         ({"qos": 3}, "qos must be in 0..1"),
         ({"ca": "x"}, "ca can only be used with mqtts"),
-        ({"topic": "x/{name}"}, "topic must hold"),
-        ({"topic": "x/{device}/{name}/{zone}"}, "topic must hold"),
-        ({"topic": "x/{device}{name}"}, "each level must have one {name}"),
-        ({"topic": "x/{device}-{name}"}, "each level must have one {name}"),
-        ({"topic": "x/{name}.{device}/y"}, "each level must have one {name}"),
-        ({"topic": "x/{device}/{name}/{"}, "each level must have one {name}"),
-        ({"topic": "x}/{device}/{name}"}, "each level must have one {name}"),
-        ({"topic": "x/{{device}/{name}"}, "topic"),
-        ({"topic": "x/{device}}/{name}"}, "each level must have one {name}"),
-        ({"topic": "x/{device!r}/{name}"}, "topic must hold"),
-        ({"topic": "plant/{label.site}{device}/{name}"}, "topic"),
-        ({"topic": "plant/{label.site}-{label.line}/{device}/{name}"}, "topic"),
-        ({"topic": "plant/{label.}/{device}/{name}"}, "topic"),
-        ({"topic": "plant/{site}/{device}/{name}"}, "topic"),
-        ({"topic": "plant/{label.site/{device}/{name}"}, "topic"),
+        ({"status": "+"}, "status must be a topic without"),
+        ({"topic": "modbus/{device}"}, "status must not be the topic of a reading"),
         (
             {"topic": "{label.site}/{device}/{name}", "status": "a/b/c"},
             "status must not be the topic of a reading",
         ),
-        ({"topic": "#/{device}/{name}"}, "must be a topic without"),
-        ({"status": "+"}, "status must be a topic without"),
-        ({"topic": "plant"}, "topic must hold {device} and {name} once"),
-        ({"topic": "x/{device}/{zone}"}, "topic must hold {device} once"),
-        ({"topic": "modbus/{device}"}, "status must not be the topic of a reading"),
         (
             {"topic": "plant/{device}", "device_status": "plant/a/{device}/set"},
             "device_status must not be another topic",
@@ -277,18 +256,8 @@ async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
             {"topic": "plant/{device}", "max_message": 9999},
             "max_message needs a topic without {name}, and retain = false",
         ),
-        ({"device_status": "states"}, "device_status must hold {device} once"),
-        ({"device_status": "{device}/{name}"}, "device_status must hold {device} once"),
-        ({"device_status": "{device}/{device}"}, "device_status must hold {device} once"),
-        ({"device_status": "x{/{device}"}, "device_status: each level must have one {name}"),
-        ({"device_status": "{device}/a/b"}, "device_status must not be another topic"),
-        (
-            {"device_status": "modbus/{device}/x/set/result"},
-            "device_status must not be another topic",
-        ),
-        ({"device_status": "modbus/{device}"}, "device_status must not be another topic"),
-        ({"device_status": "#/{device}"}, "device_status must be a topic without + and #"),
-        ({"device_status": 7}, "device_status must be text"),
+        *(({"topic": topic}, said) for said, topics in BAD_TOPICS.items() for topic in topics),
+        *(({"device_status": t}, said) for said, topics in BAD_STATES.items() for t in topics),
     ],
 )
 def test_bad_option_is_named(options: Any, named: str) -> None:

@@ -144,7 +144,12 @@ def test_removed_devices_take_no_room() -> None:
 )
 @in_real_time
 async def test_what_a_broker_retained_is_there_again_each_time_it_returns(
-    broker: Broker, options: Any, polls: list[list[Reading]], retained: dict[str, Any], qos: int
+    broker: Broker,
+    caplog: pytest.LogCaptureFixture,
+    options: Any,
+    polls: list[list[Reading]],
+    retained: dict[str, Any],
+    qos: int,
 ) -> None:
     """Nothing is read again: mosquitto keeps nothing on the disk unless told to."""
 
@@ -160,10 +165,18 @@ async def test_what_a_broker_retained_is_there_again_each_time_it_returns(
             pump.buffer.put(readings)
             await until(lambda count=count: pump.statistics.written == count)
         assert await heard_later() == {topic: (each, True) for topic, each in retained.items()}
-        for _ in range(4):
+        for _ in range(3):
             await broker.restart(pump.statistics)
+        broker.kill()
+        await until(lambda: pump.statistics.trouble)
+        pump.buffer.put([reading("c", 7, 9)])
+        broker.start()
         found = await heard_later()
+        await until(lambda: pump.statistics.written == count + 1)
     assert {topic: each for topic, (each, _) in found.items()} == retained
+    assert pump.statistics.dropped == 0
+    assert "accepts readings again" in caplog.text
+    assert "Traceback" not in caplog.text
 
 
 @pytest.fixture
