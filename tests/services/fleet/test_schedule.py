@@ -1,14 +1,21 @@
 """
-When devices are polled: phases and skipping. No clock.
+When devices are polled: phases, skipping, how late polls begin, and that each counts once.
 """
 
 from __future__ import annotations
+
+import asyncio
+from dataclasses import fields
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py.services.fleet.fleet import first_time, next_time
+from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS, FleetStatistics
+from tests.services.fleet.fleets import in_simulated_time
+from tests.simulation.plants import MAP, ONE, Plant
 
 
 def test_phases_are_spread_evenly() -> None:
@@ -53,3 +60,81 @@ def test_the_next_time_is_later_and_in_phase(planned: float, interval: float, la
     assert at > now or at == pytest.approx(now)
     assert at == pytest.approx(planned + (missed + 1) * interval)
     assert missed >= 0
+
+
+# --- counters -----------------------------------------------------------------------------------
+
+# Simulated seconds: of a device's polls unless given, and between two looks at what is so.
+INTERVAL, LOOK = 1.0, 0.001
+
+COUNTED = {"up", "down", "polls", "failures", "refusals", "skipped", "held", "readings"}
+
+CASES: dict[str, tuple[dict[str, Any], dict[str, int]]] = {
+    "it answers": ({}, {"up": 1, "polls": 4, "readings": 4}),
+    "two requests each": ({"points": MAP}, {"up": 1, "polls": 4, "readings": 8}),
+    "it refuses": ({"refusing": {1}}, {"up": 1, "polls": 4, "refusals": 4, "readings": 1}),
+    "it may not be asked": ({"may_ask": lambda _: False}, {"held": 4}),
+    "its answers take too long": (
+        {"delay": 0.45},
+        {"up": 1, "polls": 1, "skipped": 2, "readings": 1},
+    ),
+}
+
+
+def counted(statistics: FleetStatistics) -> dict[str, int]:
+    found = {each.name: getattr(statistics, each.name) for each in fields(statistics)}
+    return {name: value for name, value in found.items() if name in COUNTED and value}
+
+
+@pytest.mark.parametrize("name", CASES)
+@in_simulated_time
+async def test_each_poll_counts_once(name: str) -> None:
+    given, expected = CASES[name]
+    plant = Plant()
+    plant.refusing = given.get("refusing", set())
+    plant.delay = given.get("delay", plant.delay)
+    interval = 0.3
+    device = plant.device(1, given.get("points", ONE), interval=interval)
+    async with plant.polls(device, may_ask=given.get("may_ask")):
+        # The first poll is at a time of its own within the interval.
+        while not (plant.asked or plant.fleet.statistics.held):
+            await asyncio.sleep(LOOK)
+        await asyncio.sleep(3.4 * interval)
+        statistics = plant.fleet.statistics
+        assert statistics.devices == 1
+        assert counted(statistics) == expected
+        begun = statistics.held or sum(address == 0 for _, _, address in plant.asked)
+        assert sum(statistics.lateness) == begun
+
+
+@in_simulated_time
+async def test_a_poll_is_as_late_as_the_one_before_it_takes() -> None:
+    plant = Plant()
+    plant.delay = 0.2
+    async with plant.polls(plant.device(1), plant.device(2)):
+        await asyncio.sleep(4 * INTERVAL)
+        statistics = plant.fleet.statistics
+        late = [at - min(plant.times(1)[0], plant.times(2)[0]) for at in plant.times(2)]
+        assert len(late) >= 3
+        assert sum(statistics.lateness) in (len(plant.asked), len(plant.asked) - 1)
+        assert 0 <= statistics.late_seconds <= 0.25 * len(plant.asked)
+        assert statistics.worst <= 0.25
+        assert statistics.within(LATENESS_BOUNDS[-1]) == 1.0
+
+
+def test_lateness_is_counted_by_its_bounds() -> None:
+    statistics = FleetStatistics()
+    assert statistics.within(LATENESS_BOUNDS[0]) == 0.0
+    for bound in LATENESS_BOUNDS:
+        statistics.note_start(bound)
+        statistics.note_start(bound + 1e-9)
+    assert statistics.lateness == [1, *[2] * (len(LATENESS_BOUNDS) - 1), 1]
+    assert statistics.late_seconds == pytest.approx(2 * sum(LATENESS_BOUNDS))
+    total = 2 * len(LATENESS_BOUNDS)
+    for at, bound in enumerate(LATENESS_BOUNDS):
+        assert statistics.within(bound) == (2 * at + 1) / total
+    assert statistics.take_worst() == LATENESS_BOUNDS[-1] + 1e-9
+    assert statistics.take_worst() == 0.0
+    statistics.note_start(0.5)
+    statistics.note_start(0.25)
+    assert statistics.worst == 0.5

@@ -1,10 +1,11 @@
 """
-MQTT with a real broker: last values, the last will, commands; a broker that dies and returns.
+MQTT with a real broker: TLS, the last will, commands, and a message for each poll of a device.
 """
 
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import re
 import socket
@@ -17,14 +18,18 @@ import aiomqtt
 import pytest
 
 from libmodbus_py import Fleet
+from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs import mqtt_connection
+from libmodbus_py.services.fleet.outputs.forms import object_text
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
+from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.tools.certificates import Identity
 from tests.services.fleet.fleets import in_real_time, meter, real_peer, until
-from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish
+from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish, told
 from tests.support import certificates
 from tests.support.cases import each_case
 from tests.support.certificates import Papers
+from tests.support.outputs import pumping
 
 
 def secure(broker: Broker, papers: Papers, identity: Identity) -> str:
@@ -198,6 +203,75 @@ async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
         await until(lambda: len(heard) > 20)
         assert fleet.statistics.commands == 0
         assert fleet.statistics.up == 1
+
+
+# --- a message for each poll --------------------------------------------------------------------
+
+TOPIC = "plant/{device}"
+
+
+def poll(device: str, at: float, **values: Any) -> list[Reading]:
+    return [
+        Reading(100.0 + at, device, name, value, "V", "good", "", round(at) + 1)
+        for name, value in values.items()
+    ]
+
+
+async def written(pump: Pump, readings: list[Reading]) -> None:
+    count = pump.statistics.written + len(readings)
+    pump.buffer.put(readings)
+    await until(lambda: pump.statistics.written == count)
+
+
+@pytest.mark.parametrize("qos", [0, 1])
+@in_real_time
+async def test_each_poll_is_one_message_with_values_quality_reason_and_ids(
+    broker: Broker, qos: int
+) -> None:
+    async with pumping(Mqtt(broker.url, topic=TOPIC, qos=qos, retain=False)) as pump:
+        down = Reading(101.0, "a/b", "power", None, "W", "down", "ModbusTimeoutError", 9)
+        async with hearing(broker, "plant/+") as heard:
+            await written(pump, [*poll("a/b", 0, volts=230.5, amps=3), down, *poll("c", 1, x=1)])
+            await until(lambda: len(heard) == 3)
+        first, second = heard_of(heard, "plant/a%2Fb")
+        time = "1970-01-01T00:01:40.000Z"
+        good = {"time": time, "unit": "V", "quality": "good", "id": 1}
+        assert first == {
+            "device": "a/b",
+            "values": {"volts": {"value": 230.5, **good}, "amps": {"value": 3, **good}},
+        }
+        assert second["values"]["power"] == json.loads(object_text(down))
+
+
+@in_real_time
+async def test_a_retained_message_has_the_last_values_of_all_points(broker: Broker) -> None:
+    """The broker retains one message of a topic; with changes only, a poll has few values."""
+    async with pumping(Mqtt(broker.url, topic=TOPIC)) as pump:
+        await written(pump, poll("a", 0, x=1, y=2))
+        await written(pump, [*poll("a", 1, y=3), *poll("a", 2, z=4)])
+        gone = Reading(103.0, "a", "x", None, "V", "offline")
+        async with hearing(broker, "plant/+") as heard:
+            await until(lambda: heard)
+            assert told(heard[-1][1]) == {"x": 1, "y": 3, "z": 4}
+            await written(pump, [gone])
+            await until(lambda: len(heard) == 2)
+            assert told(heard[-1][1]) == {"x": None, "y": 3, "z": 4}
+            await written(pump, poll("a", 4, y=5))
+            await until(lambda: len(heard) == 3)
+            assert told(heard[-1][1]) == {"y": 5, "z": 4}
+
+
+@in_real_time
+async def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
+    broker.change("message_size_limit 2000")
+    output = Mqtt(broker.url, topic=TOPIC, retain=False, max_message=2000)
+    async with pumping(output) as pump:
+        async with hearing(broker, "plant/+") as heard:
+            await written(pump, poll("a", 0, **{f"point_{at}": at for at in range(100)}))
+            await until(lambda: heard and len(heard) == heard[0][1]["parts"])
+        messages = heard_of(heard, "plant/a")
+        assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))
+        assert sum(len(each["values"]) for each in messages) == 100
 
 
 # --- what cannot be -----------------------------------------------------------------------------

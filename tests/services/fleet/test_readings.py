@@ -1,9 +1,10 @@
 """
-Which values are told, what they are called, and which wait for an output.
+Readings: what the registers of a point mean, which values are told, and how they are written.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from datetime import UTC, datetime
 from typing import Any
@@ -17,10 +18,19 @@ from libmodbus_py import (
     InvalidResponse,
     ModbusConnectionError,
     ModbusTimeoutError,
+    Point,
+    RegisterMap,
 )
-from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs.forms import as_csv, as_json
+from libmodbus_py.fleet import DeviceConfig, Reading
+from libmodbus_py.services.fleet.outputs.forms import (
+    as_csv,
+    as_json,
+    object_text,
+    poll_messages,
+)
+from libmodbus_py.services.fleet.poller import Poller
 from libmodbus_py.services.fleet.readings import Changes, classified, is_down
+from tests.support.cases import each_case
 
 NAN = math.nan
 
@@ -116,3 +126,111 @@ def test_readings_as_text() -> None:
         '1970-01-01T00:00:00.000Z,c,bits,"{""door"": true, ""mode"": 5}",,good,',
         "1970-01-01T00:00:00.000Z,c,at,2026-07-01T12:00:00+00:00,,good,",
     ]
+
+
+@pytest.mark.parametrize("value", [1, -2.5, True, None, 'ü\x07"', [1, None], {"a": 1.5}, 1e300])
+@pytest.mark.parametrize("number", [0, 7])
+def test_the_text_of_a_reading_is_its_object(value: Any, number: int) -> None:
+    reading = Reading(1e9, "a", "b", value, "°C", "bad", 'No "value"', number, {"site": "ü"})
+    found = json.loads(object_text(reading))
+    time = "2001-09-09T01:46:40.000Z"
+    wanted = {"time": time, "value": value, "unit": "°C", "quality": "bad", "reason": 'No "value"'}
+    assert found == {**wanted, **({"id": number} if number else {}), "labels": {"site": "ü"}}
+
+
+def test_no_message_is_larger_than_asked_for() -> None:
+    readings = [Reading(100.0, "a", f"p{at}", at, "V", "good") for at in range(100)]
+    for largest in range(1024, 1300):
+        messages = list(poll_messages(readings, largest))
+        assert max(len(data) for _, data in messages) <= largest
+        assert sum(len(names) for names, _ in messages) == 100
+
+
+# --- what registers mean ------------------------------------------------------------------------
+
+H = "holding_registers"
+
+
+def point(name: str, address: int, **keys: Any) -> Point:
+    return Point(name, H, address, **keys)
+
+
+POINTS = RegisterMap(
+    [
+        point("v", 0, type="int16", scale_from="v_sf", plausible_maximum=500),
+        point("state", 1, states={0: "off", 1: "on"}, missing=255),
+        point("flags", 2, bits={0: "door", "4..7": "mode"}),
+        point("total", 3, never_falls=True),
+        point("v_sf", 4, type="int16"),
+        point("current", 5, type="float32"),
+    ]
+)
+
+DEVICE = DeviceConfig(
+    "meter", "tcp://192.0.2.10", POINTS, items=("v", "state", "flags", "total", "current")
+)
+
+
+class Polls:
+    """A device that is polled, one answer after the other."""
+
+    def __init__(self) -> None:
+        self._poller = Poller(DEVICE)
+
+    def readings(self, *cells: int) -> list[Reading]:
+        self._poller.begin()
+        while self._poller.request is not None:
+            self._poller.take(list(cells), 0.0)
+        return self._poller.readings(0.0)
+
+
+def values(*cells: int) -> dict[str, tuple[Any, str, str]]:
+    return {each.name: (each.value, *each[5:7]) for each in Polls().readings(*cells)}
+
+
+def test_readings_have_values_by_what_they_mean() -> None:
+    assert values(2305, 1, 0x51, 7, 0xFFFF, 0x3F80, 0) == {
+        "v": (230.5, "good", ""),
+        "state": ("on", "good", ""),
+        "flags": ({"door": True, "mode": 5}, "good", ""),
+        "total": (7, "good", ""),
+        "current": (1.0, "good", ""),
+    }
+
+
+def test_a_reading_without_a_value_is_bad_and_has_a_reason() -> None:
+    found = values(5001, 255, 0, 0, 0xFFFF, 0x7FC0, 0)
+    assert found["v"] == (None, "bad", "Implausible")
+    assert found["state"] == (None, "bad", "Missing")
+    assert found["current"] == (None, "bad", "Missing")
+    assert values(5001, 0, 0, 0, 300, 0x7F80, 0)["v"] == (None, "bad", "BadScale")
+    assert values(5001, 0, 0, 0, 300, 0x7F80, 0)["current"] == (None, "bad", "Infinite")
+
+
+def test_a_total_that_falls_is_told_when_it_was_read_again() -> None:
+    polls = Polls()
+
+    def total(value: int) -> list[tuple[Any, str, str]]:
+        found = polls.readings(1, 0, 0, value, 0, 0, 0)
+        return [(each.value, *each[5:7]) for each in found if each.name == "total"]
+
+    assert total(10) == [(10, "good", "")]
+    assert total(3) == []
+    assert total(4) == [(4, "good", "Fell")]
+    assert total(5) == [(5, "good", "")]
+    assert total(0) == []
+    assert total(6) == [(6, "good", "")]
+
+
+@each_case(
+    ("items", "reading"),
+    [
+        ([1.5, 2.5], ([1.5, 2.5], "good", "")),
+        ([1.5, None], ([1.5, None], "good", "Missing")),
+        ([math.inf, 2.5, None], ([None, 2.5, None], "good", "Infinite")),
+        ([math.nan, None], (None, "bad", "Missing")),
+        ([True, False], ([True, False], "good", "")),
+    ],
+)
+def test_each_null_of_a_list_has_a_reason(items: list[Any], reading: tuple[Any, str, str]) -> None:
+    assert classified(items) == reading
