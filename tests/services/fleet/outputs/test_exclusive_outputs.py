@@ -75,9 +75,9 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
             "output.csv[1]: uses the file FILE/a, as output.csv[0] does",
         ),
         (
-            '[output.json]\npath = "a"\n[output.csv]\npath = "a"\n',
+            '[output.json]\npath = "a"\n[output.influx]\npath = "a"\n',
             8,
-            "output.csv: uses the file FILE/a, as output.json does",
+            "output.influx: uses the file FILE/a, as output.json does",
         ),
         (
             "[output.json]\n[[output.csv]]\n",
@@ -110,11 +110,6 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
             f'{SERVER}database = "a"\n{SERVER}database = "a"\n',
             9,
             "output.influx[1]: uses the measurement 'modbus' in 'a' of influx h:8086, as",
-        ),
-        (
-            '[output.csv]\npath = "a"\n[output.influx]\npath = "a"\n',
-            8,
-            "output.influx: uses the file FILE/a, as output.csv does",
         ),
     ],
 )
