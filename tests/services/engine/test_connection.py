@@ -25,6 +25,7 @@ from libmodbus_py.services.engine.connection import (
     connected,
     parse_servers,
 )
+from tests.services.fleet.fleets import in_real_time
 from tests.support.certificates import authority, make, save
 from tests.support.secret_files import write_secret
 
@@ -126,20 +127,17 @@ def test_a_file_that_is_not_there_is_named(client: type[Client]) -> None:
     assert client.made == []
 
 
-def test_a_connection_that_is_lost_is_sought_for_ever_and_each_change_told(
+@in_real_time
+async def test_a_connection_that_is_lost_is_sought_for_ever_and_each_change_told(
     client: type[Client],
 ) -> None:
     told: list[None] = []
-
-    async def main() -> None:
-        made: Any = await connected(
-            SERVERS, name="a", on_change=lambda: told.append(None), environment={}
-        )
-        assert made.options["max_reconnect_attempts"] == -1
-        for event in ("disconnected_cb", "reconnected_cb", "closed_cb"):
-            await made.options[event]()
-
-    asyncio.run(main())
+    made: Any = await connected(
+        SERVERS, name="a", on_change=lambda: told.append(None), environment={}
+    )
+    assert made.options["max_reconnect_attempts"] == -1
+    for event in ("disconnected_cb", "reconnected_cb", "closed_cb"):
+        await made.options[event]()
     assert len(told) == 3
 
 
@@ -255,16 +253,15 @@ async def fails(said: bytes, closes: bool, patience: float) -> str:
 def test_what_ends_before_it_began_leaves_nothing_open(
     monkeypatch: pytest.MonkeyPatch, closes: bool
 ) -> None:
-    """Return True if nats-py notices it, or a caller that connects waits no longer."""
-    monkeypatch.setattr("libmodbus_py.services.engine.connection.TIMEOUT", 0.5)
+    """If nats-py notices it, or a caller that connects waits no longer."""
+    monkeypatch.setattr(connection, "TIMEOUT", 0.5)
     monkeypatch.setitem(TIMES, "connect_timeout", 0.5)
-    cases = [(name, patience) for name in SAID for patience in (0.1, 30)]
 
     async def go() -> dict[tuple[str, float], str]:
+        cases = [(name, patience) for name in SAID for patience in (0.1, 30)]
         trials = (fails(SAID[name], closes, patience) for name, patience in cases)
         return dict(zip(cases, await asyncio.gather(*trials), strict=True))
 
     before = descriptors()
-    found = asyncio.run(go())
-    assert {case: wrong for case, wrong in found.items() if wrong} == {}
+    assert {case: wrong for case, wrong in asyncio.run(go()).items() if wrong} == {}
     assert descriptors() == before

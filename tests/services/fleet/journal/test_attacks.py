@@ -32,11 +32,11 @@ from libmodbus_py.services.fleet.journal.schema import (
 )
 from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
 from tests.services.fleet.fleets import (
+    NETWORK,
     Peer,
     in_real_time,
     in_simulated_time,
     meter,
-    simulated_run,
     until,
 )
 from tests.services.fleet.journal.journals import (
@@ -48,7 +48,6 @@ from tests.services.fleet.journal.journals import (
     readings,
     run_for,
 )
-from tests.simulation.network import Network
 from tests.support.outputs import Picky
 
 
@@ -105,27 +104,23 @@ def test_a_defect_while_a_journal_closes_lets_others_use_the_file(
     run_for(path, 100, Picky())
 
 
-def test_a_clock_that_jumps_back_loses_and_repeats_nothing(
+@in_simulated_time
+async def test_a_clock_that_jumps_back_loses_and_repeats_nothing(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     broker, away = Picky(), Picky("away", is_away=True)
-    network = Network()
     shift = [0.0]
-    now = network.time_of_day
-
-    async def go() -> None:
-        monkeypatch.setattr(time, "time", lambda: now() + shift[0])
-        async with Peer() as peer:
-            devices = [meter("a", peer.url, interval=1)]
-            journal = Journal(path, keep="1 minute")
-            async with Fleet(devices, outputs=[broker, away], journal=journal):
-                for back in (0.0, -3600.0, -86_400.0):
-                    shift[0] = back
-                    await asyncio.sleep(20)
-                away.is_away = False
-                await asyncio.sleep(40)
-
-    simulated_run(go(), network)
+    now = NETWORK.get().time_of_day
+    monkeypatch.setattr(time, "time", lambda: now() + shift[0])
+    async with Peer() as peer:
+        devices = [meter("a", peer.url, interval=1)]
+        journal = Journal(path, keep="1 minute")
+        async with Fleet(devices, outputs=[broker, away], journal=journal):
+            for back in (0.0, -3600.0, -86_400.0):
+                shift[0] = back
+                await asyncio.sleep(20)
+            away.is_away = False
+            await asyncio.sleep(40)
     assert broker.ids == away.ids == sorted(set(broker.ids))
     assert len(broker.ids) > 250
 

@@ -132,32 +132,30 @@ async def test_metrics_can_be_scraped_while_a_fleet_is_read_again() -> None:
     from libmodbus_py.services.fleet.statistics import LastValues
     from libmodbus_py.services.integrations.prometheus import collect
 
-    registry, values = prometheus.CollectorRegistry(), LastValues()
-    with Server({unit: simulated() for unit in range(1, 40)}).background(
-        "tcp://127.0.0.1:0"
-    ) as running:
-        sets = [
-            [
-                meter(f"{kind}{unit}", running.urls[0], unit=unit, labels={"kind": kind})
-                for unit in range(1, 40)
-            ]
+    registry, values, is_over = prometheus.CollectorRegistry(), LastValues(), asyncio.Event()
+
+    def scrape() -> int:
+        count = 0
+        while not is_over.is_set():
+            assert b"modbus_fleet_devices" in prometheus.generate_latest(registry)
+            count += 1
+        return count
+
+    units = range(1, 40)
+    server = Server({unit: simulated() for unit in units})
+    with server.background("tcp://127.0.0.1:0") as running:
+        url = running.urls[0]
+        one, other = (
+            [meter(f"{kind}{unit}", url, unit=unit, labels={"kind": kind}) for unit in units]
             for kind in ("x", "y")
-        ]
-        async with polling(*sets[0], outputs=[values]) as (fleet, readings):
+        )
+        async with polling(*one, outputs=[values]) as (fleet, readings):
             collect(fleet, values, registry=registry)
-            is_over = False
-
-            def scrape() -> int:
-                count = 0
-                while not is_over:
-                    assert b"modbus_fleet_devices" in prometheus.generate_latest(registry)
-                    count += 1
-                return count
-
             scraping = asyncio.create_task(asyncio.to_thread(scrape))
-            for at in range(60):
-                fleet.replace(sets[at % 2])
-                await asyncio.sleep(0.01)
+            for _ in range(30):
+                for devices in (one, other):
+                    fleet.replace(devices)
+                    await asyncio.sleep(0.01)
             await until(lambda: len(readings) > 100)
-            is_over = True
+            is_over.set()
             assert await scraping > 5
