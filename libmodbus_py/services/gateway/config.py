@@ -84,14 +84,12 @@ OPTIONS = keys_of(Gateway).only(*keys_of(GatewayOptions))
 
 ROUTE = keys_of(Route, writable=parts_of_tables)
 
-FILE = (
-    Keys([Key("listen", _listen, "URLs of the endpoints where clients are served", ())])
-    | OPTIONS
-    | Keys(
-        [
-            Key("limits", keys_of(Limits).read, "limits for clients, as `Limits`"),
-            Key("route", _routes, "a table for each line and its units: [[route]]"),
-            Key("roles", roles, "the accesses that each role allows: [roles.NAME]"),
-        ]
-    )
+FILE = Keys(
+    [
+        Key("listen", _listen, "URLs of the endpoints where clients are served", ()),
+        *OPTIONS.values(),
+        Key("limits", keys_of(Limits).read, "limits for clients, as `Limits`"),
+        Key("route", _routes, "a table for each line and its units: [[route]]"),
+        Key("roles", roles, "the accesses that each role allows: [roles.NAME]"),
+    ]
 )
