@@ -16,6 +16,12 @@ export function madeButton(text, press, className) {
   return button;
 }
 
+export function madeOption(text, value) {
+  const option = made("option", text);
+  option.value = value;
+  return option;
+}
+
 // A name and a value of a list at the head or the foot of the page.
 export function figure(name, value, className) {
   const row = made("div", undefined, className);

@@ -1,6 +1,6 @@
 // The faults of the server, on and off, and the choices of its forms.
 
-import { $, made, madeButton, replaceButtons } from "./elements.js";
+import { $, made, madeButton, madeOption, replaceButtons } from "./elements.js";
 import { post, rowsOf } from "./rows.js";
 
 const settingOf = () => rowsOf("words").get("kinds")[$("fault-kind").value];
@@ -29,11 +29,7 @@ export function showFaults() {
 export function showKinds() {
   const fill = (id, names) => {
     if ($(id).options.length) return;
-    $(id).replaceChildren(...names.map((name) => {
-      const option = made("option", name.replaceAll("_", " "));
-      option.value = name;
-      return option;
-    }));
+    $(id).replaceChildren(...names.map((name) => madeOption(name.replaceAll("_", " "), name)));
   };
   const words = rowsOf("words");
   fill("type", words.get("types"));

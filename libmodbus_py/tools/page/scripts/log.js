@@ -1,6 +1,6 @@
 // The log of transactions.
 
-import { $, clock, made } from "./elements.js";
+import { $, clock, made, madeOption } from "./elements.js";
 import { onRows, rowsOf } from "./rows.js";
 
 const GOOD = new Set(["answered", "broadcast"]);
@@ -44,9 +44,7 @@ export function addUnits(units) {
     const name = JSON.stringify(unit);
     if (unit === null || there.has(name) || there.size > 256) continue;
     there.add(name);
-    const option = made("option", String(unit));
-    option.value = name;
-    filter.append(option);
+    filter.append(madeOption(String(unit), name));
   }
 }
 

@@ -2,7 +2,7 @@
 
 import { closeChart, openChart } from "./chart.js";
 import { closeEditor, edit, edited, isBits, showHold } from "./editor.js";
-import { $, clock, figure, fillSpark, madeButton, replaceButtons, made } from "./elements.js";
+import { $, clock, figure, fillSpark, madeButton, madeOption, replaceButtons, made } from "./elements.js";
 import { showFaults, showKinds } from "./faults.js";
 import { KINDS, fill, grid, onView, range, reveal, setColumns, setCount, setText, setValue } from "./grid.js";
 import { addUnits } from "./log.js";
@@ -100,11 +100,8 @@ function showUnits() {
   choose(here, tablesOf(units.get(here)).some(([each]) => each === wanted) ? wanted : firstOf(units.get(here)));
   const numbers = [...units.values()].map((each) => each.number);
   addUnits(numbers);
-  $("fault-unit").replaceChildren(...[null, ...numbers.filter((each) => each !== null)].map((number) => {
-    const option = made("option", nameOf(number));
-    option.value = JSON.stringify(number);
-    return option;
-  }));
+  const choices = [null, ...numbers.filter((each) => each !== null)];
+  $("fault-unit").replaceChildren(...choices.map((each) => madeOption(nameOf(each), JSON.stringify(each))));
 }
 
 // --- rows --------------------------------------------------------------------------------------------------
