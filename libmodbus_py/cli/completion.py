@@ -42,14 +42,13 @@ def _print(options: argparse.Namespace) -> int:
 
 def complete() -> None:
     """Answer a shell that asks for completions through the environment, and exit."""
-    name, _, others = os.environ.get("COMP_LINE", "").partition(" ")
+    line, end = os.environ.get("COMP_LINE", ""), int(os.environ.get("COMP_POINT", "0"))
+    name, _, others = line.partition(" ")
     if is_place(others.split(" ")[0]):  # the command read, which may be left out
-        os.environ["COMP_LINE"] = f"{name} read {others}"
-        os.environ["COMP_POINT"] = str(int(os.environ.get("COMP_POINT", "0")) + len("read "))
-    words = os.environ.get("COMP_LINE", "").split()
-    parser = whole_parser([word for word in words[1:2] if word in COMMANDS])
-    end = int(os.environ.get("COMP_POINT", "0"))
-    behind = os.environ.get("COMP_LINE", "").encode()[end:].decode(errors="replace").split()
+        line, end = f"{name} read {others}", end + len("read ")
+        os.environ |= {"COMP_LINE": line, "COMP_POINT": str(end)}
+    parser = whole_parser([word for word in line.split()[1:2] if word in COMMANDS])
+    behind = line.encode()[end:].decode(errors="replace").split()
     argcomplete = _argcomplete()
 
     class WithoutOptions(argcomplete.CompletionFinder):  # type: ignore[misc, name-defined]
