@@ -285,13 +285,12 @@ class _Tables:
         return BOUND
 
     def _is_answered(self, request: Any) -> bool:
-        for pause in (*BUSY_PAUSES, None):
+        for pause in (0.0, *BUSY_PAUSES):
+            self.prober.waker.sleep(pause)
             try:
                 self._read(request)
             except (Acknowledge, ServerDeviceBusy):
-                if pause is None:
-                    break
-                self.prober.waker.sleep(pause)
+                continue
             except IllegalFunction:
                 raise _EndedError(NO_FUNCTION) from None
             except NO_UNIT:
@@ -300,8 +299,7 @@ class _Tables:
                 raise
             except ModbusError:
                 return False
-            else:
-                return True
+            return True
         raise _EndedError(BUSY)
 
     def _read(self, request: Any) -> None:
