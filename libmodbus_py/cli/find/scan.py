@@ -390,10 +390,10 @@ def _listening(hosts: list[tuple[str, int]], timeout: float) -> Iterator[str]:
             return False
         return True
 
-    with ThreadPoolExecutor(AT_ONCE, "scan-host") as pool:
-        try:
-            for host, is_there in zip(hosts, pool.map(accepts, hosts), strict=True):
-                if is_there:
-                    yield f"tcp://{host_and_port(*host)}"
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    pool = ThreadPoolExecutor(AT_ONCE, "scan-host")
+    try:
+        for host, is_there in zip(hosts, pool.map(accepts, hosts), strict=True):
+            if is_there:
+                yield f"tcp://{host_and_port(*host)}"
+    finally:
+        pool.shutdown(cancel_futures=True)
