@@ -16,7 +16,7 @@ import re
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ...maps.plan import Read
 from ...protocol.checks import integer
@@ -62,7 +62,6 @@ class Item:
     Values of one table, or a point of a register map.
 
     Attributes:
-        layout: name, order, encoding and padding of `kind`, as `Read` takes them.
         file: the number of the file, for the table "file".
         word, typed: the table and the first address, as typed; a reference has no word.
         base: the number of the first cell of a table, 0 or 1.
@@ -74,7 +73,6 @@ class Item:
     address: int
     count: int = 1
     kind: ValueType | None = None
-    layout: tuple[Any, ...] = ()
     file: int = 0
     point: Point | None = None
     word: str = ""
@@ -100,10 +98,11 @@ class Item:
 
     @property
     def read(self) -> Read:
-        """The item as a `Plan` takes it; only for the four tables."""
+        """The item as a `Plan` of cells takes it; only for the four tables."""
         if self.point is not None:
             return self.point.read
-        return Read(self.table, self.address, self.count, *self.layout)  # type: ignore[arg-type]
+        name = None if self.kind is None else self.kind.name  # by which no request divides a value
+        return Read(self.table, self.address, self.count, name)  # type: ignore[arg-type]
 
 
 class Words:
@@ -257,9 +256,8 @@ class Words:
             allowed = ", ".join(word for word, table in TABLE_WORDS.items() if table in REGISTERS)
             raise ValueError(f"{item.table.replace('_', ' ')} have no type, only {allowed} have")
         kind = self._kind(wanted)
-        layout = () if kind is None else (wanted, *self._options_of_types.values())
         is_range = last != item.address
-        item = replace(item, kind=kind, layout=layout, form=form, is_range=is_range)
+        item = replace(item, kind=kind, form=form, is_range=is_range)
         if not is_range:
             return item
         cells = last - item.address + 1
