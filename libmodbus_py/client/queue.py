@@ -65,13 +65,13 @@ class Window:
     @property
     def limit(self) -> int:
         """The number of requests that may be in flight now."""
-        return 1 if self.is_at_one else self._now
+        # Most processes have no such endpoint: to hash a place takes time.
+        return 1 if ONE_AT_A_TIME and self.is_at_one else self._now
 
     @property
     def is_at_one(self) -> bool:
         """True if the endpoint was found to take one request at a time."""
-        # Most processes have no such endpoint: to hash a place takes time.
-        return bool(ONE_AT_A_TIME) and self.is_open and self._place in ONE_AT_A_TIME
+        return self.is_open and self._place in ONE_AT_A_TIME
 
     def reset(self) -> None:
         """Begin again for another connection."""

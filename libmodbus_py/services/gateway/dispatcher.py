@@ -316,7 +316,7 @@ class ForwardingSession(Framed):
         if response is not None:
             answer = Frame(forwarded.from_unit, response, forwarded.number)
             self._send(answer, self.framer.encode(answer))
-        if self._settings.endpoint.is_datagram and not self.asked:
+        if not self.asked and self._settings.endpoint.is_datagram:
             self.channel.follow()
 
     def answer(self, request: Frame) -> Frame | None:
