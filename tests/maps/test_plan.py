@@ -16,7 +16,6 @@ from libmodbus_py import (
     Context,
     IllegalDataAddress,
     InvalidResponse,
-    Mapping,
     ModbusTimeoutError,
     TcpContext,
     pdu,
@@ -320,36 +319,6 @@ def decoded(read: Read, registers: list[Any]) -> list[Any]:
 def context(url: str) -> Iterator[Context]:
     with Context.from_url(url, unit=UNIT) as made:
         yield made
-
-
-def test_read_many_on_every_transport(context: Context, mapping: Mapping) -> None:
-    mapping.holding_registers[120:122] = values.value_type("float32").encode(2.5)
-    plan = Plan(
-        {
-            "valves": ("coils", 10, 3),
-            "doors": ("discrete_inputs", 20, 2),
-            "levels": ("holding_registers", 100, 3),
-            "flow": ("holding_registers", 120, 1, "float32"),
-            "last": ("holding_registers", 103),
-            "inputs": ("input_registers", 200, 130),
-        },
-        gap=20,
-    )
-    assert len(plan.requests) == 5
-    for _ in range(2):
-        found = context.read_many(plan)
-        assert found.pop("inputs")[:11] == [*range(2000, 2010), 0]
-        assert found == {
-            "valves": [True, False, True],
-            "doors": [False, True],
-            "levels": [1000, 1001, 1002],
-            "flow": [2.5],
-            "last": [1003],
-        }
-    assert context.read_many([("coils", 10, 2), ("holding_registers", 101)]) == [
-        [True, False],
-        [1001],
-    ]
 
 
 def test_read_many_is_refused_as_a_whole_or_in_part(context: Context) -> None:
