@@ -4,13 +4,12 @@ Register maps by the paths of their files: wherever a map is taken, a path is, t
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Client, Device, MapError, Server, load_map
+from libmodbus_py import Client, Device, MapError, Server, load_map
 from libmodbus_py.bound import BoundMap
 from tests.support.cases import each_case
 
@@ -28,7 +27,7 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", [str, Path])
-def test_a_blocking_client(path: Path, kind: Any) -> None:
+def test_a_client(path: Path, kind: Any) -> None:
     meter = kind(path)
     served = Device.of_map(load_map(path), {"voltage": 230.5})
     with Server(served).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
@@ -39,22 +38,6 @@ def test_a_blocking_client(path: Path, kind: Any) -> None:
         bound = BoundMap(plc, meter)
         bound.read("setpoint")
         assert bound.setpoint == 21.5
-
-
-def test_an_awaiting_client(path: Path) -> None:
-    async def use() -> None:
-        served = Device.of_map(load_map(path))
-        async with (
-            Server(served).serving("tcp://127.0.0.1:0") as running,
-            AsyncClient(running.urls[0]) as plc,
-        ):
-            await plc.write_map(path, {"setpoint": 21.5})
-            assert await plc.read_map(path) == {"voltage": 0, "setpoint": 21.5}
-            async for values in plc.watch(path, every=1):
-                assert values == {"voltage": 0, "setpoint": 21.5}
-                break
-
-    asyncio.run(use())
 
 
 CALLS: list[Any] = [
