@@ -72,13 +72,7 @@ def line(
         yield context
 
 
-@pytest.fixture
-def ascii_line(stage: Stage) -> Iterator[Context]:
-    with (
-        Server({1: Device(Mapping(holding_registers=4))}).background(f"ascii://{DEVICE}"),
-        AsciiContext(DEVICE, timeout=0.5) as context,
-    ):
-        yield context
+ascii_only = pytest.mark.parametrize("line", ["ascii"], indirect=True)
 
 
 def send(context: Context, data: bytes) -> None:
@@ -202,26 +196,26 @@ def test_broadcasts_of_what_is_no_write_do_nothing_but_count(stage: Stage, line:
     assert found["exceptions"] == 0
 
 
-def test_clearing_the_overrun_counter_leaves_the_others(ascii_line: Context) -> None:
-    send(ascii_line, b":" + b"00" * 300)
-    assert ascii_line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 1
-    assert ascii_line.diagnostics(SubFunction.CLEAR_OVERRUN) == 0
-    assert ascii_line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 0
-    assert ascii_line.diagnostics(SubFunction.BUS_COMMUNICATION_ERROR_COUNT) == 1
+@ascii_only
+def test_clearing_the_overrun_counter_leaves_the_others(line: Context) -> None:
+    send(line, b":" + b"00" * 300)
+    assert line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 1
+    assert line.diagnostics(SubFunction.CLEAR_OVERRUN) == 0
+    assert line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 0
+    assert line.diagnostics(SubFunction.BUS_COMMUNICATION_ERROR_COUNT) == 1
 
 
-def test_ascii_delimiter_changes_after_the_echo_both_ways(
-    stage: Stage, ascii_line: Context
-) -> None:
+@ascii_only
+def test_ascii_delimiter_changes_after_the_echo_both_ways(stage: Stage, line: Context) -> None:
     listener = LineEnd(stage.line(DEVICE))
-    assert ascii_line.diagnostics(SubFunction.CHANGE_ASCII_DELIMITER, 0x2400) == 0x2400
+    assert line.diagnostics(SubFunction.CHANGE_ASCII_DELIMITER, 0x2400) == 0x2400
     assert listener.heard.endswith(b"\r\n")
     listener.heard = b""
     framer = framing.AsciiFramer()
     framer.delimiter = 0x24
     request = framer.encode(framing.Frame(1, pdu.ReadHoldingRegisters(0, 1).encode()))
     assert request.endswith(b"\r$")
-    send(ascii_line, request)
+    send(line, request)
     assert stage.until(lambda: listener.heard.count(b"\r$") == 2)
     answer = listener.heard.removeprefix(request)
     assert framer.feed(answer) == [framing.Frame(1, b"\x03\x02\0\0")]
