@@ -11,22 +11,15 @@ import socket
 from collections.abc import AsyncIterator, Callable, Coroutine
 from typing import Any
 
+from tests.simulation.loop import complaints_of
+
 Write = Callable[[bytes], None]
 
 
 def run(main: Coroutine[Any, Any, Any]) -> Any:
     """Run a test; whatever the loop complains of fails it."""
-    complaints: list[dict[str, Any]] = []
-
-    async def watched() -> Any:
-        loop = asyncio.get_running_loop()
-        loop.set_exception_handler(lambda loop, context: complaints.append(context))
-        result = await main
-        others = asyncio.all_tasks() - {asyncio.current_task()}
-        assert not [task for task in others if "libmodbus_py" in repr(task.get_coro())]
-        return result
-
-    result = asyncio.run(watched())
+    with asyncio.Runner() as runner, complaints_of(runner.get_loop()) as complaints:
+        result = runner.run(main)
     assert not complaints
     return result
 
