@@ -14,9 +14,9 @@ from libmodbus_py import Access, Device, Mapping, pdu
 from libmodbus_py.device.access import ACCESSES
 from libmodbus_py.device.event_log import EventLog
 from libmodbus_py.protocol import errors
-from libmodbus_py.protocol.pdu import SubFunction
 from libmodbus_py.serve import Caller
 from tests.device.devices import BITS, FILES, REGISTERS, contents, diagnose, on_a_line, words
+from tests.protocol.pdu.examples import EXAMPLES
 from tests.support.cases import each_case
 
 CALLER = Caller(5, "192.0.2.7:51234")
@@ -57,16 +57,7 @@ TOUCHES: list[tuple[pdu.Request[Any], list[Access], list[Access]]] = [
 ]
 WRITES = [request for request, writes, _ in TOUCHES if writes]
 READS = [request for request, _, reads in TOUCHES if reads]
-UNTOUCHING: list[pdu.Request[Any]] = [
-    pdu.ReadExceptionStatus(),
-    pdu.Diagnostics(0),
-    pdu.Diagnostics(SubFunction.CLEAR_COUNTERS),
-    pdu.ReadCommEventCounter(),
-    pdu.ReadCommEventLog(),
-    pdu.ReportServerId(),
-    pdu.ReadDeviceIdentification(1),
-    pdu.EncapsulatedTransport(13, b""),
-]
+UNTOUCHING = [each for each in EXAMPLES if each.function in (7, 8, 11, 12, 17, 43)]
 # Bodies that touch something, but not all of it exists: exception 2.
 BEYOND = [
     pdu.ReadCoils(9, 2),
