@@ -15,26 +15,10 @@ import pytest
 from libmodbus_py import Security
 from libmodbus_py.security import security as security_module
 from libmodbus_py.security.renewed import reload_all
-from libmodbus_py.tools.certificates import Identity
 from tests.support import certificates
-from tests.support.certificates import Files, Papers
+from tests.support.certificates import Papers
 
 DAY = 86_400
-
-
-def renew(files: Files, identity: Identity) -> None:
-    files.cert.write_bytes(identity.pem)
-    files.key.write_bytes(identity.key_pem())
-
-
-def test_new_files_are_used_after_a_reload(papers: Papers) -> None:
-    files = papers.files(certificates.client())
-    security = Security(files.cert, files.key, trust=papers.ca)
-    new = certificates.client("Viewer")
-    renew(files, new)
-    assert security.own == certificates.client().der
-    security.reload()
-    assert security.own == new.der
 
 
 @pytest.mark.parametrize("what", ["certificate", "key", "trust", "pin", "crl"])
@@ -74,31 +58,6 @@ def test_pins_given_once_can_be_read_again(papers: Papers) -> None:
     security = Security(files.cert, files.key, pin=iter([files.cert]))
     security.reload()
     assert security.accepts(certificates.client().der)
-
-
-def test_a_session_of_former_settings_is_not_resumed(papers: Papers) -> None:
-    """OpenSSL refuses one; the new tunnel must begin without."""
-    client, server = papers.client(), papers.server()
-    server.check_server()
-    before = connected(client, server)
-    assert connected(client, server, before.session).is_resumed
-    client.reload()
-    assert not connected(client, server, before.session).is_resumed
-
-
-def connected(client: Security, server: Security, session: Any = None) -> Any:
-    """Return the client's end of a tunnel after its handshake."""
-    near, far = client.to_server("localhost", session), server.to_client()
-    done = {near: False, far: False}
-    while not all(done.values()):
-        for one, other in ((near, far), (far, near)):
-            done[one] = one.handshake()
-            if data := one.outgoing():
-                other.feed(data)
-    far.send(b"x")  # the ticket comes with the first bytes
-    near.feed(far.outgoing())
-    assert near.receive() == b"x"
-    return near
 
 
 def at(monkeypatch: pytest.MonkeyPatch, when: float) -> None:
