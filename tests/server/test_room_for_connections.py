@@ -4,20 +4,10 @@ How many connections a server has, of all clients and of one address, and who go
 
 from __future__ import annotations
 
-import asyncio
-import socket
-from contextlib import ExitStack
-
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.ports.hosts import host_and_port
-from libmodbus_py.server.framed import SessionSettings
-from libmodbus_py.server.limits import Limits, ServerStatistics
-from libmodbus_py.server.peers import Peers
-from libmodbus_py.server.sessions import ByFrame
-from libmodbus_py.server.units import TcpUnits, Units
+from libmodbus_py.server.limits import Limits
 from tests.simulation.stage import Stage
 from tests.support.attacks import connect, descriptor_limit, receive
 from tests.support.served import ANSWER_ONE, ONE_ANSWER, OTHER, OVER_TCP, READ_ONE, adu, ask, served
@@ -128,29 +118,14 @@ def test_an_address_with_too_many_can_be_refused(stage: Stage, kind: str) -> Non
         ask(server.connect())
 
 
-def test_ipv4_within_ipv6_is_the_same_address() -> None:
+def test_ipv4_within_ipv6_is_the_same_address(stage: Stage) -> None:
     """As a listener for both families would say it."""
-
-    async def refused(*hosts: str) -> int:
-        statistics = ServerStatistics()
-        peers = Peers(Limits(connections_per_address=1, when_full="refuse"), statistics)
-        device = Units(Device(Mapping()))
-        settings = SessionSettings(parse("tcp://10.0.0.1"), statistics)
-        with ExitStack() as stack:
-            stack.callback(peers.close)
-            for host in hosts:
-                ours, theirs = socket.socketpair()
-                stack.enter_context(ours)
-                peers.admit(
-                    theirs,
-                    host,
-                    host_and_port(host, 1),
-                    lambda peer: ByFrame(settings, TcpUnits(device), peer),
-                )
-            return statistics.refused_address
-
-    assert asyncio.run(refused("192.0.2.7", "::ffff:192.0.2.7", "::ffff:192.0.2.7")) == 2
-    assert asyncio.run(refused("192.0.2.7", "::ffff:192.0.2.8", "::192.0.2.7")) == 0
+    with served(stage, connections_per_address=1, when_full="refuse") as server:
+        ask(server.connect("192.0.2.7"))
+        assert server.refuses("::ffff:192.0.2.7")
+        ask(server.connect("::ffff:192.0.2.8"))
+        ask(server.connect("::192.0.2.7"))
+        assert server.counts(refused_address=1)
 
 
 # --- allow -------------------------------------------------------------------------------
