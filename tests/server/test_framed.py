@@ -4,26 +4,21 @@ The base of sessions: what is found in received bytes, what is written and trace
 
 from __future__ import annotations
 
-import asyncio
-import socket
 import struct
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Server, framing, pdu
+from libmodbus_py import Device, Server, framing
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.security.describing import CertificateHolder
 from libmodbus_py.server.framed import Framed, SessionSettings
-from libmodbus_py.server.limits import Limits, ServerStatistics
-from libmodbus_py.server.peers import Peers
+from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.service import SessionState
-from libmodbus_py.server.sessions import ByChunk, Singles
-from libmodbus_py.server.units import TcpUnits, Units
 from tests.simulation.stage import Stage
-from tests.support.attacks import adu, ask, connect, receive
+from tests.support.attacks import adu, ask, connect
+from tests.support.chunks import FakeChannel
 
 ASKED, ANSWER = bytes.fromhex("03 0000 0001"), bytes.fromhex("03 02 0007")
 
@@ -31,33 +26,24 @@ ASKED, ANSWER = bytes.fromhex("03 0000 0001"), bytes.fromhex("03 02 0007")
 READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
 
-class Channel:
+class Channel(FakeChannel):
     """A channel that remembers what happens to it."""
-
-    address = "192.0.2.7:51234"
-    role: str | None = None
-    holder: CertificateHolder | None = None
 
     def __init__(self) -> None:
         self.written: list[bytes] = []
         self.traced: list[tuple[str, bytes, int | None]] = []
         self.followed = 0
+        super().__init__(self.written.append, self._count)
         self.trace: Any = self
+
+    def _count(self) -> None:
+        self.followed += 1
 
     def tell(
         self, direction: str, adu: bytes, unit: int | None = None, function: int | None = None
     ) -> None:
         assert (unit is None) == (function is None)
         self.traced.append((direction, adu, unit))
-
-    def write(self, data: bytes) -> None:
-        self.written.append(data)
-
-    def follow(self) -> None:
-        self.followed += 1
-
-    def hang_up(self) -> bool:
-        return False
 
 
 class Session(Framed):
@@ -149,38 +135,6 @@ def test_frames_that_are_not_answered_any_more_are_traced() -> None:
 
 
 # --- requests that arrive glued together or cut in pieces ---------------------------------
-
-
-def test_who_only_listens_any_more_gets_all_answers(device: Device) -> None:
-    """More than the system buffers, so that they wait for the client to take them."""
-    body = pdu.ReadHoldingRegisters(100, 125).encode()
-
-    async def serve(end: socket.socket) -> bytes:
-        statistics = ServerStatistics()
-        peers = Peers(Limits(), statistics)
-        units = TcpUnits(Units(device))
-        singles = Singles(units, statistics, peers.later)
-        settings = SessionSettings(parse("tcp://10.0.0.1"), statistics)
-        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-        end.setblocking(False)
-        peers.admit(
-            end,
-            "peer",
-            "peer:1",
-            lambda peer: ByChunk(settings, units, peer, singles),
-        )
-        while statistics.requests < 80:  # it has seen the end of the requests
-            await asyncio.sleep(0)
-        received = await asyncio.to_thread(receive, client, 1 << 20)
-        assert statistics.connections == 0
-        peers.close()
-        return received
-
-    client, end = socket.socketpair()
-    with client, end:
-        client.sendall(b"".join(adu(body, number) for number in range(80)))
-        client.shutdown(socket.SHUT_WR)
-        assert len(asyncio.run(serve(end))) == 80 * 259
 
 
 @pytest.mark.timeout(60)
