@@ -240,14 +240,6 @@ END = adu(bytes.fromhex("03 0063 0001"))
 ANSWER = adu(bytes.fromhex("03 02 0000"))
 
 
-def ask_end(url: str) -> None:
-    """Ask on a connection of its own, which is closed without an answer."""
-    with connect(url) as client:
-        client.sendall(END)
-        if client.type == socket.SOCK_STREAM:
-            assert receive(client, 1) == b""
-
-
 @pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])
 def test_what_ends_the_program_is_raised_where_the_block_is_left(
@@ -262,7 +254,10 @@ def test_what_ends_the_program_is_raised_where_the_block_is_left(
 def end(running: Running, scheme: str) -> None:
     url = next(url for url in running.urls if url.startswith(scheme))
     with connect(running.urls[0]) as other:
-        ask_end(url)
+        with connect(url) as client:
+            client.sendall(END)
+            if client.type == socket.SOCK_STREAM:
+                assert receive(client, 1) == b""  # without an answer
         assert receive(other, 1) == b""  # it is closed, too
 
 

@@ -35,7 +35,7 @@ from tests.support.chunks import (
     streams,
     writes,
 )
-from tests.support.vectors import REQUESTS, FrameVector
+from tests.support.vectors import REQUESTS
 
 
 @pytest.fixture(autouse=True)
@@ -159,15 +159,11 @@ def test_the_event_log_has_the_latest_of_many_requests() -> None:
 # --- worked examples ---------------------------------------------------------------------------
 
 
-def replied_vectors() -> list[FrameVector]:
-    return [vector for vector in REQUESTS if vector.function in REPLIED]
-
-
 def test_all_functions_of_libmodbus_are_answered_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not by the way around, which would give the same answers."""
     monkeypatch.delattr(Device, "answer")
     device = Device(Mapping(65536, 65536, 65536, 65536))
-    vectors = replied_vectors()
+    vectors = [vector for vector in REQUESTS if vector.function in REPLIED]
     assert {vector.function for vector in vectors} == set(REPLIED)
     end = End(device, "chunk")
     for vector in vectors:

@@ -52,29 +52,20 @@ def test_everything_that_cuts_frames_waits_for_it() -> None:
     assert listen.Separator("rtu").quiet == pytest.approx(0.02)
 
 
-def spell(stage: Stage, end: LineEnd, data: bytes, baudrate: int, bits: int = 11) -> None:
-    """Write bytes as they come out of a slow port: one by one."""
-    for byte in data:
-        end.write(bytes([byte]))
-        stage.pass_time(bits / baudrate)
-
-
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("baudrate", [300, 600, 1200, 9600])
 def test_no_part_of_a_frame_is_carried_out(stage: Stage, baudrate: int, is_gateway: bool) -> None:
     with unit_one(f"rtu:///dev/line?baudrate={baudrate}", is_gateway=is_gateway) as (_, writes):
-        check(stage, baudrate)
+        stage.line("/dev/line").character = 11 / baudrate
+        master = LineEnd(stage.line("/dev/line"))
+        for frame, answer in ((AROUND, b""), (LOOPBACK, LOOPBACK), (READ, ANSWER)):
+            master.heard = b""
+            for byte in frame:  # one by one, as they come out of a slow port
+                master.write(bytes([byte]))
+                stage.pass_time(11 / baudrate)
+            stage.pass_time(5)
+            assert master.heard == answer
     assert writes == []
-
-
-def check(stage: Stage, baudrate: int) -> None:
-    stage.line("/dev/line").character = 11 / baudrate
-    master = LineEnd(stage.line("/dev/line"))
-    for frame, answer in ((AROUND, b""), (LOOPBACK, LOOPBACK), (READ, ANSWER)):
-        master.heard = b""
-        spell(stage, master, frame, baudrate)
-        stage.pass_time(5)
-        assert master.heard == answer
 
 
 def test_a_listener_hears_whole_frames() -> None:

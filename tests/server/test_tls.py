@@ -20,7 +20,7 @@ import pytest
 from libmodbus_py import Access, Device, Mapping, Server
 from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.role import encode_role
-from libmodbus_py.tools.certificates import Identity, make
+from libmodbus_py.tools.certificates import Identity
 from tests.simulation.stage import Stage
 from tests.support import certificates
 from tests.support.attacks import PATIENCE
@@ -409,8 +409,8 @@ def test_a_certificate_that_expired_meanwhile_resumes_nothing(
     """OpenSSL looks at the dates when a session begins, and not again."""
     server, port = served
     end = datetime.now(UTC) + timedelta(hours=1)
-    begin = end - timedelta(hours=2)
-    told = context(papers, make_client(begin, end), version)
+    identity = certificates.client(begin=end - timedelta(hours=2), days=1 / 12)
+    told = context(papers, identity, version)
     with TlsClient(port, told, stage=stage).handshake() as client:
         assert client.is_answered()
         session = client.tls.session
@@ -425,8 +425,3 @@ def test_a_certificate_that_expired_meanwhile_resumes_nothing(
         assert client.ask(ONE, 1) == b""
     assert "certificate has expired" in caplog.text
     assert server.statistics.handshakes_refused == 1
-
-
-def make_client(begin: datetime, end: datetime) -> Identity:
-    days = (end - begin) / timedelta(days=1)
-    return make("Test client", certificates.authority(), role="Chief", begin=begin, days=days)

@@ -44,15 +44,6 @@ from tests.support.tls import (
 )
 from tests.support.tls_clients import descriptors
 
-# Much shorter than a test may take, much longer than a handshake does.
-HANDSHAKE_TIMEOUT = 1.0
-
-
-@pytest.fixture
-def quick() -> Limits:
-    return Limits(handshake_timeout=HANDSHAKE_TIMEOUT)
-
-
 # --- hostile: before the handshake ---------------------------------------------------------------
 
 
@@ -98,13 +89,13 @@ GARBAGE: dict[str, Callable[[], bytes]] = {
 def test_what_is_no_tls_ends_the_connection(
     stage: Stage,
     papers: Papers,
-    quick: Limits,
     what: str,
     behind: str,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     sent = (hello(papers) if behind != "at once" else b"") + GARBAGE[what]()
-    with nothing_loud(caplog), serving(papers, limits=quick) as (server, port):
+    limits = Limits(handshake_timeout=1)
+    with nothing_loud(caplog), serving(papers, limits=limits) as (server, port):
         with stage.talk(port) as hostile:
             with contextlib.suppress(OSError):
                 hostile.sendall(sent)
