@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.server.limits import Limits
 from tests.support.attacks import ask, connect
 from tests.support.peers import until
 from tests.support.talk import ascii_frame, rtu
@@ -30,9 +29,8 @@ FRAMES = {"rtu+tcp": rtu, "ascii+tcp": ascii_frame}
 
 
 @contextmanager
-def served(scheme: str, devices: Any = None, **limits: Any) -> Iterator[tuple[Server, str]]:
-    one = {17: Device(Mapping(holding_registers={0: [7]}))}
-    server = Server(one if devices is None else devices, limits=Limits(**limits))
+def served(scheme: str, devices: Any = None) -> Iterator[tuple[Server, str]]:
+    server = Server(devices or {17: Device(Mapping(holding_registers={0: [7]}))})
     with server.background(f"{scheme}://127.0.0.1:0") as running:
         yield server, running.urls[0]
 
