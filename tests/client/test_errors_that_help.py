@@ -5,19 +5,18 @@ The usual mistakes, each said in the one line of the error that it leads to.
 from __future__ import annotations
 
 import errno
-import os
 import re
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, ModbusConnectionError, ModbusError
+from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError
 from libmodbus_py.client.outcomes import explain, explain_end
 from libmodbus_py.protocol.errors import in_hex
 from tests.support.cases import each_case
 from tests.support.clients import ALL, World, asking, read
-from tests.support.peers import Answer, FakeServer, FakeUnit, answering, mbap
+from tests.support.peers import Answer, FakeServer, answering, mbap
 from tests.support.talk import Talk, ascii_frame, rtu, tcp
 
 NOISE = bytes(range(0x70, 0xF0))
@@ -82,33 +81,6 @@ def test_long_noise_is_cut(world: World) -> None:
         caught = failure(client)
     assert longest_hex(str(caught)) <= 32
     assert len(caught.received) == 500
-
-
-@pytest.mark.parametrize("kind", ["python", "asyncio"])
-def test_a_second_client_on_a_port_is_told_of_handles(kind: str) -> None:
-    with FakeUnit(lambda request: []) as unit:
-        url = f"rtu://{unit.path}?baudrate=115200"
-        for _ in range(2):  # what was refused leaves no trace
-            with (
-                asking(kind, url),
-                pytest.raises(ModbusConnectionError, match=r"by this program itself; for_unit\(\)"),
-                asking(kind, url),
-            ):
-                pass
-        with asking(kind, url):
-            pass
-
-
-def test_a_port_without_permission_names_the_group(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Root may open all, so the system's no is made up here."""
-
-    def refuse(*_: object) -> int:
-        raise PermissionError(13, "Permission denied")
-
-    with FakeUnit(lambda request: []) as unit:
-        monkeypatch.setattr(os, "open", refuse)
-        with pytest.raises(ModbusConnectionError, match="group dialout"):
-            Context.from_url(f"rtu://{unit.path}").connect()
 
 
 def test_a_client_and_its_errors_say_where_they_lead() -> None:

@@ -69,27 +69,6 @@ def test_no_echo_where_one_was_announced_does_no_harm(connect: Connect) -> None:
                 pytest.fail("the answer begins like the request, and was taken for its echo")
 
 
-def test_a_server_does_not_take_the_echo_of_its_answer_for_a_request(device: Device) -> None:
-    """The echo of a write's answer is a good request: without the option it would be answered."""
-    with (
-        SerialWire() as wire,
-        Server({17: device}).background(f"rtu://{wire.server}?echo=1&baudrate=115200"),
-        RtuContext(wire.client, 115200, unit=17, timeout=0.3) as context,
-    ):
-        context.connect()
-        port = context._driver._port
-        request = framing.RtuFramer("server").encode(framing.Frame(17, b"\x06\x00\x64\x00\x01"))
-        for _ in range(3):
-            wire.clear()
-            port.send([request], time.monotonic())
-            answer = b""
-            while len(answer) < len(request):
-                answer += b"".join(port.receive())
-            port.send([answer], time.monotonic())  # as the transceiver would
-            time.sleep(0.1)
-            assert port.receive() == []
-
-
 RTS = """
 from libmodbus_py import *
 context = {make}

@@ -286,32 +286,8 @@ def test_polls_come_at_the_shortest_interval(wall: Wall) -> None:
     assert wall.times_of(0) == [0, 6]
 
 
-def test_no_point_is_asked_sooner_than_its_interval(wall: Wall) -> None:
-    points = RegisterMap(
-        [Point("v", "holding_registers", 0), Point("energy", "holding_registers", 10, interval=2.5)]
-    )
-    wall.watch(8, what=points, every=1)
-    assert wall.times_of(10) == [0, 3, 6]
-
-
-def test_a_total_that_is_smaller_once_is_not_believed(wall: Wall) -> None:
-    wall.registers[10] = [100, 3, 101, 102]
-    found = values_of(wall.watch(7, what=TOTALS, every=1, names=["v", "energy"]))
-    assert [values["energy"] for values in found] == [100, 100, 100, 101, 101, 101, 102]
-    assert not any(values.fell for values in found)
-    assert wall.times_of(10) == [0, 3, 3, 6]
-
-
 def test_a_total_that_is_smaller_twice_is_marked_once(wall: Wall) -> None:
     wall.registers[10] = [100, 3, 4, 5]
     found = values_of(wall.watch(7, what=TOTALS, every=1, names=["v", "energy"]))
     assert [values["energy"] for values in found] == [100, 100, 100, 4, 4, 4, 5]
     assert [set(values.fell) for values in found] == [*[set()] * 3, {"energy"}, *[set()] * 3]
-
-
-def test_a_point_without_an_answer_is_asked_again_at_the_next_poll_once(wall: Wall) -> None:
-    wall.silent = {20}
-    found = values_of(wall.watch(7, what=TOTALS, every=1))
-    assert isinstance(found[0]["sf"], ModbusTimeoutError)
-    # Each time-out takes some of the next second; a connection that failed at once is tried twice.
-    assert sorted(set(wall.times_of(20))) == [0, 1, 4, 5]
