@@ -13,7 +13,6 @@ import pytest
 
 from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError
 from libmodbus_py.client.outcomes import explain, explain_end
-from libmodbus_py.protocol.errors import in_hex
 from tests.support.cases import each_case
 from tests.support.clients import ALL, World, asking, read
 from tests.support.peers import Answer, FakeServer, answering, mbap
@@ -155,12 +154,6 @@ def test_another_framing_is_recognised(scheme: str, received: str, hint: str) ->
 def test_the_request_that_came_back_is_recognised(scheme: str) -> None:
     sent = SENT[scheme.removesuffix("+tcp")]
     assert explain(scheme, sent, sent) == "the request itself came back; echo=True?"
-
-
-def test_at_most_32_bytes_are_in_hex() -> None:
-    assert in_hex(bytes(32)) == " ".join(["00"] * 32)
-    assert in_hex(bytes(33)) == " ".join(["00"] * 32) + " ... (33 bytes)"
-    assert len(in_hex(bytes(600))) < 120
 
 
 @each_case(
