@@ -34,7 +34,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.protocol.pdu import ServerId, SubFunction
 from tests.support.cases import each_case
-from tests.support.clients import EVERYWHERE, Connect, World, making
+from tests.support.clients import Connect, making
 from tests.support.peers import UNKNOWN_FUNCTION, answering, mbap
 from tests.support.transports import serving
 
@@ -319,19 +319,3 @@ def test_pages_that_do_not_answer_are_invalid(asked: str | int, answer: str) -> 
         with world.connect(peer.url) as plc, pytest.raises(InvalidResponse):
             plc.read_device_identification(asked)
         assert len(peer.requests) == 1
-
-
-@EVERYWHERE
-def test_identification_that_leads_in_circles_gives_what_is_there(world: World) -> None:
-    page = bytes.fromhex("2b0e0101ff0003 000141 010142 020143")  # more follows, from object 0 on
-    with world.client_of("tcp", answering(lambda request: [mbap(request, page)])) as client:
-        found = client.read_device_identification()
-        assert not found.complete
-        assert found.objects[0] == b"A"
-
-
-@EVERYWHERE
-def test_an_exception_with_a_mei_type_behind_it_is_the_exception(world: World) -> None:
-    peer = world.peer("tcp", answering(lambda request: [mbap(request, b"\xab\x02\x0e")]))
-    with world.connect(peer.url) as client, pytest.raises(IllegalDataAddress):
-        client.read_device_identification()
