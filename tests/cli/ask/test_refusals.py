@@ -161,11 +161,6 @@ def test_a_device_that_only_refuses_has_none_of_these() -> None:
         report(questions)
 
 
-def test_without_a_connection_nothing_is_asked() -> None:
-    with pytest.raises(ModbusConnectionError):
-        print_report(TcpContext("127.0.0.1", port=1), {"one": pytest.fail}, as_json=False)
-
-
 def test_a_device_may_close_the_connection_for_what_it_does_not_know(maker: ServerMaker) -> None:
     server = maker(faults={None: [Fault("disconnect", function=43)]})
     done = run("identify", server.url)

@@ -104,12 +104,6 @@ def test_stop_bits_that_were_not_measured_are_not_said(words: list[str], setting
 # --- options have the names of those of read ------------------------------------------
 
 
-@each_case("word", ["-u", "--unit", "--units"])
-def test_scan_takes_the_words_of_read(port: str, word: str) -> None:
-    found = json.loads(run("scan", f"127.0.0.1:{port}", word, "2,3,30", "--json").out)
-    assert [each["unit"] for each in found["found"]] == [3, 30]
-
-
 @each_case(
     ("words", "tried"),
     [

@@ -194,15 +194,6 @@ def test_units_are_found_over_networks(network: Network, scheme: str) -> None:
     assert all(each.identification is not None for each in found)
 
 
-def test_what_a_gateway_says_of_nobody_is_nobody() -> None:
-    """Our server does: exception 11."""
-    with Server({1: meter(), 9: meter()}).background("tcp://127.0.0.1:0") as running:
-        scanned = scan(running.urls[0])
-        assert [each.unit for each in all_of(scanned)] == [1, 9]
-    (note,) = scanned.notes
-    assert "a gateway reports 246 units as absent" in note
-
-
 @pytest.mark.parametrize(
     ("scheme", "tables"), [("tcp", {"coils": 1}), ("rtu+tcp", {"holding_registers": 1})]
 )
