@@ -16,7 +16,7 @@ from tests.services.workers import simulated as workers_simulated
 
 from .fleets import fleet, plant
 from .rules import Rest
-from .world import Ask, World, clients
+from .world import Ask, World, asking_gateway, clients
 
 __all__ = ["CASTS"]
 
@@ -107,11 +107,7 @@ async def _through_gateway(world: World) -> None:
         routes, queue=random.choice([1, 16]), longest_wait=5.0, writes_first=_chance(random)
     )
     patience = random.choice([0.5, 3.0])
-    async with (
-        gateway.serving("tcp://10.0.1.1"),
-        clients("tcp://10.0.1.1", world.options.clients, timeout=patience) as plcs,
-    ):
-        asks = [world.asking(plc, patience, age=0.1, is_direct=False) for plc in plcs]
+    async with asking_gateway(world, gateway, world.options.clients, patience, age=0.1) as asks:
         try:
             await _play(world, asks, numbers)
         finally:
@@ -133,11 +129,8 @@ async def _past_silent_unit(world: World) -> None:
         url = f"{place}?timeout={timeout}&max_in_flight=16"
     world.units[0].behaviour = replace(world.units[0].behaviour, silent=1.0)
     world.witness.resting[1] = Rest(timeout)
-    async with (
-        Gateway([Route(url, numbers)]).serving("tcp://10.0.1.1"),
-        clients("tcp://10.0.1.1", options.clients, timeout=5.0) as plcs,
-    ):
-        asks = [world.asking(plc, 5.0, is_direct=False) for plc in plcs]
+    gateway = Gateway([Route(url, numbers)])
+    async with asking_gateway(world, gateway, options.clients, 5.0) as asks:
         await _play(world, asks, numbers)
 
 
@@ -151,11 +144,7 @@ async def _crowd(world: World) -> None:
     hosts = ["10.255.0.1"] * world.random.randint(4, 10)
     hosts += [f"10.255.0.{2 + number}" for number in range(world.random.randint(1, 3))]
     world.wire.hosts_take_turns = True
-    async with (
-        gateway.serving("tcp://10.0.1.1"),
-        clients("tcp://10.0.1.1", len(hosts), timeout=30.0) as plcs,
-    ):
-        asks = [world.asking(plc, 30.0, is_direct=False) for plc in plcs]
+    async with asking_gateway(world, gateway, len(hosts), 30.0) as asks:
         until = world.events.now + options.seconds
         acts = (world.act(ask, numbers, until, host) for ask, host in zip(asks, hosts, strict=True))
         await asyncio.gather(*(asyncio.create_task(act) for act in acts))

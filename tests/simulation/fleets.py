@@ -13,7 +13,7 @@ from libmodbus_py import Gateway, Route
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.workers.trial import LEASE, Trial
 
-from .world import World, clients
+from .world import World, asking_gateway
 
 __all__ = ["fleet", "plant"]
 
@@ -128,12 +128,8 @@ async def plant(world: World) -> None:
     ]
     cast = Fleet(world, PLACES, UNITS, interval=60.0, lease=LONG_LEASE)
     until = world.events.now + world.options.seconds
-    async with (
-        Gateway(routes).serving("tcp://10.0.1.1"),
-        cast.polling(3),
-        clients("tcp://10.0.1.1", world.options.clients, timeout=3.0) as plcs,
-    ):
-        asks = [world.asking(plc, 3.0, is_direct=False) for plc in plcs]
+    gateway = Gateway(routes)
+    async with asking_gateway(world, gateway, world.options.clients, 3.0) as asks, cast.polling(3):
         acts = (world.act(ask, numbers, until) for ask in asks)
         await asyncio.gather(*acts, _disturb_until(world, cast, until))
         await cast.recover()

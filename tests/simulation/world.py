@@ -11,14 +11,14 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from libmodbus_py import AsyncClient, Context, ModbusError
+from libmodbus_py import AsyncClient, Context, Gateway, ModbusError
 
 from .devices import COUNT, Behaviour, Bus, Host, Unit
 from .network import Network
 from .processes import HOST
 from .rules import Call, Wire, Witness
 
-__all__ = ["FAULTS", "Ask", "Options", "World", "clients"]
+__all__ = ["FAULTS", "Ask", "Options", "World", "asking_gateway", "clients"]
 
 Ask = Callable[[int], Awaitable[None]]
 """Asks a unit once."""
@@ -198,6 +198,16 @@ async def clients(url: str, count: int, **options: Any) -> AsyncIterator[list[As
     finally:
         for plc in plcs:
             await plc.close()
+
+
+@asynccontextmanager
+async def asking_gateway(
+    world: World, gateway: Gateway, count: int, timeout: float, *, age: float = 0.0
+) -> AsyncIterator[list[Ask]]:
+    """Let a gateway serve, and give what asks it, with so many clients."""
+    url = "tcp://10.0.1.1"
+    async with gateway.serving(url), clients(url, count, timeout=timeout) as plcs:
+        yield [world.asking(plc, timeout, age=age, is_direct=False) for plc in plcs]
 
 
 def _requested(plc: AsyncClient | Context, call: Call) -> Any:
