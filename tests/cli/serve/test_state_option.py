@@ -17,14 +17,10 @@ from tests.support.commands import run
 PLANT = """
 [[unit]]
 id = 1
-[[unit.holding_registers]]
-address = 0
-count = 10
+holding_registers = [{ address = 0, count = 10 }]
 [[unit]]
 id = 2
-[[unit.coils]]
-address = 0
-count = 8
+coils = [{ address = 0, count = 8 }]
 """
 
 

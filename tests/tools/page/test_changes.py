@@ -103,14 +103,10 @@ def test_what_registers_may_mean() -> None:
 PLANT = """
 [[unit]]
 id = 1
-[[unit.holding_registers]]
-address = 0
-name = "level"
-counter = { start = 10, step = 1, interval = 0.05 }
-[[unit.holding_registers]]
-address = 1
-name = "fixed"
-value = 7
+holding_registers = [
+    { address = 0, name = "level", counter = { start = 10, step = 1, interval = 0.05 } },
+    { address = 1, name = "fixed", value = 7 },
+]
 """
 
 

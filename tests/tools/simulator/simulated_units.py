@@ -45,5 +45,3 @@ def inputs(device: Device, address: int, count: int = 1) -> Any:
 
 
 numbers = st.integers(-100_000, 100_000) | st.floats(-1e5, 1e5)
-
-HOLDING = "[[unit]]\n[[unit.holding_registers]]\naddress = 0\n"

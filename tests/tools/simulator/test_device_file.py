@@ -14,7 +14,7 @@ from libmodbus_py.serve import Caller
 from libmodbus_py.tools.faults.fault import Fault
 from libmodbus_py.tools.simulator.device_file import load, parse
 from tests.support.cases import each_case
-from tests.tools.simulator.simulated_units import HOLDING, answer, holding, inputs, unit
+from tests.tools.simulator.simulated_units import answer, holding, inputs, unit
 
 
 def test_values_lie_where_the_file_says() -> None:
@@ -95,7 +95,9 @@ def test_units_are_told_apart_and_faults_are_collected() -> None:
 
 def test_every_unit_of_a_file_without_id_is_served(tmp_path: Path) -> None:
     path = tmp_path / "device.toml"
-    path.write_text(HOLDING + "value = 42\n[[unit.fault]]\nkind='exception'\ncode=3\nfunction=1\n")
+    registers = "holding_registers = [{ address = 0, value = 42 }]"
+    fault = "fault = [{ kind = 'exception', code = 3, function = 1 }]"
+    path.write_text(f"[[unit]]\n{registers}\n{fault}\n")
     with Server(*load(path)).background("tcp://127.0.0.1:0") as running:
         for number in (0, 1, 255):
             with Context.from_url(running.urls[0], unit=number) as client:
