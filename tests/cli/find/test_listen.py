@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import re
+import resource
 import signal
 import time
 from collections.abc import Iterator
@@ -170,6 +171,27 @@ def test_listen_prints_the_units_that_were_typed() -> None:
         json.loads(line) for line in run("listen", DECODED, "-u", unit, "--json").out.splitlines()
     ]
     assert some[:-1] == [each for each in everything[:-1] if each["unit"] == unit]
+
+
+@pytest.mark.parametrize("size", range(330, 420, 15))
+def test_a_capture_on_a_full_disk_can_be_read(size: int, target: str, tmp_path: Path) -> None:
+    """Whichever byte is the last that the disk takes. The command says that all is not there."""
+    path = tmp_path / "x.pcapng"
+    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", path) as made:
+        url = url_of(made)
+        resource.prlimit(made.pid, resource.RLIMIT_FSIZE, (size, size))
+        with Context.from_url(url, unit=1) as client:
+            for _ in range(4):
+                assert client.read_holding_registers(0, 1) == [7]
+                assert "-> [7]" in made.stdout.readline()
+        made.send_signal(signal.SIGINT)
+        _, errors = made.communicate()
+    assert made.returncode == 1
+    assert errors == f"{path}: File too large; the capture ends here\n"
+    assert path.stat().st_size <= size
+    *found, _ = map(json.loads, listen(path, "--json").out.splitlines())
+    assert 0 < len(found) < 4
+    assert found[0]["kind"] == "answered"
 
 
 @pytest.mark.parametrize(("variables", "coloured"), [({}, True), ({"NO_COLOR": "1"}, False)])

@@ -12,8 +12,6 @@ from __future__ import annotations
 import asyncio
 import os
 import random
-import resource
-import signal
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,7 +23,6 @@ from libmodbus_py.listen import CaptureError, Transaction, listen
 from libmodbus_py.tools.listener.capture import CaptureWriter
 from libmodbus_py.tools.listener.transaction import Heard
 from tests.support.cases import each_case
-from tests.support.commands import Started
 from tests.support.vectors import EXCEPTIONS, RESPONSES, exchanges
 
 DECODED = Path(__file__).with_name("decoded.pcapng")
@@ -191,18 +188,11 @@ class TestReader:
 # --- a disk that becomes full while traffic is recorded -------------------------------------------
 
 
-@pytest.fixture
-def target() -> Iterator[str]:
-    with Server(Device(Mapping(holding_registers={0: [7]}))).background(
-        "rtu+tcp://127.0.0.1:0"
-    ) as running:
-        yield running.urls[0]
-
-
-def test_a_tap_goes_on(target: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = tmp_path / "x.pcapng"
+def test_a_tap_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path, device = tmp_path / "x.pcapng", Device(Mapping(holding_registers={0: [7]}))
     with (
-        listen("rtu+tcp://127.0.0.1:0", between=target, capture=path) as line,
+        Server(device).background("rtu+tcp://127.0.0.1:0") as running,
+        listen("rtu+tcp://127.0.0.1:0", between=running.urls[0], capture=path) as line,
         Context.from_url(line.url, unit=1) as client,
     ):
         assert line._writer is not None
@@ -216,26 +206,3 @@ def test_a_tap_goes_on(target: str, tmp_path: Path, caplog: pytest.LogCaptureFix
         assert line.capture_error.filename == str(path)
     told = [each.getMessage() for each in caplog.records if "ends here" in each.message]
     assert told == [f"{path}: No space left on device; the capture ends here"]
-
-
-@pytest.mark.parametrize("size", range(330, 420, 15))
-def test_what_was_written_can_be_read(size: int, target: str, tmp_path: Path) -> None:
-    """Whichever byte is the last that the disk takes. The command says that all is not there."""
-    path = tmp_path / "x.pcapng"
-    arguments = ("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", path)
-    with Started("listen", *arguments) as made:
-        url = made.stderr.readline().removeprefix("listening on ").rstrip("\n")
-        resource.prlimit(made.pid, resource.RLIMIT_FSIZE, (size, size))
-        with Context.from_url(url, unit=1) as client:
-            for _ in range(4):
-                assert client.read_holding_registers(0, 1) == [7]
-                assert "-> [7]" in made.stdout.readline()
-        made.send_signal(signal.SIGINT)
-        _, errors = made.communicate()
-    assert made.returncode == 1
-    assert errors == f"{path}: File too large; the capture ends here\n"
-    assert path.stat().st_size <= size
-    with listen(str(path)) as line:
-        kinds = [each.kind for each in line]
-    assert "answered" in kinds
-    assert len(kinds) < 4
