@@ -1,5 +1,6 @@
 """
-Servers for the tests of commands: one of the command line, and a device in this process.
+Servers for the tests of commands: one of the command line, a device in this process, and what is
+typed for others.
 """
 
 from __future__ import annotations
@@ -22,3 +23,9 @@ def url() -> Iterator[str]:
 def device() -> Iterator[str]:
     with Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running:
         yield running.urls[0]
+
+
+@pytest.fixture(params=["serve", "gateway"])
+def command(request: pytest.FixtureRequest, device: str) -> list[str]:
+    """A command that serves without a file, up to the URL where it listens."""
+    return ["serve"] if request.param == "serve" else ["gateway", "--to", device]

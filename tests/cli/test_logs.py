@@ -102,11 +102,9 @@ def test_an_exception_is_told_whole(form: str, capsys: pytest.CaptureFixture[str
     assert told.rstrip().endswith("ValueError: wrong")
 
 
-@pytest.mark.parametrize("name", ["serve", "gateway"])
-def test_servers_tell_where_they_listen_and_every_frame(name: str, device: str) -> None:
-    more = ["--to", device] if name == "gateway" else []
+def test_servers_tell_where_they_listen_and_every_frame(command: list[str]) -> None:
     options = ["--log", "debug", "--log-format", "json"]
-    with Started(name, "tcp://127.0.0.1:0", *more, *options) as process:
+    with Started(*command, "tcp://127.0.0.1:0", *options) as process:
         url = json.loads(process.stdout.readline())["message"].removeprefix("listening on ")
         with Context.from_url(url) as plc:
             plc.read_holding_registers(0, 1)

@@ -15,12 +15,7 @@ from libmodbus_py import Context, ServerDeviceFailure
 from tests.cli.serving import serving
 from tests.support.peers import until
 
-
-@pytest.fixture(params=["serve", "gateway"])
-def command(request: pytest.FixtureRequest, device: str) -> list[str]:
-    if request.param == "serve":
-        return ["serve", "tcp://127.0.0.1:0"]
-    return ["gateway", "tcp://127.0.0.1:0", "--to", device]
+TCP = "tcp://127.0.0.1:0"
 
 
 def new_values(path: Path) -> list[Any]:
@@ -31,7 +26,7 @@ def new_values(path: Path) -> list[Any]:
 
 def test_a_rotated_file_is_left_on_hangup(command: list[str], tmp_path: Path) -> None:
     path, before = tmp_path / "audit.json", tmp_path / "audit.json.1"
-    with serving(*command, "--audit", path) as (process, url), Context.from_url(url) as plc:
+    with serving(*command, TCP, "--audit", path) as (process, url), Context.from_url(url) as plc:
         plc.write_register(0, 1)
         until(lambda: new_values(path) == [[1]])
         path.rename(before)
@@ -44,7 +39,7 @@ def test_a_rotated_file_is_left_on_hangup(command: list[str], tmp_path: Path) ->
 
 def test_writes_are_refused_while_the_disk_is_full(command: list[str]) -> None:
     """Nothing can be written to /dev/full, as the start of the server shows."""
-    with serving(*command, "--audit", "/dev/full", "--audit-required") as (process, url):
+    with serving(*command, TCP, "--audit", "/dev/full", "--audit-required") as (process, url):
         with Context.from_url(url) as plc:
             with pytest.raises(ServerDeviceFailure):
                 plc.write_register(0, 2)
@@ -57,12 +52,12 @@ def test_what_changed_in_a_file_that_is_read_again_is_recorded(
     command: str, tmp_path: Path
 ) -> None:
     file, trail = tmp_path / "file.toml", tmp_path / "audit.json"
-    options = ["tcp://127.0.0.1:0", "--device", file]
+    options = [TCP, "--device", file]
     cells = "[[unit.holding_registers]]\naddress = 0\n"
     texts = [f"[[unit]]\nid = {number}\n{cells}" for number in (1, 2)]
     if command == "gateway":
         options = ["--config", file]
-        head = 'listen = ["tcp://127.0.0.1:0"]\n'
+        head = f'listen = ["{TCP}"]\n'
         texts = [f'{head}[[route]]\nto = "tcp://127.0.0.1:{port}"\n' for port in (1502, 1503)]
     file.write_text(texts[0])
     with serving(command, *options, "--audit", trail) as (process, _):

@@ -161,11 +161,8 @@ def test_a_command_that_cannot_start_says_why(tmp_path: Path, name: str) -> None
         assert "file, line 1: " in command.said
 
 
-@pytest.mark.parametrize(
-    "arguments", [["serve"], ["gateway", "--to", "tcp://127.0.0.1:1"]], ids=lambda each: each[0]
-)
-def test_without_a_file_it_says_so_and_goes_on(arguments: list[str]) -> None:
-    with Forked(*arguments, "tcp://127.0.0.1:0") as process:
+def test_without_a_file_it_says_so_and_goes_on(command: list[str]) -> None:
+    with Forked(*command, "tcp://127.0.0.1:0") as process:
         assert "listening on" in process.stdout.readline()
         process.send_signal(signal.SIGHUP)
         assert process.stderr.readline().startswith("there are no files")

@@ -18,14 +18,6 @@ from tests.support.commands import Started
 from tests.support.peers import until
 
 
-@pytest.fixture(params=["serve", "gateway"])
-def command(request: pytest.FixtureRequest, device: str) -> list[str]:
-    """A command without a file of its own."""
-    if request.param == "serve":
-        return ["serve"]
-    return ["gateway", "--to", device]
-
-
 def test_files_of_certificates_are_read_again_on_hangup(
     command: list[str], papers: Papers, tmp_path: Path
 ) -> None:
@@ -33,8 +25,7 @@ def test_files_of_certificates_are_read_again_on_hangup(
     crl = tmp_path / "crl.pem"
     crl.write_bytes(certificates.revocation_list())
     own = ["--cert", files.cert, "--key", files.key, "--ca", papers.ca, "--crl", crl]
-    name, *rest = command
-    with serving(name, "tls://127.0.0.1:0", *rest, *own) as (process, url):
+    with serving(*command, "tls://127.0.0.1:0", *own) as (process, url):
         port = int(url.rpartition(":")[2])
         with TlsContext("127.0.0.1", port, security=papers.client()) as plc:
             plc.read_holding_registers(0, 1)
