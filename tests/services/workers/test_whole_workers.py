@@ -139,16 +139,6 @@ async def test_a_slow_engine_loses_leases_and_no_device(trial: Trial) -> None:
     await trial.settle()
 
 
-@pytest.mark.parametrize("losses", [0.02, 0.2])
-@tried(6, "a", "b", "c")
-async def test_an_engine_that_loses_messages_is_watched_anew(trial: Trial, losses: float) -> None:
-    trial.engine.losses = losses
-    await asyncio.sleep(10)
-    trial.engine.losses = 0.0
-    await trial.settle()
-    assert len(trial.asked.hosts()) == 3
-
-
 @pytest.mark.parametrize("seconds", [0.5, LEASE, 3 * LEASE])
 @tried(6, "a", "b", "c")
 async def test_an_engine_that_goes_back_has_none_asked_by_two(trial: Trial, seconds: float) -> None:
@@ -157,18 +147,6 @@ async def test_an_engine_that_goes_back_has_none_asked_by_two(trial: Trial, seco
     trial.engine.forget(seconds)
     await trial.settle()
     assert len(trial.asked.hosts()) >= 3
-
-
-@tried(6)
-async def test_clocks_may_go_wrong(trial: Trial) -> None:
-    await trial.start("slow", rate=0.96)
-    await trial.start("fast", rate=1.04)
-    await trial.settle()
-    for name in ("slow", "fast"):
-        trial.workers[name].client.link.cut()
-        await asyncio.sleep(3 * LEASE)
-        trial.workers[name].client.link.mend()
-        await trial.settle()
 
 
 @tried(4, "a", "b")
