@@ -42,18 +42,6 @@ def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> No
     assert units.state(3, 3, 2.0) is DUE
 
 
-def test_a_function_rests_alone_while_the_unit_answers_others() -> None:
-    units = SilentUnits(1.0)
-    assert not units.note_answer(7, 3)
-    assert units.note_silence(7, 4, 0.0)
-    assert not units.rests(7)
-    assert [units.state(7, function, 0.5) for function in (3, 4, 5)] == [GOOD, RESTING, GOOD]
-    assert units.state(8, 4, 0.5) is GOOD
-    assert units.state(7, 4, 2.0) is DUE
-    assert units.note_answer(7, 4)
-    assert units.state(7, 4, 2.0) is GOOD
-
-
 def test_a_unit_rests_when_nothing_that_it_answered_is_answered_any_more() -> None:
     units = SilentUnits(1.0)
     for function in (3, 4):

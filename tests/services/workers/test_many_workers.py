@@ -239,17 +239,6 @@ def test_none_is_asked_by_two(fault, make):
     assert world.unasked == []
 
 
-def test_a_lease_is_counted_from_before_it_was_sent():
-    """One whose way is slow sees late what it sent, and loses the bucket then."""
-    world = settled(processes=2, connections=10)
-    slow = world.processes[0]
-    slow.delay = 8.0
-    world.run(5 * LEASE)
-    slow.is_cut = True
-    world.run(2 * LEASE)
-    assert world.doubles == []
-
-
 def test_a_slow_way_loses_no_lease(monkeypatch):
     """A write and its change take 0.3 of a lease, and both workers wait as long."""
     world = settled(processes=2, connections=10)
