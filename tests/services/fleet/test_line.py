@@ -249,20 +249,6 @@ class TestChanges:
             assert list(line.pollers) == ["device 3"]
 
     @in_simulated_time
-    async def test_a_silent_one_that_is_removed_makes_room(self) -> None:
-        plant = Plant()
-        silent, good = plant.device(9), plant.device(1)
-        async with plant.polls(silent, good):
-            plant.silent.add(9)
-            while plant.units()[-1:] != [9]:
-                await asyncio.sleep(0.01)
-            plant.fleet.replace([good])
-            since = plant.now
-            await asyncio.sleep(5)
-            assert len(plant.units(since)) >= 4
-            assert plant.fleet.statistics.down == 0
-
-    @in_simulated_time
     async def test_a_silent_device_rests_on_when_the_connection_is_another(self) -> None:
         plant = Plant("tcp://10.0.0.1", "?timeout=0.5")
         async with plant.polls(plant.device(9), plant.device(1)):
