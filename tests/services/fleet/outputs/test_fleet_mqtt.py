@@ -5,7 +5,6 @@ MQTT with a real broker: TLS, the last will, commands, and a message for each po
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import re
 import socket
@@ -20,7 +19,6 @@ import pytest
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs import mqtt_connection
-from libmodbus_py.services.fleet.outputs.forms import object_text
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.tools.certificates import Identity
@@ -221,26 +219,6 @@ async def written(pump: Pump, readings: list[Reading]) -> None:
     count = pump.statistics.written + len(readings)
     pump.buffer.put(readings)
     await until(lambda: pump.statistics.written == count)
-
-
-@pytest.mark.parametrize("qos", [0, 1])
-@in_real_time
-async def test_each_poll_is_one_message_with_values_quality_reason_and_ids(
-    broker: Broker, qos: int
-) -> None:
-    async with pumping(Mqtt(broker.url, topic=TOPIC, qos=qos, retain=False)) as pump:
-        down = Reading(101.0, "a/b", "power", None, "W", "down", "ModbusTimeoutError", 9)
-        async with hearing(broker, "plant/+") as heard:
-            await written(pump, [*poll("a/b", 0, volts=230.5, amps=3), down, *poll("c", 1, x=1)])
-            await until(lambda: len(heard) == 3)
-        first, second = heard_of(heard, "plant/a%2Fb")
-        time = "1970-01-01T00:01:40.000Z"
-        good = {"time": time, "unit": "V", "quality": "good", "id": 1}
-        assert first == {
-            "device": "a/b",
-            "values": {"volts": {"value": 230.5, **good}, "amps": {"value": 3, **good}},
-        }
-        assert second["values"]["power"] == json.loads(object_text(down))
 
 
 @in_real_time
