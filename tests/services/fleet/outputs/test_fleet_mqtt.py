@@ -255,7 +255,7 @@ async def test_polls_above_the_largest_message_are_several(broker: Broker) -> No
 # --- what cannot be -----------------------------------------------------------------------------
 
 
-BAD_TOPICS = {
+BAD_TOPICS: dict[str, list[object]] = {
     "topic must hold": ["x/{name}", "x/{device}/{name}/{zone}", "x/{device!r}/{name}"],
     "topic must hold {device} and {name} once": ["plant", "plant/{site}/{device}/{name}"],
     "topic must hold {device} once": ["x/{device}/{zone}"],
@@ -268,7 +268,7 @@ BAD_TOPICS = {
     "must be a topic without": ["#/{device}/{name}"],
 }
 
-BAD_STATES = {
+BAD_STATES: dict[str, list[object]] = {
     "device_status must hold {device} once": ["states", "{device}/{name}", "{device}/{device}"],
     "device_status: each level must have one {name}": ["x{/{device}"],
     "device_status must not be another topic": [

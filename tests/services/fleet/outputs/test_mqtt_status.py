@@ -163,7 +163,7 @@ async def test_what_a_broker_retained_is_there_again_each_time_it_returns(
         for readings in polls:
             count = pump.statistics.written + len(readings)
             pump.buffer.put(readings)
-            await until(lambda count=count: pump.statistics.written == count)
+            await until(lambda count=count: pump.statistics.written == count)  # type: ignore[misc]
         assert await heard_later() == {topic: (each, True) for topic, each in retained.items()}
         for _ in range(3):
             await broker.restart(pump.statistics)
