@@ -8,10 +8,9 @@ import asyncio
 import base64
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager, closing, suppress
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import parse_qs
 
 import pytest
@@ -44,38 +43,39 @@ def answered(status: str, body: bytes = b"", *headers: str) -> bytes:
 NO_CONTENT = answered("204 No Content")
 
 
-@dataclass
-class Received:
+class Received(NamedTuple):
     line: str
     headers: dict[str, str]
     body: bytes
 
 
-@dataclass
 class HttpServer:
     """A server that gives these answers, one for each request; then 204."""
 
-    answers: list[Answer] = field(default_factory=list)
-    received: list[Received] = field(default_factory=list)
-    url: str = ""
+    def __init__(self, answers: Iterable[Answer]) -> None:
+        self.answers = [*answers]
+        self.received: list[Received] = []
+        self.url = ""
+        self.talks: set[asyncio.Task[None] | None] = set()
 
-    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
+    async def talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.talks.add(asyncio.current_task())
+        with closing(writer), suppress(ConnectionError, asyncio.IncompleteReadError):
+            while await self._answer(reader, writer):
+                pass
+
+    async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bool:
         first, *rest = (await reader.readuntil(b"\r\n\r\n")).decode().split("\r\n")
-        headers = {
-            name.lower(): value.strip()
-            for name, _, value in (each.partition(":") for each in rest if each)
-        }
-        body = await reader.readexactly(int(headers.get("content-length", "0")))
+        headers = {name.lower(): value for name, value in (each.split(": ") for each in rest[:-2])}
+        body = await reader.readexactly(int(headers["content-length"]))
         self.received.append(Received(first.removesuffix(" HTTP/1.1"), headers, body))
         answer = self.answers.pop(0) if self.answers else NO_CONTENT
         if answer is None:
             return False
         if isinstance(answer, bytes):
             writer.write(answer)
-            await writer.drain()
             return not isinstance(answer, Last)
-        for piece in answer[:-1]:
-            writer.write(piece)
+        writer.write(b"".join(answer[:-1]))
         while True:
             writer.write(answer[-1])
             await writer.drain()
@@ -84,26 +84,16 @@ class HttpServer:
 
 @asynccontextmanager
 async def serving(answers: Iterable[Answer] = ()) -> AsyncIterator[HttpServer]:
-    made = HttpServer([*answers])
-    talks: set[asyncio.Task[None]] = set()
-
-    async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        talks.add(task)
-        with closing(writer), suppress(ConnectionError, asyncio.IncompleteReadError):
-            while await made.serve(reader, writer):
-                pass
-
-    server = await asyncio.start_server(talk, "127.0.0.1", 0)
+    made = HttpServer(answers)
+    server = await asyncio.start_server(made.talk, "127.0.0.1", 0)
     made.url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}"
     try:
         yield made
     finally:
         server.close()
-        for task in talks:
+        for task in filter(None, made.talks):
             task.cancel()
-        await asyncio.gather(*talks, return_exceptions=True)
+        await asyncio.gather(*filter(None, made.talks), return_exceptions=True)
 
 
 READING = Reading(1_700_000_000.0, "north", "level", 7, "m", "good")
