@@ -106,37 +106,29 @@ def test_prometheus_asks_for_the_values(plant: Path, tmp_path: Path) -> None:
     section = "Grafana with Prometheus"
     pytest.importorskip("prometheus_client")
     with HeldPort() as metrics, HeldPort() as asked:
-        found = asked_prometheus(plant, tmp_path, section, metrics.number, asked.number)
+        served = f"127.0.0.1:{metrics.number}"
+        settings = block(section, "yaml", "scrape_configs").replace("127.0.0.1:9400", served)
+        (tmp_path / "prometheus.yml").write_text(settings.replace("5s", "50ms"))
+        check = [program("promtool"), "check", "config", "prometheus.yml"]
+        subprocess.run(check, cwd=tmp_path, check=True, capture_output=True, timeout=60)
+        command = [
+            program("prometheus"),
+            "--config.file=prometheus.yml",
+            "--storage.tsdb.path=data",
+            f"--web.listen-address=127.0.0.1:{asked.number}",
+        ]
+        with (
+            Started("poll", plant, "--metrics", served),
+            subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL) as prometheus,
+        ):
+            try:
+                listens(prometheus, asked.number)
+                query = urllib.parse.urlencode({"query": block(section, "text")})
+                (found,) = answered(f"http://127.0.0.1:{asked.number}/api/v1/query?{query}")
+            finally:
+                prometheus.terminate()
     assert found["value"][1] == "230.5"
     assert found["metric"]["device"] == "north"
-
-
-def asked_prometheus(
-    plant: Path, tmp_path: Path, section: str, served: int, port: int
-) -> dict[str, Any]:
-    """Return what Prometheus at a port answers to the query, with the metrics served at another."""
-    settings = block(section, "yaml", "scrape_configs")
-    settings = settings.replace("127.0.0.1:9400", f"127.0.0.1:{served}")
-    (tmp_path / "prometheus.yml").write_text(settings.replace("5s", "50ms"))
-    check = [program("promtool"), "check", "config", "prometheus.yml"]
-    subprocess.run(check, cwd=tmp_path, check=True, capture_output=True, timeout=60)
-    command = [
-        program("prometheus"),
-        "--config.file=prometheus.yml",
-        "--storage.tsdb.path=data",
-        f"--web.listen-address=127.0.0.1:{port}",
-    ]
-    with (
-        Started("poll", plant, "--metrics", f"127.0.0.1:{served}"),
-        subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL) as prometheus,
-    ):
-        try:
-            listens(prometheus, port)
-            query = urllib.parse.urlencode({"query": block(section, "text")})
-            (found,) = answered(f"http://127.0.0.1:{port}/api/v1/query?{query}")
-        finally:
-            prometheus.terminate()
-    return found
 
 
 def answered(url: str) -> list[dict[str, Any]]:
