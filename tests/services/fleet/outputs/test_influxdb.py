@@ -17,6 +17,7 @@ from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.output import ReadingsRefused
 from tests.services.fleet.outputs.influxdb import Database
+from tests.support import outputs
 from tests.support.programs import missing
 
 pytestmark = pytest.mark.skipif(bool(missing("influxd")), reason="Debian 13 has no InfluxDB")
@@ -34,18 +35,10 @@ def database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Databa
 
 def write(database: Database, *readings: Reading, **labels: str) -> None:
     points = RegisterMap([Point("state", "holding_registers", 0, states={0: "off"})])
-
-    async def go() -> None:
-        output = Influx(url=database.url, database="plant")
-        names = {each.device for each in readings}
-        output.describe({each: DeviceConfig(each, "tcp://127.0.0.1", points) for each in names})
-        await output.open()
-        try:
-            await output.write([each._replace(labels=labels) for each in readings])
-        finally:
-            await output.close()
-
-    asyncio.run(go())
+    output = Influx(url=database.url, database="plant")
+    names = {each.device for each in readings}
+    output.describe({each: DeviceConfig(each, "tcp://127.0.0.1", points) for each in names})
+    asyncio.run(outputs.write(output, [each._replace(labels=labels) for each in readings]))
 
 
 def reading(name: str, value: Any, time: float = 1_700_000_000.25, **keys: Any) -> Reading:
