@@ -65,15 +65,6 @@ def test_a_device_that_was_removed_has_no_labels() -> None:
 
 FLEET = """
 [[device]]
-name = "north"
-url = "tcp://127.0.0.1"
-labels = { site = "Halle" }
-[[device.point]]
-name = "level"
-table = "holding_registers"
-address = 0
-
-[[device]]
 name = "south"
 url = "tcp://127.0.0.2"
 LABELS
