@@ -29,9 +29,13 @@ backend: Any = pytest.importorskip("libmodbus_py.services.integrations.modbus_co
 LONG, SHORT = 5.0, 0.2
 
 
-def tcp(server: Scripted, timeout: float = LONG, **times: float) -> Any:
-    params = theirs.ModbusTcpParams(host="127.0.0.1", port=server.port)
+def tcp(port: int, timeout: float = LONG, **times: float) -> Any:
+    params = theirs.ModbusTcpParams(host="127.0.0.1", port=port)
     return backend.ModbusConnection(params, timeout=timeout, **times)
+
+
+def on_line(line: FakeUnit) -> Any:
+    return backend.ModbusConnection(theirs.ModbusSerialParams(device=line.path), timeout=SHORT)
 
 
 def read(connection: Any, address: int = 7) -> Any:
@@ -54,7 +58,7 @@ def served(
         def run_it(**others: Any) -> None:
             async def go() -> None:
                 async with Scripted(on_request).serving() as server:
-                    connection = tcp(server, timeout, **times)
+                    connection = tcp(server.port, timeout, **times)
                     await test(server, connection, **others)
                     await connection.close()
 
@@ -123,7 +127,7 @@ def test_a_callback_that_raises_harms_nobody() -> None:
     async def go() -> None:
         asyncio.get_running_loop().set_exception_handler(lambda _, said: complaints.append(said))
         async with Scripted(echo).serving() as server:
-            connection = tcp(server)
+            connection = tcp(server.port)
             connection.on_connection_lost(lambda: 1 // 0)
             server.on_request = hang_up(server)
             with pytest.raises(theirs.ModbusConnectionError):
@@ -158,8 +162,7 @@ def test_a_late_answer_on_a_line_is_not_the_next_ones() -> None:
         return [make_framer("rtu", "server").encode(Frame(1, bytes([3, 2, 0, value])))]
 
     async def go() -> None:
-        params = theirs.ModbusSerialParams(device=line.path)
-        connection = backend.ModbusConnection(params, timeout=SHORT)
+        connection = on_line(line)
         assert await read(connection, 9) == [9]
         with pytest.raises(theirs.ModbusTimeoutError):
             await read(connection, 1)
@@ -228,8 +231,7 @@ def test_connecting_that_nobody_waits_for_leaves_nothing(turns: int) -> None:
 
 def test_closing_while_it_connects() -> None:
     async def go() -> None:
-        params = theirs.ModbusTcpParams(host="127.0.0.1", port=port)
-        connection = backend.ModbusConnection(params, timeout=SHORT)
+        connection = tcp(port, SHORT)
         asking = asyncio.create_task(read(connection))
         await asyncio.sleep(SHORT / 4)
         await connection.close()
@@ -287,8 +289,7 @@ def test_another_event_loop_is_refused_in_their_words() -> None:
             gc.collect()  # while the loop is there, which its timer belongs to
 
     with FakeServer(lambda request: [fake.echo(request)]) as server:
-        params = theirs.ModbusTcpParams(host="127.0.0.1", port=server.port)
-        made = [backend.ModbusConnection(params, timeout=LONG)]
+        made = [tcp(server.port)]
         with pytest.warns(ResourceWarning, match="was not closed"):
             in_two_loops()
 
@@ -311,8 +312,7 @@ async def test_units_0_and_255_are_asked_over_tcp(server: Scripted, connection: 
 
 def test_unit_0_of_a_line_is_a_broadcast() -> None:
     async def go() -> None:
-        params = theirs.ModbusSerialParams(device=line.path)
-        connection = backend.ModbusConnection(params, timeout=SHORT)
+        connection = on_line(line)
         await connection.for_unit(0).write_register(1, 2)
         with pytest.raises(ValueError, match="broadcast"):
             await connection.for_unit(0).read_holding_registers(1, 1)
