@@ -9,7 +9,7 @@ import asyncio
 import json
 import ssl
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,7 @@ class Server:
         self.heard.append(lines)
         self.writers.append(writer)
         self.tasks.append(asyncio.current_task())
-        try:
+        with closing(writer), suppress(OSError):
             writer.write(b"INFO " + json.dumps(info).encode() + b"\r\n")
             if context is not None:
                 await writer.start_tls(context)
@@ -57,10 +57,6 @@ class Server:
                 lines.append(line)
                 if line == b"PING\r\n":
                     writer.write(b"PONG\r\n")
-        except OSError:
-            pass
-        finally:
-            writer.close()
 
     def say(self, data: bytes) -> None:
         self.writers[-1].write(data)
