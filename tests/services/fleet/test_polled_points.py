@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections import Counter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -193,35 +192,6 @@ async def test_devices_of_one_map_do_not_share_what_they_lack() -> None:
             plant.taken(unit)
         await asyncio.sleep(100)
         assert [plant.taken(unit) for unit in (3, 4)] == [10, 10]
-
-
-@in_simulated_time
-async def test_a_device_that_is_silent_about_its_first_request_is_not_down() -> None:
-    plant = plant_of()
-    plant.mute = {0}
-    async with plant.polls(device(plant, 1, APART)):
-        await asyncio.sleep(100)
-        poller = plant.fleet.devices["device 1"]
-        assert poller.state is DeviceState.UP
-        assert plant.fleet.statistics.failures == 1
-        plant.mute = set()
-        await asyncio.sleep(20)
-        assert poller.error is None
-    last = {each.name: (each.quality, each.value) for each in plant.readings}
-    assert last == {"a": ("good", 0), "b": ("good", 10), "c": ("good", 20)}
-    good = Counter(each.name for each in plant.readings if each.quality == "good")
-    assert good["b"] == good["c"] >= 10
-
-
-@in_simulated_time
-async def test_a_device_that_is_gone_costs_one_request_a_trial() -> None:
-    plant = plant_of()
-    plant.silent = {1}
-    async with plant.polls(device(plant, 1, APART)):
-        await asyncio.sleep(1000)
-        assert plant.fleet.devices["device 1"].state is DeviceState.DOWN
-        assert len(plant.asked) == plant.fleet.statistics.polls
-        assert len({address for *_, address in plant.asked}) == 3
 
 
 @in_simulated_time
