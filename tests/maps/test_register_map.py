@@ -200,19 +200,6 @@ def test_names_that_cannot_be_read(connect: Connect, meter: str) -> None:
                 call({}, {})
 
 
-OVERLAPPING = RegisterMap([Point("whole", H, 0, type="uint32"), Point("low", H, 1)])
-
-
-def test_points_may_overlap_but_not_in_one_write(connect: Connect) -> None:
-    device = Device(Mapping(holding_registers={0: [1, 2]}))
-    with serving(connect, device) as plc:
-        assert plc.read_map(OVERLAPPING) == {"whole": 65538, "low": 2}
-        with pytest.raises(ValueError, match="whole and low share holding_registers 1: "):
-            plc.write_map(OVERLAPPING, {"low": 1, "whole": 2})
-        plc.write_map(OVERLAPPING, {"low": 5})
-        assert plc.read_map(OVERLAPPING, ["whole"]) == {"whole": 65541}
-
-
 def test_a_point_that_failed_has_its_error(connect: Connect) -> None:
     """Its neighbours have their values."""
     holes = RegisterMap(
