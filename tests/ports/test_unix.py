@@ -189,12 +189,6 @@ def test_the_file_ends_with_the_server(path: str) -> None:
         assert os.listdir(os.path.dirname(path)) == []
 
 
-def test_the_file_of_a_server_that_died_is_replaced(path: str) -> None:
-    stale(path)
-    with server().background(f"unix://{path}"), Context.from_url(f"unix://{path}") as client:
-        assert client.read_holding_registers(0, 1) == [1]
-
-
 def test_a_file_of_another_program_stays(path: str) -> None:
     listener = UnixListener(path)
     with asyncio.run(listener.open()):
