@@ -41,7 +41,6 @@ from tests.support.framing import (
     rtu,
     single_bytes,
     take,
-    taken,
 )
 from tests.support.vectors import (
     CHECKSUMS,
@@ -95,10 +94,6 @@ class TestWorkedExamples:
         else:
             assert framer.feed(last) == [frame]
         assert framer.pending == 0
-
-    def test_is_found_between_neighbours(self, line: str, vector: FrameVector) -> None:
-        framer, wire, frame = self.parts(line, vector)
-        assert taken(framer, wire * 3) == [frame] * 3
 
     def test_is_found_cut_anywhere_in_a_pair(self, line: str, vector: FrameVector) -> None:
         framer, wire, frame = self.parts(line, vector)
