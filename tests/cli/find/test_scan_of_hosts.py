@@ -12,9 +12,9 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.find.scan import host_range
-from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support.cases import each_case
 from tests.support.commands import run
+from tests.tools.scan.simulated_bus import line
 
 
 @pytest.fixture
@@ -77,12 +77,8 @@ def test_a_range_without_any_server() -> None:
 def test_a_quick_scan_asks_usual_units(port: str) -> None:
     everything = run("scan", f"127.0.0.1:{port}", "--quick")
     assert everything.err.startswith("14 units, ")
-    assert [line.partition(":")[0] for line in everything.out.splitlines()] == ["unit 3"]
+    assert [each.partition(":")[0] for each in everything.out.splitlines()] == ["unit 3"]
     assert run("scan", f"127.0.0.1:{port}", "--quick", "-u", "30").out.startswith("unit 30: ")
-    assert run("scan", "/dev/no-such", "--quick").err.startswith("13 units at 4 settings, ")
-    assert run("scan", "/dev/no-such", "--quick", "-b", "4800").err.startswith(
-        "13 units at 2 settings, "
-    )
 
 
 @each_case(
@@ -94,10 +90,8 @@ def test_a_quick_scan_asks_usual_units(port: str) -> None:
     ],
 )
 def test_stop_bits_that_were_not_measured_are_not_said(words: list[str], setting: str) -> None:
-    with SerialWire() as wire:
-        url = f"rtu://{wire.server}?baudrate=9600"
-        with Server({1: Device(Mapping(holding_registers=2))}).background(url):
-            done = run("scan", wire.client, "-b", "9600", "-u", "1", *words)
+    with line({1: Device(Mapping(holding_registers=2))}) as wire:
+        done = run("scan", wire.client, "-b", "9600", "-u", "1", *words)
     assert f"unit 1 at {setting}" in done.out
 
 
@@ -111,6 +105,8 @@ def test_stop_bits_that_were_not_measured_are_not_said(words: list[str], setting
         (["-b", "9600,19200", "-p", "none,Even,O", "-u", "1-2"], "2 units at 6 settings, "),
         (["--baudrate", "9600", "--parity", "n,N,none", "--unit", "1"], "1 unit, "),
         (["--baudrates", "9600", "--parities", "E,N", "--units", "1"], "1 unit at 2 settings, "),
+        (["--quick"], "13 units at 4 settings, "),
+        (["--quick", "-b", "4800"], "13 units at 2 settings, "),
     ],
 )
 def test_scan_of_a_line_takes_them(words: list[str], tried: str) -> None:
