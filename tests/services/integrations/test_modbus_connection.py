@@ -305,22 +305,6 @@ def test_files_of_tls_are_named(tmp_path: Path) -> None:
 # --- telemetry ----------------------------------------------------------------------------------
 
 
-def test_statistics_go_on_through_reconnections() -> None:
-    async def go() -> None:
-        connection = tcp(server.port)
-        counted = connection.statistics
-        for _ in range(3):
-            await seven(connection.for_unit(1))
-            await connection.disconnect()
-        await connection.close()
-        assert connection.statistics is counted
-        assert (counted.connects, counted.responses) == (3, 3)
-        assert connection.last_error == ""
-
-    with FakeServer(lambda r: [echo(r)]) as server:
-        run(go())
-
-
 def test_prometheus_takes_a_connection() -> None:
     client = pytest.importorskip("prometheus_client")
     prometheus = pytest.importorskip("libmodbus_py.services.integrations.prometheus")

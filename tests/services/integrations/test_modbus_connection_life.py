@@ -337,3 +337,5 @@ async def test_a_unit_that_needs_longer_gets_a_new_link(server: Scripted, connec
     assert await read(connection) == [7]
     await unit.disconnect()
     assert not unit.connected
+    assert connection.last_error == ""
+    assert connection.statistics.connects == 2
