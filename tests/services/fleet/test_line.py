@@ -293,14 +293,13 @@ class TestChanges:
             assert most == 3
 
 
-class TestLease:
-    @in_simulated_time
-    async def test_who_may_ask_nothing_has_polled_once_at_once(self) -> None:
-        plant = Plant()
-        fleet = Fleet([plant.device(1), plant.device(2)], may_ask=lambda key: False)
-        await asyncio.wait_for(fleet.run(once=True), 10)
-        assert (fleet.statistics.held, fleet.statistics.polls) == (2, 0)
-        assert plant.asked == []
+@in_simulated_time
+async def test_who_may_ask_nothing_has_polled_once_at_once() -> None:
+    plant = Plant()
+    fleet = Fleet([plant.device(1), plant.device(2)], may_ask=lambda key: False)
+    await asyncio.wait_for(fleet.run(once=True), 10)
+    assert (fleet.statistics.held, fleet.statistics.polls) == (2, 0)
+    assert plant.asked == []
 
 
 @in_simulated_time

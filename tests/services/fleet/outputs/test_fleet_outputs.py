@@ -176,21 +176,20 @@ def value_of(device: str, name: str = "v", quality: str = "good", value: float =
     return Reading(1.0, device, name, value, "V", quality)  # type: ignore[arg-type]
 
 
-class TestLastValues:
-    def test_the_last_reading_of_each_point_is_kept(self) -> None:
-        values = LastValues()
-        values.describe({name: meter(name, "tcp://192.0.2.1") for name in ("a", "b")})
-        told = [value_of("a"), value_of("a", "w"), value_of("b"), value_of("a", value=2.0)]
-        asyncio.run(values.write(told))
-        assert values.statistics.by_name == {
-            ("a", "v"): told[3],
-            ("a", "w"): told[1],
-            ("b", "v"): told[2],
-        }
-        asyncio.run(values.write([value_of("a", quality="offline"), value_of("b", quality="down")]))
-        assert sorted(values.statistics.by_name) == [("a", "w"), ("b", "v")]
-        values.describe({"a": meter("a", "tcp://192.0.2.1")})
-        assert sorted(values.statistics.by_name) == [("a", "w")]
+def test_the_last_reading_of_each_point_is_kept() -> None:
+    values = LastValues()
+    values.describe({name: meter(name, "tcp://192.0.2.1") for name in ("a", "b")})
+    told = [value_of("a"), value_of("a", "w"), value_of("b"), value_of("a", value=2.0)]
+    asyncio.run(values.write(told))
+    assert values.statistics.by_name == {
+        ("a", "v"): told[3],
+        ("a", "w"): told[1],
+        ("b", "v"): told[2],
+    }
+    asyncio.run(values.write([value_of("a", quality="offline"), value_of("b", quality="down")]))
+    assert sorted(values.statistics.by_name) == [("a", "w"), ("b", "v")]
+    values.describe({"a": meter("a", "tcp://192.0.2.1")})
+    assert sorted(values.statistics.by_name) == [("a", "w")]
 
 
 def test_only_the_standard_output_wants_no_earlier_readings() -> None:
