@@ -10,7 +10,7 @@ import logging
 import re
 import socket
 import ssl
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -22,6 +22,8 @@ from ...tasks import KeptTasks, end_tasks, finish
 from .output import OutputError
 
 if TYPE_CHECKING:
+    from collections.abc import Coroutine
+
     import aiomqtt
 
     Hear = Callable[[aiomqtt.Message], Coroutine[Any, Any, None]]
@@ -118,7 +120,7 @@ class MqttConnection:
         """Pass messages on until the connection is lost."""
         with contextlib.suppress(OSError), _as_connection_error():
             async for message in client.messages:
-                self._tasks.begin(_heard(hear(message)))
+                self._tasks.begin(_hear(hear, message))
 
     @property
     def _used(self) -> aiomqtt.Client:
@@ -175,9 +177,9 @@ class MqttConnection:
             await client.__aexit__(None, None, None)
 
 
-async def _heard(hearing: Coroutine[Any, Any, None]) -> None:
+async def _hear(hear: Hear, message: aiomqtt.Message) -> None:
     with contextlib.suppress(ConnectionError):
-        await hearing
+        await hear(message)
 
 
 class _Debugging(HarmlessLogger):
