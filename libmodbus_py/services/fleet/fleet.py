@@ -114,8 +114,7 @@ class Fleet:
         self._loop: asyncio.AbstractEventLoop | None = None
         # True to poll each device once; the devices that are still to be polled then.
         self._once = False
-        # A heap: when each device is polled next. A plan is void if `Poller.at` differs, or if the
-        # device was removed.
+        # A heap: when each device is polled next. A plan is void if `Poller.at` differs.
         self._plans: list[tuple[float, int, Poller]] = []
         self._numbers = count()  # of plans: those for the same time keep their order
         self._alarm = Alarm(self._poll_due)
@@ -184,11 +183,11 @@ class Fleet:
     async def _stop(self) -> None:
         for key in list(self._lines):
             self._end_line(key)
+        self._alarm.cancel()
+        self._plans.clear()
         try:
             await self._receivers.stop(self._closing, is_patient=self._is_over.is_set())
         finally:
-            self._alarm.cancel()
-            self._plans.clear()
             self._loop = None
 
     # --- devices ------------------------------------------------------------------------------
@@ -325,7 +324,7 @@ class Fleet:
             if not self._plans or self._plans[0][0] > now:
                 break
             planned, _, poller = heappop(self._plans)
-            if planned != poller.at or self._pollers.get(poller.name) is not poller:
+            if planned != poller.at:
                 continue
             if not self._once:
                 at, missed = next_time(planned, poller.interval, now)

@@ -31,6 +31,7 @@ from tests.services.fleet.fleets import (
     stand_still,
     until,
 )
+from tests.support.outputs import Picky
 
 # --- what is read ------------------------------------------------------------------------
 
@@ -229,6 +230,16 @@ async def test_devices_that_were_replaced_are_not_kept_until_their_next_poll() -
             return former() is None
 
         await until(is_gone)
+
+
+@in_simulated_time
+async def test_no_plan_is_left_while_outputs_end() -> None:
+    class Slow(Picky):
+        async def close(self) -> None:
+            await asyncio.sleep(5)
+
+    async with Peer() as peer, polling(meter("a", peer.url), outputs=[Slow()]) as (fleet, _):
+        await until(lambda: fleet.statistics.polls >= 2)
 
 
 @in_simulated_time
