@@ -226,8 +226,9 @@ class Batch:
         """Note that a call has its outcome; the calls behind one that failed are forgotten."""
         self._open -= 1
         outcome = call.outcome
-        is_tolerated = self._go_on and isinstance(outcome, ModbusError)
-        if isinstance(outcome, BaseException) and not is_tolerated:
+        if isinstance(outcome, BaseException) and not (
+            self._go_on and isinstance(outcome, ModbusError)
+        ):
             for other in self.calls[self.calls.index(call) + 1 :]:
                 if not other.is_done:
                     self._open -= 1

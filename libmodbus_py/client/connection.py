@@ -217,7 +217,7 @@ class Transactions:
         return is_dead or bool(is_cut)
 
     def _send(self, call: Call, now: float) -> bytes:
-        matching = self.matching
+        matching, others = self.matching, self.in_flight
         if call.adu:
             self.statistics.retries += 1
         call.since = now - call.used
@@ -231,14 +231,15 @@ class Transactions:
             matching.alarm = deadline
         if call.changes:
             self._queue.note_write(call)
-        elif self.in_flight and self.window.is_open:
-            self.window.sent(call, self.in_flight, matching)
-        self.in_flight += 1
+        elif others and self.window.is_open:
+            self.window.sent(call, others, matching)
+        self.in_flight = others + 1
         if call.is_silent:
             self._silent.append((now + self._settings.turnaround, call))
             matching.wake(now + self._settings.turnaround)
-        if call.batch is not None and (follower := call.batch.next()) is not None:
-            self._queue.waiting.append(follower)
+        batch = call.batch
+        if batch is not None and batch.under_way < batch.limit:
+            self._go_on(batch)
         if matching.is_traced:
             self._trace.tell("sent", call.adu, call.unit, call.pdu[0])
         return call.adu
@@ -387,19 +388,24 @@ class Transactions:
 
     def _note_ends(self, calls: list[Call]) -> None:
         """End the time in flight of requests; after a good answer, its batch may go on."""
+        self.in_flight -= len(calls)
+        self._answered += calls
         for call in calls:
-            self.in_flight -= 1
             call.state = ANSWERED
-            self._answered.append(call)
-            batch, reply = call.batch, call.reply
-            if batch is None or batch.limit == 1 or not call.is_under_way:
-                continue
-            if isinstance(reply, bytes) and reply[0] < 0x80:
-                call.is_under_way = False
-                self._free(batch)
+            batch = call.batch
+            if batch is not None and batch.limit > 1 and call.is_under_way:
+                reply = call.reply
+                if isinstance(reply, bytes) and reply[0] < 0x80:
+                    call.is_under_way = False
+                    batch.under_way -= 1
+                    self._go_on(batch)
 
     def _free(self, batch: Batch) -> None:
         batch.under_way -= 1
+        self._go_on(batch)
+
+    def _go_on(self, batch: Batch) -> None:
+        """Submit the next request of a batch."""
         if (follower := batch.next()) is not None:
             self._queue.waiting.append(follower)
 
@@ -408,8 +414,9 @@ class Transactions:
         answered, self._answered = self._answered, []
         for call in answered:
             self._outcomes.settle(call, now)
-            if call.batch is not None:
-                self._note_batch(call, call.batch, now)
+            batch = call.batch
+            if batch is not None and (call.is_under_way or isinstance(call.outcome, BaseException)):
+                self._note_batch(call, batch, now)
 
     def _note_batch(self, call: Call, batch: Batch, now: float) -> None:
         """Let a batch go on after one of its requests, or forget those behind one that failed."""

@@ -56,7 +56,7 @@ class Window:
         self._place: Hashable = endpoint.key
         self._name = str(endpoint)
         self._most = self._bound = most
-        self._now = 1 if self.is_open else most
+        self.number: int = 1 if self.is_open else most  # found out by now
         self._count = 0  # answers since the number was changed
         self._was_full = self.is_open  # since then; one request is all that may be in flight
         self._slowest = 0.0  # seconds
@@ -65,8 +65,7 @@ class Window:
     @property
     def limit(self) -> int:
         """The number of requests that may be in flight now."""
-        # Most processes have no such endpoint: to hash a place takes time.
-        return 1 if ONE_AT_A_TIME and self.is_at_one else self._now
+        return 1 if ONE_AT_A_TIME and self.is_at_one else self.number
 
     @property
     def is_at_one(self) -> bool:
@@ -77,17 +76,18 @@ class Window:
         """Begin again for another connection."""
         self.silent.clear()
         if self.is_open:
-            self._now, self._bound, self._count, self._was_full = 1, self._most, 0, True
+            self.number, self._bound, self._count, self._was_full = 1, self._most, 0, True
             self._slowest = 0.0
 
     def sent(self, call: Call, others: int, matching: Matching) -> None:
         """Note that a read is sent beside others, and when they are lost; see rule 3."""
-        for each in matching.pending.values() if others == 1 else [call]:
-            if not each.changes and (each.unit, each.pdu[0]) not in self.silent:
-                wait = max(each.timeouts.timeout / 4, 2 * self._slowest)
-                each.lost_at = each.sent_at + wait
-                matching.wake(each.lost_at)
-        if others + 1 >= self._now:
+        for each in matching.pending.values() if others == 1 else (call,):
+            if not (each.changes or (self.silent and (each.unit, each.pdu[0]) in self.silent)):
+                quarter, twice = each.timeouts.timeout / 4, 2 * self._slowest
+                each.lost_at = at = each.sent_at + (quarter if quarter > twice else twice)
+                if at < matching.alarm:
+                    matching.alarm = at
+        if others + 1 >= self.number:
             self._was_full = True
 
     def answered(self, call: Call, took: float, pending: Mapping[int, Call]) -> None:
@@ -96,11 +96,11 @@ class Window:
             self._slowest = took
         if self.silent:
             self.silent.discard((call.unit, call.pdu[0]))
-        if self._was_full and self._now < self._bound:
+        if self._was_full and self.number < self._bound:
             self._count += 1
             oldest = next(iter(pending.values()), call)
-            if self._count >= self._now and oldest.order >= call.order:  # else it may be lost
-                self._now = min(2 * self._now, self._bound)
+            if self._count >= self.number and oldest.order >= call.order:  # else it may be lost
+                self.number = min(2 * self.number, self._bound)
                 self._count, self._was_full = 0, False
 
     def is_lost(self, error: ModbusError, call: Call) -> bool:
@@ -118,7 +118,7 @@ class Window:
 
     def halve(self) -> None:
         """Note that reads were answered too late beside others."""
-        self._now = self._bound = max(1, self._now // 2)
+        self.number = self._bound = max(1, self.number // 2)
 
     def take_one(self) -> None:
         """Note that a read was lost beside others, and answered alone."""
@@ -147,6 +147,7 @@ class Queue:
         self.last_write: int = 0  # its number among all frames
         self.matching = matching
         self.window = window
+        self._has_ids = matching.has_ids
         self._is_ordered = is_ordered
 
     @property
@@ -156,11 +157,13 @@ class Queue:
 
     def next(self, now: float, in_flight: int) -> Call | None:
         """Remove and return the next request; None, and the alarm is set, if none may be sent."""
-        if not self.matching.has_ids:
+        if not self._has_ids:
             return None if in_flight else self._next_on_line(now)
         if self.alone is not None:
             return self._next_again(now)
-        if self.lost or (in_flight and in_flight >= self.window.limit):
+        window = self.window  # its `limit`, without a call for each request
+        is_full = in_flight >= window.number or (ONE_AT_A_TIME and window.is_at_one)
+        if self.lost or (in_flight and is_full):
             return None
         if self.again and (call := self._next_again(now)) is not None:
             return call
