@@ -179,7 +179,7 @@ class Poller(LineRequest):
         found: dict[str, Any] = self._plan.results(answers, return_exceptions=True)
         return found
 
-    def readings(self, time: float, first: int = 0) -> list[Reading]:
+    def readings(self, time: float, first: int) -> list[Reading]:
         """Return the readings of the poll that is over, with ids from `first` on; 0 for no ids."""
         names = self.reads.names
         values = [*map(self.values().get, names)]

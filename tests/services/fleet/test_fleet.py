@@ -174,6 +174,7 @@ async def test_once_polls_each_once_and_ends() -> None:
         assert fleet.statistics.failures == 5
         told = [each async for each in kept]
         assert Counter(each.quality for each in told) == {"good": 15, "down": 15}
+        assert {each.id for each in told} == {0}  # there is no journal
         await Fleet().run(once=True)
 
 

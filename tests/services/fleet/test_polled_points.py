@@ -55,7 +55,7 @@ class Polled:
             cells = [self.cells[request.address + each] for each in range(request.count)]
             self.poller.take(failed or cells, self.now)
         self.now += self.poller.interval
-        return {each.name: (each.value, each.reason) for each in self.poller.readings(self.now)}
+        return {each.name: (each.value, each.reason) for each in self.poller.readings(self.now, 0)}
 
 
 def test_points_are_asked_and_reported_at_their_intervals() -> None:

@@ -61,7 +61,7 @@ def test_a_poll(outcomes: list[Any], state: DeviceState, error: Any, values: lis
     poller = poller_of()
     assert poll(poller, *outcomes) == [0, 500, 1000][: len(outcomes)]
     assert (poller.state, poller.error) == (state, error)
-    told = [(each.name, each.value, each.quality) for each in poller.readings(9.0)]
+    told = [(each.name, each.value, each.quality) for each in poller.readings(9.0, 0)]
     qualities = ["good" if value else "down" for value in values]
     assert told == [*zip(NAMES, values, qualities, strict=True)]
     poll(poller, *([[1], [2], [3]] if state is DeviceState.UP else [SILENT]))
@@ -80,7 +80,7 @@ def test_after_each_silence_another_request_comes_first(poller: Poller) -> None:
     assert poller.misses == 4
     assert poll(poller, [2], [3], [1]) == [500, 1000, 0]
     assert poller.misses == 0
-    assert [each.value for each in poller.readings(9.0)] == [1, 2, 3]
+    assert [each.value for each in poller.readings(9.0, 0)] == [1, 2, 3]
     assert poll(poller, [2], [3], [1]) == [500, 1000, 0]
 
 
@@ -95,7 +95,7 @@ def test_a_refusal_is_an_answer(poller: Poller) -> None:
     assert poller.state is DeviceState.UP
     assert poller.is_refused
     assert poller.misses == 0
-    assert [each.quality for each in poller.readings(9.0)] == ["bad"] * 3
+    assert [each.quality for each in poller.readings(9.0, 0)] == ["bad"] * 3
 
 
 def test_a_poll_begins_without_what_came_in_the_last_one(poller: Poller) -> None:

@@ -181,7 +181,7 @@ class Polls:
         self._poller.begin()
         while self._poller.request is not None:
             self._poller.take(list(cells), 0.0)
-        return self._poller.readings(0.0)
+        return self._poller.readings(0.0, 0)
 
 
 def values(*cells: int) -> dict[str, tuple[Any, str, str]]:
