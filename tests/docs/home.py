@@ -25,8 +25,6 @@ from typing import Self
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.tools.testing.wires import SerialWire
 
-__all__ = ["Home", "own_address"]
-
 DEVICE_PORT, OPEN_PORT = 10502, 5502
 
 

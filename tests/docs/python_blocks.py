@@ -22,8 +22,6 @@ from collections.abc import Callable
 
 from sybil import Example
 
-__all__ = ["Comparing", "matches", "run_python"]
-
 
 def run_python(example: Example, source: str, seen: Callable[[str], str]) -> None:
     """

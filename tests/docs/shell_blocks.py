@@ -28,8 +28,6 @@ from pathlib import Path
 from tests.docs.python_blocks import matches
 from tests.support.commands import PAGE_TOKEN, Started
 
-__all__ = ["Command", "Shell", "of_console", "of_sh"]
-
 Process = subprocess.Popen[bytes] | Started
 
 PATIENCE = 30.0

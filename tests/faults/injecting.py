@@ -34,8 +34,6 @@ import pytest
 from libmodbus_py import ModbusConnectionError
 from tests.support.leaks import LOOPS, Snapshot, settled
 
-__all__ = ["Scenario", "Trial", "eventually", "tried"]
-
 Error = Callable[[], Exception]
 
 

@@ -29,15 +29,13 @@ from tests.faults.test_servers import (
     LINE_REQUEST,
     TCP_ANSWER,
     ask_while_failing,
-    line,
     over,
     port_of,
     server,
 )
+from tests.faults.test_servers import line as line
 from tests.services.fleet.fleets import meter, until
 from tests.support.peers import FakeServer, FakeUnit
-
-__all__ = ["line"]
 
 GATEWAY = ("services.gateway", "server", "client", "ports", "device")
 SCAN = ("tools.scan", "client", "ports")

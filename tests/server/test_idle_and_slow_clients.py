@@ -17,7 +17,7 @@ from libmodbus_py import Device, Fault, Mapping, Server
 from libmodbus_py.server.limits import Limits
 from libmodbus_py.server.peer import READ_BYTES
 from tests.simulation.stage import Stage, Talker
-from tests.support.attacks import PATIENCE, connect, receive
+from tests.support.attacks import PATIENCE, READ_MOST, READ_ONE, adu, connect, receive
 from tests.support.peers import until
 from tests.support.served import (
     ANSWER_MOST,
@@ -25,9 +25,6 @@ from tests.support.served import (
     MOST_ANSWER,
     ONE_ANSWER,
     OVER_TCP,
-    READ_MOST,
-    READ_ONE,
-    adu,
     ask,
     rtu,
     served,

@@ -22,20 +22,10 @@ from libmodbus_py.server.limits import Limits, ServerStatistics
 from tests.simulation.sockets import MemoryListener
 from tests.simulation.stage import LineEnd, Stage
 from tests.support import attacks
-from tests.support.attacks import ServerProcess, connect, descriptor_limit, receive
+from tests.support.attacks import READ_ONE, ServerProcess, adu, connect, descriptor_limit, receive
 from tests.support.cases import each_case
 from tests.support.peers import until
-from tests.support.served import (
-    ANSWER_ONE,
-    KINDS,
-    NEVER,
-    ONE_ANSWER,
-    READ_ONE,
-    adu,
-    ask,
-    rtu,
-    served,
-)
+from tests.support.served import ANSWER_ONE, KINDS, NEVER, ONE_ANSWER, ask, rtu, served
 
 ILLEGAL_COUNT = bytes.fromhex("03 0000 0000")
 

@@ -13,18 +13,8 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.limits import Allowance, Limits
 from libmodbus_py.server.peer import READ_BYTES, Peer
 from tests.simulation.stage import Stage
-from tests.support.attacks import connect, receive
-from tests.support.served import (
-    ANSWER_ONE,
-    ONE_ANSWER,
-    OTHER,
-    OVER_TCP,
-    READ_ONE,
-    adu,
-    ask,
-    rtu,
-    served,
-)
+from tests.support.attacks import READ_ONE, adu, connect, receive
+from tests.support.served import ANSWER_ONE, ONE_ANSWER, OTHER, OVER_TCP, ask, rtu, served
 
 KIND = pytest.mark.parametrize("kind", OVER_TCP)
 

@@ -9,8 +9,8 @@ import pytest
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.limits import Limits
 from tests.simulation.stage import Stage
-from tests.support.attacks import connect, descriptor_limit, receive
-from tests.support.served import ANSWER_ONE, ONE_ANSWER, OTHER, OVER_TCP, READ_ONE, adu, ask, served
+from tests.support.attacks import READ_ONE, adu, connect, descriptor_limit, receive
+from tests.support.served import ANSWER_ONE, ONE_ANSWER, OTHER, OVER_TCP, ask, served
 
 KIND = pytest.mark.parametrize("kind", OVER_TCP)
 

@@ -23,20 +23,10 @@ from libmodbus_py.server.limits import Address, Allowance, Limits, ServerStatist
 from libmodbus_py.server.udp import Sources
 from tests.simulation.stage import Stage, Talker
 from tests.support import attacks, vectors
-from tests.support.attacks import UNIT, adu, connect
+from tests.support.attacks import READ_MOST, READ_ONE, UNIT, adu, connect
 from tests.support.cases import each_case
 from tests.support.peers import until
-from tests.support.served import (
-    ANSWER_MOST,
-    ANSWER_ONE,
-    NEVER,
-    OTHER,
-    READ_MOST,
-    READ_ONE,
-    ask,
-    served,
-    unit_one,
-)
+from tests.support.served import ANSWER_MOST, ANSWER_ONE, NEVER, OTHER, ask, served, unit_one
 from tests.support.talk import ascii_frame, rtu, tcp
 
 READ, ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")

@@ -18,8 +18,6 @@ from tests.support.attacks import UNIT, Attack, Step, adu
 from .sockets import DELAY, MemorySocket, at_once
 from .stage import Stage, Talker
 
-__all__ = ["Attackers", "Innocent", "Waited"]
-
 # How often an attacker that cannot send, or has sent, tries to send again.
 PERIOD = 0.001
 

@@ -23,8 +23,6 @@ from libmodbus_py.services.workers.worker import Worker
 
 from .world import Options
 
-__all__ = ["BREAKS", "Break"]
-
 
 @dataclass(frozen=True)
 class Break:

@@ -18,8 +18,6 @@ from .fleets import fleet, plant
 from .rules import Rest
 from .world import Ask, World, asking_gateway, clients
 
-__all__ = ["CASTS"]
-
 # How long everybody is left alone when the faults are over: units rest for half a minute at most.
 SETTLING = 70.0
 

@@ -21,8 +21,6 @@ from .lines import Party, SerialLine
 from .network import Network
 from .sockets import DELAY, MemorySocket
 
-__all__ = ["COUNT", "Behaviour", "Bus", "Host", "Unit", "time_of"]
-
 COUNT = 5
 """How many registers a read asks for."""
 

@@ -26,8 +26,6 @@ from .engine_client import EngineClient, Keys, Link, Message, Subscription
 from .given import giving
 from .network import Network
 
-__all__ = ["Engine", "EngineClient", "Message", "with_engine"]
-
 # Seconds that a message takes each way: the least and the most.
 DELAY = (0.0002, 0.002)
 

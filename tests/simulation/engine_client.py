@@ -22,8 +22,6 @@ from libmodbus_py.services.engine.connection import PAUSE, TIMEOUT
 if TYPE_CHECKING:
     from .engine import Engine
 
-__all__ = ["EngineClient", "Keys", "Link", "Message", "Subscription"]
-
 # Seconds without an answer after which a client takes its connection for lost: two pings.
 UNHEARD = (TIMEOUT, 2 * TIMEOUT)
 

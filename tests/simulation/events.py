@@ -11,8 +11,6 @@ import random
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["Events"]
-
 START = 1000.0
 
 

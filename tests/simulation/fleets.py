@@ -15,8 +15,6 @@ from tests.services.workers.trial import LEASE, Trial
 
 from .world import World, asking_gateway
 
-__all__ = ["fleet", "plant"]
-
 # Of the workers of a plant; seconds.
 LONG_LEASE = 30.0
 

@@ -11,8 +11,6 @@ from typing import Any
 
 from .network import Network
 
-__all__ = ["giving", "simulated"]
-
 Test = Callable[..., Coroutine[Any, Any, None]]
 
 

@@ -16,8 +16,6 @@ from libmodbus_py.protocol.errors import ModbusConnectionError
 from .events import Events
 from .loop import Descriptors
 
-__all__ = ["MemorySerialPort", "Party", "SerialLine"]
-
 Noise = Callable[[bytes], Iterable[tuple[float, bytes]]]
 """Returns, for what was written: pieces as they are heard, and how many seconds later each is."""
 

@@ -13,8 +13,6 @@ from typing import Any, TypeVar
 
 from .events import Events
 
-__all__ = ["Descriptors", "Stuck", "VirtualLoop", "complaints_of", "run"]
-
 Result = TypeVar("Result")
 
 # No timer is more exact. A shorter one might end before the clock moved at all, and again.

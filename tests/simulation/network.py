@@ -36,8 +36,6 @@ from .ports import MemoryWaker, memory_port
 from .processes import HOST, StoppableLoop
 from .sockets import DELAY, MemoryDatagrams, MemoryEpoll, MemoryListener, MemorySocket, pair
 
-__all__ = ["Accept", "Network"]
-
 Result = TypeVar("Result")
 
 Accept = Callable[[MemorySocket, tuple[str, int]], object]

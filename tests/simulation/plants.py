@@ -17,8 +17,6 @@ from tests.support.talk import rtu
 
 from .scripted import Scripted, Write
 
-__all__ = ["MAP", "ONE", "Plant"]
-
 # Two requests: the points are too far apart for one.
 MAP = RegisterMap([Point("near", "holding_registers", 0), Point("far", "holding_registers", 9)])
 ONE = RegisterMap([Point("near", "holding_registers", 0)])

@@ -22,8 +22,6 @@ from .events import START, Events
 from .rules import Broken
 from .world import FAULTS, Options, World
 
-__all__ = ["Failure", "chosen", "play", "recorded", "shortest", "tried"]
-
 # Seconds between two requests of a client, on average, and how long they go on: from a rush to a
 # quiet night.
 TEMPI = ((0.01, 20.0), (0.1, 60.0), (1.0, 60.0), (30.0, 4 * 3600.0))

@@ -23,8 +23,6 @@ from .events import Events
 from .loop import Descriptors
 from .sockets import MemorySocket
 
-__all__ = ["Connect", "MemoryWaker", "memory_port"]
-
 Connect = Callable[[], tuple[MemorySocket | None, int]]
 """Returns a socket to the address of a port, connected once it is writable; or an errno."""
 

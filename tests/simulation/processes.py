@@ -16,8 +16,6 @@ from typing import Any, TypeVar
 
 from .loop import VirtualLoop
 
-__all__ = ["HOST", "Process", "StoppableLoop"]
-
 Result = TypeVar("Result")
 
 HOST: contextvars.ContextVar[str] = contextvars.ContextVar("HOST", default="10.255.0.1")

@@ -16,8 +16,6 @@ from libmodbus_py import ExceptionResponse, ModbusError
 from .devices import COUNT, time_of
 from .events import Events
 
-__all__ = ["Broken", "Call", "Key", "Rest", "Wire", "Witness"]
-
 # What the clock of the values may be off.
 EXACT = 2e-6
 

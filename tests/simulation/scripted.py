@@ -15,8 +15,6 @@ from .lines import Party
 from .network import Network
 from .sockets import MemorySocket
 
-__all__ = ["OnRequest", "Scripted", "Write"]
-
 Write = Callable[..., None]
 """Takes bytes to send, or None to close; and after how many seconds: ``write(data, after=0.5)``."""
 

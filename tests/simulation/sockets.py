@@ -18,18 +18,6 @@ from typing import Any
 from .events import Events
 from .loop import Descriptors
 
-__all__ = [
-    "CAPACITY",
-    "DELAY",
-    "Carriage",
-    "MemoryDatagrams",
-    "MemoryEpoll",
-    "MemoryListener",
-    "MemorySocket",
-    "at_once",
-    "pair",
-]
-
 Carriage = Callable[[bytes], Iterable[tuple[float, bytes]]]
 """Returns, for what was sent: pieces, and after how many seconds each arrives at the earliest."""
 

@@ -29,8 +29,6 @@ from .network import Network
 from .ports import MemoryWaker
 from .sockets import MemorySocket
 
-__all__ = ["LineEnd", "Stage", "Talker"]
-
 Result = TypeVar("Result")
 
 DESCRIPTORS = 20_000

@@ -20,8 +20,6 @@ from .engine import Engine
 from .network import Network
 from .processes import Process
 
-__all__ = ["SimulatedWorker", "push_fleet"]
-
 
 async def push_fleet(
     engine: Engine, devices: Iterable[DeviceConfig], settings: FleetSettings | None = None

@@ -18,8 +18,6 @@ from .network import Network
 from .processes import HOST
 from .rules import Call, Wire, Witness
 
-__all__ = ["FAULTS", "Ask", "Options", "World", "asking_gateway", "clients"]
-
 Ask = Callable[[int], Awaitable[None]]
 """Asks a unit once."""
 

@@ -30,8 +30,6 @@ from typing import Any, TypeVar
 
 import pytest
 
-__all__ = ["Check", "each", "each_case"]
-
 T = TypeVar("T")
 
 # Of the failed cases, this many are listed with their message.

@@ -21,28 +21,6 @@ from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.sessions import ByChunk, ByFrame, Singles
 from libmodbus_py.server.units import TcpUnits, Units
 
-__all__ = [
-    "BITS",
-    "HOLES",
-    "REPLIED",
-    "WHOLE",
-    "End",
-    "FakeChannel",
-    "adu",
-    "bodies",
-    "contents",
-    "in_pieces",
-    "in_words",
-    "made_device",
-    "mask_writes",
-    "notes",
-    "read_writes",
-    "reads",
-    "single_writes",
-    "streams",
-    "writes",
-]
-
 REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
 """The functions that libmodbus answers from a mapping."""
 

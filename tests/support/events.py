@@ -10,8 +10,6 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from libmodbus_py.serve import AuditEvent
 from libmodbus_py.tools.certificates import Identity
 
-__all__ = ["Events", "named", "whose"]
-
 
 class Events(list[AuditEvent]):
     """The events of peers, and in `own` those of the server itself."""

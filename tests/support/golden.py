@@ -13,8 +13,6 @@ from typing import Any
 
 import pytest
 
-__all__ = ["Golden", "Refused", "golden", "pytest_addoption", "refused"]
-
 Golden = Callable[[str, str], None]
 Refused = Callable[[str, Callable[[Any], object]], None]
 

@@ -11,8 +11,6 @@ from libmodbus_py import AsyncClient
 from tests.simulation.network import Network
 from tests.simulation.scripted import OnRequest, Scripted
 
-__all__ = ["run_client", "run_peer"]
-
 
 def run_peer(
     on_request: OnRequest,

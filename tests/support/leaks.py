@@ -31,8 +31,6 @@ from _pytest.logging import caplog_records_key
 
 from libmodbus_py.device.reply import replier
 
-__all__ = ["LOOPS", "Snapshot", "lasts", "nothing_left", "pytest_configure", "settled"]
-
 # Threads and processes that are about to end may take so long, in seconds. Only what is left
 # behind for good waits for all of it.
 MOMENT = 10.0

@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 
-__all__ = ["resolve"]
-
 
 def resolve(monkeypatch: pytest.MonkeyPatch, name: str, *addresses: str) -> None:
     """Let a host name stand for addresses, or for 127.0.0.1, until the test ends."""

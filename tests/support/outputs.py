@@ -14,8 +14,6 @@ from libmodbus_py.services.fleet.outputs.output import Output
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.fleet.readings import MOST_KEPT
 
-__all__ = ["Picky", "pumped", "pumping", "reading", "write"]
-
 
 def reading(device: str, name: str, value: Any = 1, time: float = 100.0) -> Reading:
     return Reading(time, device, name, value, "V", "good")

@@ -11,8 +11,6 @@ import subprocess
 import time
 from typing import Any, Self
 
-__all__ = ["HeldPort", "find", "listens", "missing", "program", "run_to_end"]
-
 # Debian installs servers here, and leaves these folders out of the PATH of ordinary users.
 SERVER_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 

@@ -10,8 +10,6 @@ from libmodbus_py import pdu
 
 from .peers import OnRequest, Write, answer, echo
 
-__all__ = ["echoes", "good", "good_at", "reads"]
-
 
 def good(request: bytes, write: Write) -> None:
     """Answer a read over TCP at once."""

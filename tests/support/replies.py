@@ -10,12 +10,6 @@ from libmodbus_py import ModbusTimeoutError
 
 from .talk import LINE, TCP, Talk, kinds, rtu, tcp, value
 
-# fmt: off
-__all__ = [
-    "BOTH", "addresses", "answer", "answer_all", "exchange", "refusal", "reply", "unanswered",
-]
-# fmt: on
-
 BOTH = pytest.mark.parametrize("url", [TCP, LINE])
 
 

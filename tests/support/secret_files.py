@@ -6,8 +6,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["write_secret"]
-
 
 def write_secret(path: Path, text: str) -> Path:
     """Write a file that group and others cannot read; return its path."""

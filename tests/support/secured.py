@@ -13,8 +13,6 @@ from libmodbus_py.tools.certificates import Identity
 
 from .certificates import Papers, client, lasting_papers, server
 
-__all__ = ["VERSIONS", "Sealing", "context_of", "with_certificates"]
-
 VERSIONS = {"1.2": ssl.TLSVersion.TLSv1_2, "1.3": ssl.TLSVersion.TLSv1_3}
 
 

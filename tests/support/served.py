@@ -14,29 +14,9 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server.limits import Limits
 from tests.simulation.stage import Stage, Talker
 from tests.support import certificates
-from tests.support.attacks import READ_MOST, READ_ONE, adu
+from tests.support.attacks import READ_ONE, adu
 from tests.support.certificates import lasting_papers
 from tests.support.tls import VERSIONS, TlsClient, context
-
-__all__ = [
-    "ANSWER_MOST",
-    "ANSWER_ONE",
-    "KINDS",
-    "MOST_ANSWER",
-    "NEVER",
-    "ONE_ANSWER",
-    "OTHER",
-    "OVER_TCP",
-    "READ_MOST",
-    "READ_ONE",
-    "SealedTalker",
-    "Served",
-    "adu",
-    "ask",
-    "rtu",
-    "served",
-    "unit_one",
-]
 
 ANSWER_ONE = bytes.fromhex("03 02 0000")
 ONE_ANSWER = len(adu(ANSWER_ONE))

@@ -10,8 +10,6 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-__all__ = ["in_child", "interrupt", "on_alarm"]
-
 
 def interrupt() -> None:
     """Raise what Ctrl-C raises."""

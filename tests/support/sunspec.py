@@ -15,8 +15,6 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.client.requests import Several
 from libmodbus_py.protocol.errors import IllegalDataAddress
 
-__all__ = ["END", "MARKER", "Walked", "chain", "file_device", "serving", "walked"]
-
 MARKER = [0x5375, 0x6E53]
 END = [0xFFFF, 0]
 

@@ -11,8 +11,6 @@ from typing import Any
 
 from .tls_peers import TlsServer
 
-__all__ = ["LONG", "SOON", "Serving", "Talking", "descriptors"]
-
 LONG = 20.0
 """A timeout in seconds that no good answer needs, on a machine that is busy."""
 

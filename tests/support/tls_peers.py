@@ -22,8 +22,6 @@ from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
 
 from tests.support.peers import Answer, echo
 
-__all__ = ["HANDSHAKE", "Peer", "Relay", "Script", "Sealed", "TlsServer", "raw"]
-
 HANDSHAKE, APPLICATION_DATA = 22, 23
 
 

@@ -14,8 +14,6 @@ from libmodbus_py.tools.testing.wires import SerialWire
 
 from .certificates import Papers, secured
 
-__all__ = ["TRANSPORTS", "serving"]
-
 TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "rtu", "ascii"]
 
 

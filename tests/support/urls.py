@@ -6,8 +6,6 @@ from __future__ import annotations
 
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS, TransportRules
 
-__all__ = ["rules_of", "url_for"]
-
 
 def rules_of(scheme: str) -> TransportRules:
     """Return the rules of the transport of a scheme."""

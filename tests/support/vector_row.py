@@ -13,8 +13,6 @@ from typing import Any
 
 from tests.support.talk import ascii_frame, rtu
 
-__all__ = ["appended", "frame_row"]
-
 FILE = Path(__file__).with_name("vectors.json")
 
 

@@ -19,8 +19,6 @@ from tests.simulation.given import giving
 from tests.simulation.network import Network
 from tests.simulation.workers import SimulatedWorker, push_fleet
 
-__all__ = ["INTERVAL", "LEASE", "UNITS", "Asked", "Trial", "tried"]
-
 LEASE = 2.0
 INTERVAL = 0.5
 UNITS = 2

@@ -19,8 +19,6 @@ import pytest
 from tests.support import programs
 from tests.support.peers import until
 
-__all__ = ["IN_BROWSER", "Person", "person_at"]
-
 PROGRAMS = {"chromium": "chromium", "chromedriver": "chromium-driver"}
 
 PLACES = ((socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1"))

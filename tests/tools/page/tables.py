@@ -14,8 +14,6 @@ from libmodbus_py.tools.page.table_source import COLUMNS, ShownPoint, TableSourc
 from libmodbus_py.tools.page.text import cell_text
 from tests.tools.page.watching import Visitor
 
-__all__ = ["HOSTILE", "Plant", "visited"]
-
 HOSTILE = (
     "<script>document.title='hit'</script>",
     '"><img src=x onerror="document.title=\'hit\'">',

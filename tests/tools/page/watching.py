@@ -16,8 +16,6 @@ from libmodbus_py import Device, Mapping, Server, ServerDeviceBusy
 from libmodbus_py.maps.point import Point
 from libmodbus_py.page import live_page
 
-__all__ = ["Visitor", "is_served", "made_server", "shown"]
-
 POINTS = (
     Point("temperature", "holding_registers", 0, type="float32", order="CDAB", units="°C"),
     Point("level", "holding_registers", 2, scale=0.1, units="m", minimum=0, maximum=100),

@@ -20,8 +20,6 @@ from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.support.peers import until
 
-__all__ = ["Member", "SimulatedBus", "answering", "line", "of", "served", "simulated"]
-
 # A request PDU -> the answer PDU, or None for silence; EOFError takes the port away.
 Answer = Callable[[bytes], bytes | None]
 
