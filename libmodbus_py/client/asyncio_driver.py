@@ -271,7 +271,7 @@ class AsyncioDriver:
         else:
             if not connection.in_flight and self._port.has_input():
                 self._read()
-            if adus := connection.start(now):
+            while adus := connection.start(now):
                 self._send(adus, now)
         if connection.broken is not None:
             self._lose(connection.broken, by_itself=False)

@@ -244,8 +244,9 @@ class BlockingDriver:
                     connection.take_back()
                     self._look(now)
             else:
-                if adus:
+                while adus:
                     port.send(adus, now)
+                    adus = connection.start(now)
                 if not (job.is_done or connection.broken):
                     self._wait(now)
         except ModbusConnectionError as error:

@@ -26,17 +26,12 @@ if TYPE_CHECKING:
     from ..ports.trace import Trace
     from .statistics import Statistics
 
+# fmt: off
 __all__ = [
-    "MAX_IN_FLIGHT",
-    "NOT_ASKED",
-    "Batch",
-    "Call",
-    "Matching",
-    "Phase",
-    "Timeouts",
-    "no_answer",
-    "raised",
+    "ANSWERED", "MAX_IN_FLIGHT", "NOT_ASKED", "SENT", "WAITING", "Batch", "Call", "Matching",
+    "Phase", "Timeouts", "no_answer", "raised",
 ]
+# fmt: on
 
 NOT_ASKED: Final = object()
 """The outcome of a request that has none yet, or was never sent."""
@@ -75,6 +70,9 @@ class Phase(enum.Enum):
     ANSWERED = enum.auto()
 
 
+WAITING, SENT, ANSWERED = Phase.WAITING, Phase.SENT, Phase.ANSWERED  # looked up once
+
+
 class Call:
     """
     One request to one unit; without a request it only waits for the connection.
@@ -86,29 +84,14 @@ class Call:
             braces for the index.
     """
 
-    # Of the class, because most calls never set them: making a call takes half the time.
-    batch: Batch | None = None
-    is_silent: bool = False
-    is_done: bool = False
-    state: Phase = Phase.WAITING
-    outcome: Any = NOT_ASKED  # the result, or the exception
-    on_done: Callable[[Call], object] | None = None  # not of calls of a batch
-    reply: bytes | ModbusError | None = None  # the PDU of the answer, or an error
-    answerer: int = 0  # the unit that answered
-    adu: bytes = b""  # the frame that was sent last
-    number: int = 0  # its transaction id
-    earlier: int = -1  # the id of the frame before, if that was not answered
-    order: int = 0  # its number among the frames of the connection
-    sent_at: float = 0.0
-    since: float = 0.0  # when its time began: sooner by `used` if it has waited for the connection
-    used: float = 0.0
-    due: float = 0.0  # when it is to be sent again
-    lost_at: float = math.inf  # when it is lost beside others, and is asked again alone
-    waits_until: float = math.inf  # when it fails for lack of silence on the line
-    is_wanted: bool = True  # False if it is not to be sent again
-    is_under_way: bool = True  # False if its batch has gone on without its outcome
-    tries: int = 0  # how often it was sent again; `busy_tries` because the device was busy
-    busy_tries: int = 0
+    # fmt: off
+    __slots__ = (
+        "adu", "answerer", "batch", "busy_tries", "changes", "due", "earlier", "is_done",
+        "is_silent", "is_under_way", "is_wanted", "lost_at", "number", "on_done", "order",
+        "outcome", "pdu", "reply", "request", "sent_at", "since", "state", "timeouts", "tries",
+        "unit", "used", "waits_until",
+    )
+    # fmt: on
 
     def __init__(
         self,
@@ -122,6 +105,29 @@ class Call:
         self.unit: int = unit
         self.request: Request[Any] | None = request
         self.timeouts: Timeouts = timeouts
+        self.batch: Batch | None = None
+        self.is_silent: bool = False
+        self.is_done: bool = False
+        self.state: Phase = WAITING
+        self.outcome: Any = NOT_ASKED  # the result, or the exception
+        self.on_done: Callable[[Call], object] | None = None  # not of calls of a batch
+        self.reply: bytes | ModbusError | None = None  # the PDU of the answer, or an error
+        self.answerer: int = 0  # the unit that answered
+        self.adu: bytes = b""  # the frame that was sent last
+        self.number: int = 0  # its transaction id
+        self.earlier: int = -1  # the id of the frame before, if that was not answered
+        self.order: int = 0  # its number among the frames of the connection
+        self.sent_at: float = 0.0
+        # When its time began; sooner by `used` if it has waited for the connection.
+        self.since: float = 0.0
+        self.used: float = 0.0
+        self.due: float = 0.0  # when it is to be sent again
+        self.lost_at: float = math.inf  # when it is lost beside others, and is asked again alone
+        self.waits_until: float = math.inf  # when it fails for lack of silence on the line
+        self.is_wanted: bool = True  # False if it is not to be sent again
+        self.is_under_way: bool = True  # False if its batch has gone on without its outcome
+        self.tries: int = 0  # how often it was sent again; `busy_tries` because the device was busy
+        self.busy_tries: int = 0
         if request is None:
             self.pdu: bytes = b""
             self.changes: bool = False

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 from ..ports.trace import Trace
 from ..protocol.checks import finished, log_failure
 from ..protocol.errors import FrameError, ModbusConnectionError, ModbusError, alike
-from .call import Batch, Call, Matching, Phase
+from .call import ANSWERED, SENT, WAITING, Batch, Call, Matching
 from .ids import Ids
 from .outcomes import Outcomes, add_hint, explain_end
 from .queue import Queue, Window
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from .options import CheckedOptions
 
 __all__ = ["Transactions"]
-
-WAITING, SENT, ANSWERED = Phase.WAITING, Phase.SENT, Phase.ANSWERED
 
 # A connection is flooded if more bytes than this arrive that belong to no request.
 MAX_UNASKED_BYTES = 1 << 16
@@ -168,7 +166,10 @@ class Transactions:
     # --- sending ------------------------------------------------------------------------------
 
     def start(self, now: float) -> list[bytes]:
-        """Return the frames to send now."""
+        """
+        Return the frames to send now: up to half of those that may be in flight; the next call
+        returns the others, so that the server has work while answers are decoded.
+        """
         adus: list[bytes] = []
         queue, matching = self._queue, self.matching
         if not (queue.waiting or queue.again or queue.lost):
@@ -198,6 +199,11 @@ class Transactions:
                 self._next_start = now + self._settings.request_spacing
                 break
             if not (queue.waiting or queue.again):
+                break
+            most, batch = self.window.number, call.batch
+            if batch is not None and 1 < batch.limit < most:
+                most = batch.limit
+            if most <= 2 * len(adus):
                 break
         if adus:
             self.is_flooded = False

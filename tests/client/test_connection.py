@@ -8,6 +8,7 @@ import pytest
 
 from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, pdu
 from libmodbus_py.client.call import NOT_ASKED
+from tests.support.cases import each_case
 from tests.support.replies import BOTH, addresses, answer, refusal, unanswered
 from tests.support.talk import LINE, LOST, TCP, Talk, kinds, tcp, value
 
@@ -332,3 +333,17 @@ def test_a_batch_without_requests_is_over_at_once_on_a_connection_that_stands() 
     talk.connection.submit(batch, talk.now)
     assert batch.is_done
     assert talk.is_at_rest
+
+
+# --- halves -------------------------------------------------------------------------------
+
+
+@each_case(("limits", "halves"), [([16], [8, 8, 0]), ([2], [1, 1, 0]), ([1] * 20, [8, 8, 0])])
+def test_up_to_half_of_what_may_be_in_flight_is_sent_at_once(
+    limits: list[int], halves: list[int]
+) -> None:
+    """The server works on one half while the answers to the other one are decoded."""
+    talk = Talk()
+    for limit in limits:
+        talk.connection.submit(talk.batch(*range(20), limit=limit), talk.now)
+    assert [len(talk.connection.start(talk.now)) for _ in halves] == halves
