@@ -299,9 +299,8 @@ class AsyncioDriver:
         if at < self._alarm.at and self._life.state is not State.CLOSED:
             self._alarm.set(at, self._bound)
 
-    def _ring(self) -> None:
+    def _ring(self, now: float) -> None:
         """Process timeouts and pauses of the port that are over."""
-        now = self._now()
         if self._port.resume_at is not None and self._port.resume_at <= now:
             self._go_on()
         self._connection.tick(now)

@@ -90,9 +90,13 @@ async def _ready(wanted: Ready) -> bool:
 class Alarm:
     """
     A timer that is replaced only when an earlier time is set, because most timers are not needed.
+
+    asyncio ends timers early, by up to the resolution of its clock. So `ring` gets the time: that
+    of the clock, or the one that the alarm was set for, whichever is later. Who asks the clock
+    again would find that nothing is due, and set the alarm for the same time.
     """
 
-    def __init__(self, ring: Callable[[], object]) -> None:
+    def __init__(self, ring: Callable[[float], object]) -> None:
         self.at: float = math.inf
         self._ring = ring
         self._timer: asyncio.TimerHandle | None = None
@@ -102,7 +106,7 @@ class Alarm:
         if at < self.at:
             self.cancel()
             self.at = at
-            self._timer = loop.call_at(at, self._rings)
+            self._timer = loop.call_at(at, self._rings, loop)
 
     def cancel(self) -> None:
         """Clear the alarm; it can be set again."""
@@ -110,6 +114,7 @@ class Alarm:
             self._timer.cancel()
         self._timer, self.at = None, math.inf
 
-    def _rings(self) -> None:
+    def _rings(self, loop: asyncio.AbstractEventLoop) -> None:
+        now = max(loop.time(), self.at)
         self._timer, self.at = None, math.inf
-        self._ring()
+        self._ring(now)

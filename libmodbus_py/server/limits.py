@@ -192,11 +192,11 @@ class Allowance:
         self._left = self._most = max(1.0, rate)
         self._at = now
 
-    def wait(self, now: float) -> float:
-        """Return the seconds until the client may send again; 0 if it may now."""
+    def until(self, now: float) -> float:
+        """Return the time from which on the client may send again, which is now or later."""
         self._left = min(self._most, self._left + (now - self._at) * self._rate)
         self._at = now
-        return max(0.0, -self._left / self._rate)
+        return now + max(0.0, -self._left / self._rate)
 
     def spend(self, requests: int) -> None:
         self._left -= requests
@@ -214,7 +214,10 @@ Each = TypeVar("Each", bound=Paused)
 class Address(Generic[Each]):
     """One address, as `counted_host` returns it, and all its connections."""
 
-    __slots__ = ("_allowance", "_loop", "_paused", "_rate", "_timer", "connections", "host")
+    __slots__ = (
+        *("_allowance", "_due", "_loop", "_paused", "_rate", "_timer"),
+        *("connections", "host"),
+    )
 
     def __init__(self, host: str, rate: float, loop: asyncio.AbstractEventLoop) -> None:
         self.host: str = host
@@ -224,10 +227,12 @@ class Address(Generic[Each]):
         self._allowance = Allowance(rate, loop.time())
         self._paused: OrderedDict[Each, None] = OrderedDict()
         self._timer: asyncio.TimerHandle | None = None
+        self._due = -math.inf  # of the last timer that has ended
 
     def is_overspent(self) -> bool:
         """Return True if the address has sent too many requests for now."""
-        return self._allowance.wait(self._loop.time()) > 0
+        now = self._now()
+        return self._allowance.until(now) > now
 
     def spend(self, requests: int) -> None:
         self._allowance.spend(requests)
@@ -236,7 +241,7 @@ class Address(Generic[Each]):
         """Resume a connection in its turn, when its address may send requests again."""
         self._paused[connection] = None
         if self._timer is None:
-            self._release_after(self._allowance.wait(self._loop.time()))
+            self._set_timer()
 
     def forget(self, connection: Each) -> None:
         self.connections.pop(connection, None)
@@ -245,18 +250,22 @@ class Address(Generic[Each]):
             self._timer.cancel()
             self._timer = None
 
-    def _release_after(self, seconds: float) -> None:
-        self._timer = self._loop.call_later(seconds, self._release)
+    def _now(self) -> float:
+        # asyncio ends timers early, if only by the resolution of its clock.
+        return max(self._loop.time(), self._due)
 
-    def _release(self) -> None:
+    def _set_timer(self) -> None:
+        at = self._allowance.until(self._now())
+        self._timer = self._loop.call_at(at, self._release, at)
+
+    def _release(self, due: float) -> None:
         """Resume one connection only, because its requests are counted after it is read."""
-        self._timer = None
-        wait = self._allowance.wait(self._loop.time())
-        if not wait:
+        self._timer, self._due = None, due
+        if not self.is_overspent():
             connection, _ = self._paused.popitem(last=False)
             connection.resume()
         if self._paused:
-            self._release_after(wait)
+            self._set_timer()
 
 
 class Addresses(Generic[Each]):

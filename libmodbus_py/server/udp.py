@@ -206,7 +206,8 @@ class Sources:
         allowance = self._returns.get(key)
         if allowance is None:
             return False
-        if allowance.wait(self._loop.time()) > 0:
+        now = self._loop.time()
+        if allowance.until(now) > now:
             del self._returns[key]
             return True
         allowance.spend(1)

@@ -257,11 +257,14 @@ class SharedLine(ABC, Generic[Each]):
 
     # --- who is next --------------------------------------------------------------------------
 
-    def go_on(self) -> None:
-        """Send what may be sent now, and set the alarm for what may be sent later."""
+    def go_on(self, now: float | None = None) -> None:
+        """
+        Send what may be sent now, or at the time that the alarm was set for, and set it for the
+        rest.
+        """
         if self.is_closed:
             return
-        now = self._loop.time()
+        now = self._loop.time() if now is None else now
         while (each := self._pick(now)) is not None:
             if each.is_trial or now - each.waits_since <= self._longest_wait:
                 self._send(each, now)

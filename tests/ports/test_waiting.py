@@ -33,6 +33,7 @@ from libmodbus_py.ports.waiting import (
     run,
 )
 from libmodbus_py.ports.waiting_async import Alarm, run_async
+from tests.simulation.loop import VirtualLoop
 from tests.simulation.network import Network
 from tests.support.cases import each_case
 from tests.support.names import resolve
@@ -371,7 +372,7 @@ def rung(*times: float, until: float, is_cancelled: bool = False) -> tuple[list[
     async def main() -> float:
         loop = asyncio.get_running_loop()
         began = loop.time()
-        alarm = Alarm(lambda: found.append(loop.time() - began))
+        alarm = Alarm(lambda now: found.append(now - began))
         for each in times:
             alarm.set(began + each, loop)
         if is_cancelled:
@@ -389,6 +390,13 @@ def test_the_earliest_time_counts_in_any_order() -> None:
     assert rung(2, 5, until=10) == ([2], math.inf)
 
 
+def test_a_timer_that_ends_early_is_told_the_time_it_was_set_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(VirtualLoop, "early", 0.25)
+    assert rung(5, 2, 3, until=10) == ([2], math.inf)
+
+
 def test_before_its_time_it_is_silent_and_tells_when() -> None:
     assert rung(5, 3, until=1) == ([], 3)
 
@@ -402,10 +410,10 @@ def test_after_it_rang_it_can_be_set_for_a_later_time() -> None:
         loop, found = asyncio.get_running_loop(), []
         began = loop.time()
 
-        def ring() -> None:
-            found.append(loop.time() - began)
+        def ring(now: float) -> None:
+            found.append(now - began)
             if len(found) < 3:
-                alarm.set(loop.time() + len(found), loop)
+                alarm.set(now + len(found), loop)
 
         alarm = Alarm(ring)
         alarm.set(began + 1, loop)

@@ -15,15 +15,19 @@ from .events import Events
 
 Result = TypeVar("Result")
 
-# No timer is more exact. A shorter one might end before the clock moved at all, and again.
-SHORTEST_DELAY = 1e-6
+# Turns of the loop at one time, after which somebody must be asking the clock without end; the
+# most that any test takes are about a hundred.
+MOST_TURNS = 10_000
+
+# Simulated seconds in which a task that was cancelled must end.
+LAST_WAIT = 3600.0
 
 # Descriptors of the simulation begin here; those below are the system's.
 FIRST_DESCRIPTOR = 10**6
 
 
 class Stuck(AssertionError):
-    """Everybody waits, and nothing will ever happen."""
+    """Everybody waits, and nothing will ever happen; or nobody waits, and time stands still."""
 
 
 class Descriptors:
@@ -58,6 +62,9 @@ class Selector(selectors._BaseSelectorImpl):
         self._system = selectors.DefaultSelector()
         self.interrupt: Callable[[], bool] = lambda: False
         self.turns: int = 0
+        self.early: float = 0.0
+        self._turns_before: int = 0
+        self._moved_at: float = -math.inf
         self.is_woken: bool = False
         self.on_turn: Callable[[], object] = lambda: None
 
@@ -98,10 +105,15 @@ class Selector(selectors._BaseSelectorImpl):
         super().close()
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        until = math.inf if timeout is None else self._events.now + max(0.0, timeout)
-        self.turns += 1
-        self.on_turn()
         events = self._events
+        until = math.inf if timeout is None else events.now + max(0.0, timeout - self.early)
+        self.turns += 1
+        if events.now != self._moved_at:
+            self._turns_before, self._moved_at = self.turns, events.now
+        elif self.turns - self._turns_before > MOST_TURNS:
+            self._turns_before = self.turns  # who is cancelled now may end
+            raise Stuck(f"the loop turns without end at {events.now!r} s")
+        self.on_turn()
         if events.next_at <= events.now:
             events.advance(events.now)
         while not (ready := self._ready()):
@@ -140,12 +152,29 @@ class Selector(selectors._BaseSelectorImpl):
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
-    """An event loop whose time is that of the events."""
+    """
+    An event loop whose time is that of the events.
+
+    Attributes:
+        early: the seconds by which timers end before their time. asyncio allows a loop the
+            resolution of its clock, which is one step of a float here unless a test says more.
+    """
+
+    early: float = 0.0
 
     def __init__(self, events: Events, descriptors: Descriptors) -> None:
         self._events = events
         self._waiting = Selector(events, descriptors)
+        self._waiting.early = self.early
         super().__init__(self._waiting)
+
+    @property
+    def _clock_resolution(self) -> float:
+        return max(math.ulp(self._events.now), 2 * self.early)
+
+    @_clock_resolution.setter
+    def _clock_resolution(self, seconds: float) -> None:
+        """Ignore that of the system's clock, which the base class sets."""
 
     def time(self) -> float:
         return self._events.now
@@ -165,12 +194,6 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def call_each_turn(self, call: Callable[[], object]) -> None:
         """Call a function whenever a turn ends."""
         self._waiting.on_turn = call
-
-    def call_later(
-        self, delay: float, callback: Callable[..., object], *args: Any, context: Any = None
-    ) -> asyncio.TimerHandle:
-        shortest = SHORTEST_DELAY if delay > 0 else 0.0
-        return super().call_later(max(shortest, delay), callback, *args, context=context)
 
     def run_until(self, is_so: Callable[[], bool], seconds: float) -> bool:
         """Run until a condition holds, which is looked at whenever everybody waits."""
@@ -224,5 +247,8 @@ def _cancel_all(loop: VirtualLoop) -> None:
     for task in left:
         task.cancel()
     if left:
-        loop.run_until_complete(asyncio.gather(*left, return_exceptions=True))
+        with contextlib.suppress(Stuck):  # some do not end, and are named below
+            loop.run_until(asyncio.gather(*left, return_exceptions=True).done, LAST_WAIT)
+    endless = [repr(task) for task in left if not task.done()]
+    assert not endless, f"cancelled, and did not end: {endless}"
     loop.run_until_complete(loop.shutdown_asyncgens())

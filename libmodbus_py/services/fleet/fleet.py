@@ -321,10 +321,8 @@ class Fleet:
             poller.at = at
             heappush(self._plans, (at, next(self._numbers), poller))
 
-    def _poll_due(self) -> None:
+    def _poll_due(self, now: float) -> None:
         """Begin the polls whose time has come, and set the alarm for the next one."""
-        assert self._loop is not None
-        now = self._loop.time()
         for _ in range(MOST_AT_ONCE):
             if not self._plans or self._plans[0][0] > now:
                 break

@@ -289,8 +289,8 @@ class GatewayLine(SharedLine[Forwarded]):
             self._refuse(each, NO_ANSWER)
         await super().close()
 
-    def go_on(self) -> None:
-        super().go_on()
+    def go_on(self, now: float | None = None) -> None:
+        super().go_on(now)
         self._count()
 
     def _count(self) -> None:

@@ -5,7 +5,6 @@ Runs a worker: carries out its decisions with a clock, a bucket and a fleet.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import re
 import secrets
@@ -176,8 +175,9 @@ class Polling:
     # --- decisions ------------------------------------------------------------------------------
 
     async def _keep_deciding(self) -> None:
-        while not self.worker.left and self.now() < self._leave_by:
-            decision = step(self.worker, self.now(), self._report())
+        now = self.now()
+        while not self.worker.left and now < self._leave_by:
+            decision = step(self.worker, now, self._report())
             # First, because other workers may poll a connection as soon as its slot is written.
             self._poll(decision.active)
             for put in decision.puts:
@@ -186,16 +186,21 @@ class Polling:
             self._report_unserved(decision.unserved)
             if decision.is_blind and self._is_whole:
                 self._doubted.set()
-            await self._until_due()
+            now = await self._until_due()
 
-    async def _until_due(self) -> None:
+    async def _until_due(self) -> float:
+        """Wait until a decision is due; return the time, which is not before that."""
         self._woken.clear()
         settings = self.worker.view.settings
         shortest = min(COARSEST_S, EXACTNESS * settings.lease if settings else COARSEST_S)
-        pause = max(shortest, min(self.worker.due, self._leave_by) - self.now())
-        with contextlib.suppress(TimeoutError):
+        now = self.now()
+        pause = max(shortest, min(self.worker.due, self._leave_by) - now)
+        try:
             async with asyncio.timeout(pause):
                 await self._woken.wait()
+        except TimeoutError:  # asyncio ends timers early, if only by the resolution of its clock
+            return max(self.now(), now + pause)
+        return self.now()
 
     # --- devices --------------------------------------------------------------------------------
 

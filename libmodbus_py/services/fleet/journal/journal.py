@@ -247,12 +247,12 @@ class Journal:
     async def _run(self) -> None:
         pauses = Pauses(LONGEST_PAUSE_S)
         while True:
-            await self._something_to_do()
+            is_force_due = await self._something_to_do()
             try:
                 if self._damage is not None:
                     await self._replace(self._damage)
-                now = asyncio.get_running_loop().time()
-                if now >= self._force_at:  # before a write that may fail
+                if is_force_due:  # before a write that may fail
+                    now = asyncio.get_running_loop().time()
                     self._force_at = now + LONGEST_PAUSE_S  # again, if this fails
                     await self._thread.call(self._file.force)
                     self._force_at = math.inf
@@ -263,15 +263,23 @@ class Journal:
                 self._wake.set()
                 await asyncio.sleep(pauses.next())
 
-    async def _something_to_do(self) -> None:
-        """Wait for readings, for a place to be written, or for the time to force the disk."""
+    async def _something_to_do(self) -> bool:
+        """
+        Wait for readings, for a place to be written, or for the time to force the disk; return
+        True if that has come.
+        """
+        until_force = asyncio.timeout_at(None if self._force_at == math.inf else self._force_at)
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout_at(None if self._force_at == math.inf else self._force_at):
+            async with until_force:
                 await self._wake.wait()
                 async with asyncio.timeout(GATHERED_S):
                     await self._hurry.wait()
         self._wake.clear()
         self._hurry.clear()
+        # A timer that has ended is due: asyncio ends timers before their time, if only by the
+        # resolution of its clock.
+        is_past = asyncio.get_running_loop().time() >= self._force_at
+        return until_force.expired() or is_past
 
     async def _write(self) -> None:
         """Write polls and places in one transaction; polls that cannot be, come the next time."""

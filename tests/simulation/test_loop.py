@@ -1,0 +1,165 @@
+"""
+The simulated clock: timers end at their time, and whoever keeps the loop turning is found. Nobody
+in the package asks the clock without end if timers end early, as asyncio allows.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Coroutine
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Fleet
+from libmodbus_py.fleet import Journal
+from libmodbus_py.services.fleet.journal import journal
+from libmodbus_py.services.fleet.journal.journal_file import JournalFile
+from tests.services.fleet.fleets import Peer, meter, simulated_run
+from tests.services.fleet.journal.journals import Inline
+from tests.support.attacks import READ_ONE, adu
+from tests.support.cases import each_case
+from tests.support.served import ANSWER_ONE, served
+
+from .casts import CASTS
+from .events import START
+from .loop import Stuck, VirtualLoop
+from .network import Network
+from .playing import chosen, play
+from .stage import Stage
+
+# The casts without a whole plant, which takes minutes.
+QUICK = [cast for cast in CASTS if cast != "plant"]
+
+
+@pytest.fixture
+def early(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let timers end a microsecond before their time."""
+    monkeypatch.setattr(VirtualLoop, "early", 1e-6)
+
+
+def at(time: float) -> Network:
+    network = Network()
+    network.events.now = time
+    return network
+
+
+@each_case("start", [0.0, 1000.0, 2.0**24 + 0.1, 1e9 + 1 / 3, 2.0**40])
+def test_no_timer_ends_before_its_time_or_more_than_a_step_later(start: float) -> None:
+    network = at(start)
+
+    async def wait() -> None:
+        loop = asyncio.get_running_loop()
+        for number in range(1, 2000):
+            due = loop.time() + number / 7000
+            rung = loop.create_future()
+            loop.call_at(due, rung.set_result, None)
+            await rung
+            assert due <= loop.time() <= math.nextafter(due, math.inf)
+
+    network.run(wait)
+
+
+async def ask_the_clock() -> None:
+    while True:
+        await asyncio.sleep(0)
+
+
+async def set_a_timer_that_is_due() -> None:
+    loop = asyncio.get_running_loop()
+    while True:
+        await asyncio.sleep(math.ulp(loop.time()) / 4)
+
+
+@each_case("spin", [ask_the_clock, set_a_timer_that_is_due])
+def test_who_keeps_the_loop_turning_at_one_time_ends_it(
+    spin: Callable[[], Coroutine[Any, Any, None]],
+) -> None:
+    with pytest.raises(Stuck, match=r"the loop turns without end at 1000\.0 s"):
+        Network().run(spin)
+
+
+async def wait_in_vain() -> None:
+    while True:
+        try:
+            await asyncio.get_running_loop().create_future()
+        except asyncio.CancelledError:
+            continue
+
+
+async def never_wait() -> None:
+    while True:
+        try:
+            await asyncio.sleep(0)
+        except asyncio.CancelledError:
+            continue
+
+
+@each_case("last", [wait_in_vain, never_wait])
+def test_a_task_that_does_not_end_is_named(last: Callable[[], Coroutine[Any, Any, None]]) -> None:
+    kept: list[asyncio.Task[None]] = []
+
+    async def main() -> None:
+        task = asyncio.create_task(last(), name="the endless one")
+        await asyncio.sleep(0)
+        kept.append(task)  # else it is garbage while it waits, of which asyncio complains
+
+    with pytest.raises(AssertionError, match=r"did not end: .*the endless one"):
+        Network().run(main)
+
+
+# --- timers that end early ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("cast", QUICK)
+def test_worlds_keep_their_rules_if_timers_end_early(cast: str, early: None) -> None:
+    play(replace(chosen(1), cast=cast, seconds=20.0))
+
+
+@pytest.mark.parametrize("rate", [0.3, 7, 150])
+def test_a_server_delays_what_exceeds_a_rate_if_timers_end_early(early: None, rate: float) -> None:
+    count = int(rate) + 10
+    with (
+        Stage() as stage,
+        served(stage, requests_per_second=rate) as server,
+        server.connect() as eager,
+    ):
+        for number in range(count):
+            eager.sendall(adu(READ_ONE, number))
+            eager.receive(len(ANSWER_ONE) + 7)
+        assert server.counts(requests=count)
+        assert stage.now - START == pytest.approx((count - 1 - max(1, rate)) / rate, abs=0.05)
+
+
+def test_a_journal_is_forced_onto_the_disk_once_after_a_poll_if_timers_end_early(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, early: None
+) -> None:
+    monkeypatch.setattr(journal, "WriterThread", Inline)
+    calls: list[str] = []
+    for name in ("write", "force"):
+        patch_with_note(monkeypatch, name, calls)
+
+    async def poll() -> None:
+        async with Peer() as peer:
+            device = meter("a", peer.url, interval=10)
+            async with Fleet([device], outputs=[], journal=Journal(tmp_path / "fleet.db")):
+                await asyncio.sleep(95)
+                writes, forces = calls.count("write"), calls.count("force")
+        # A poll is written, forced, and what that was is noted.
+        assert 9 <= forces <= 10
+        assert writes <= 2 * forces + 1
+
+    simulated_run(poll())
+
+
+def patch_with_note(patch: pytest.MonkeyPatch, name: str, calls: list[str]) -> None:
+    method = getattr(JournalFile, name)
+
+    def note(*arguments: Any) -> Any:
+        calls.append(name)
+        return method(*arguments)
+
+    patch.setattr(JournalFile, name, note)
