@@ -222,7 +222,7 @@ def run(main: Coroutine[Any, Any, Result], loop: VirtualLoop) -> Result:
             result = loop.run_until_complete(main)
             left = [repr(task.get_coro()) for task in asyncio.all_tasks(loop)]
         finally:
-            _cancel_all(loop)
+            cancel_all(loop)
             asyncio.set_event_loop(None)
     assert not complaints, complaints
     assert not left, left
@@ -241,7 +241,13 @@ def complaints_of(loop: asyncio.AbstractEventLoop) -> Iterator[list[Mapping[str,
     yield complaints
 
 
-def _cancel_all(loop: VirtualLoop) -> None:
+def cancel_all(loop: VirtualLoop) -> set[asyncio.Task[Any]]:
+    """
+    Cancel the tasks that are left, wait until they end, and return them.
+
+    Raises:
+        AssertionError: some do not end; they are named.
+    """
     loop.before_cancelling()
     left = asyncio.all_tasks(loop)
     for task in left:
@@ -252,3 +258,4 @@ def _cancel_all(loop: VirtualLoop) -> None:
     endless = [repr(task) for task in left if not task.done()]
     assert not endless, f"cancelled, and did not end: {endless}"
     loop.run_until_complete(loop.shutdown_asyncgens())
+    return left

@@ -24,7 +24,7 @@ from libmodbus_py.server.serving import Serving
 from libmodbus_py.services.gateway import gateway, routes
 
 from .lines import Party, SerialLine
-from .loop import complaints_of
+from .loop import cancel_all, complaints_of
 from .network import Network
 from .ports import MemoryWaker
 from .sockets import MemorySocket
@@ -70,12 +70,7 @@ class Stage(Network):
     def __exit__(self, *raised: Any) -> None:
         with self._stack:
             self.pass_time(0)
-            left = asyncio.all_tasks(self._loop)
-            for task in left:
-                task.cancel()
-            if left:
-                self._loop.run_until_complete(asyncio.wait(left))
-            self._loop.run_until_complete(self._loop.shutdown_asyncgens())
+            left = cancel_all(self._loop)
         if raised[0] is None:
             assert not self._complaints, self._complaints
             assert not left, left
