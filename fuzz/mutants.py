@@ -388,7 +388,7 @@ def _covered(path: Path) -> tuple[Path, list[dict[str, Any]]]:
     """Run the tests of a file in a process of their own, and return what it wrote down."""
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", "-p", "fuzz.covering"]
-        command += ["-p", "no:cacheprovider", "-o", "faulthandler_timeout=60", "-k", LEFT_OUT]
+        command += ["-p", "no:cacheprovider", "--timeout=60", "-k", LEFT_OUT]
         command.append(str(path))
         environment = {**os.environ, FOLDER: folder, "TMPDIR": folder}
         started = subprocess.Popen(

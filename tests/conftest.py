@@ -21,7 +21,7 @@ from tests.support.certificates import Papers
 from tests.support.clients import KINDS, Connect, connecting
 from tests.support.transports import serving
 
-pytest_plugins = ["tests.support.golden", "tests.support.leaks"]
+pytest_plugins = ["tests.support.golden", "tests.support.leaks", "tests.support.time_limits"]
 
 UNIT = 17
 

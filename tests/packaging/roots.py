@@ -202,6 +202,4 @@ def test_a_block_works_in_a_new_system(
 
 
 if __name__ == "__main__":
-    # A block may take longer than what ends other runs of tests.
-    lasting = ("-o", "faulthandler_timeout=0", "-p", "no:cacheprovider")
-    sys.exit(pytest.main([__file__, "-s", "-rs", *lasting, *sys.argv[1:]]))
+    sys.exit(pytest.main([__file__, "-s", "-rs", "-p", "no:cacheprovider", *sys.argv[1:]]))

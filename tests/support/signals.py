@@ -20,12 +20,13 @@ def interrupt() -> None:
 def on_alarm(act: Callable[[], object], seconds: float) -> Iterator[None]:
     """Let a signal handler do it in so many seconds."""
     before = signal.signal(signal.SIGALRM, lambda *_: act())
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    limit = signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_REAL, *limit)  # of the test, which waited meanwhile
 
 
 def in_child(act: Callable[[], object], meanwhile: Callable[[], object] = lambda: None) -> int:
