@@ -31,6 +31,9 @@ EVERYWHERE = ("0.0.0.0", "::")
 # A family and an address as getaddrinfo returns it -> a socket bound to it.
 Make = Callable[[socket.AddressFamily, tuple[Any, ...]], socket.socket]
 
+# What Python's codec of international names refuses, in other words in each release.
+NO_NAME = "it cannot be the name of a host"
+
 # Connections that may wait in the system.
 BACKLOG = 4096
 
@@ -128,6 +131,8 @@ class Question:
         host, port, kind, _, flags = self._wanted
         try:
             self._found = socket.getaddrinfo(host, port, type=kind, flags=flags)
+        except UnicodeError:
+            self._found = socket.gaierror(socket.EAI_NONAME, NO_NAME)
         except Exception as error:  # whatever it is, it ends the waits
             self._found = error
         with _lock:
@@ -227,11 +232,13 @@ def listen_on(host: str, port: int) -> list[socket.socket]:
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except UnicodeError as error:
-        raise OSError(errno.EINVAL, f"{host!r} cannot be the name of a host") from error
+        raise socket.gaierror(socket.EAI_NONAME, NO_NAME) from error
     return bind_all(found, port, tcp_listener)
 
 
-def reason(error: OSError) -> str:
+def reason(error: OSError | UnicodeError) -> str:
     """Return the system's text for an error; numbers of getaddrinfo are negative."""
+    if isinstance(error, UnicodeError):
+        return NO_NAME
     number = error.errno or 0
     return os.strerror(number) if number > 0 else str(error.strerror or error)

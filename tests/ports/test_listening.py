@@ -142,5 +142,5 @@ def test_a_port_that_is_taken_on_one_address_is_free_on_the_others_again(
 
 @each_case("host", ["a..b", "x" * 64 + ".example"])
 def test_a_host_that_cannot_be_is_an_os_error(host: str) -> None:
-    with pytest.raises(OSError, match="name"):
+    with pytest.raises(OSError, match="it cannot be the name of a host"):
         listen_on(host, 0)

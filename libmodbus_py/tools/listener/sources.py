@@ -135,8 +135,7 @@ class Tap(TimedServer):
                 device = stack.enter_context(socket.create_connection(place, CONNECT_TIMEOUT))
                 refuse_own(device)
             except (OSError, UnicodeError) as error:  # the host cannot be a name, such as a..b
-                text = reason(error) if isinstance(error, OSError) else str(error)
-                logger.warning("cannot connect to %s: %s", self._target, text)
+                logger.warning("cannot connect to %s: %s", self._target, reason(error))
                 return
             with contextlib.suppress(OSError):  # a side is gone, or takes no bytes
                 self._carry(number, request, device)
