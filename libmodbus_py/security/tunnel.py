@@ -18,6 +18,9 @@ EXPIRED = "certificate has expired"
 # The most bytes that a record carries (RFC 8446, 5.1).
 RECORD_BYTES = 16_384
 
+# SSL_OP_NO_RX_CERTIFICATE_COMPRESSION of OpenSSL 3.2, which Python's ssl does not name.
+NO_COMPRESSED_CERTIFICATE = 1 << 33
+
 
 class _ServerEnd(ssl.SSLObject):
     """A server's end of a connection; `presented` is the certificate that the client has sent."""
@@ -30,9 +33,15 @@ def keep_presented(context: ssl.SSLContext) -> None:
     # OpenSSL forgets what a server refuses. Python's hook for messages, which its own tests use,
     # gets the certificate before, for 1.3 us for each request later on.
     hook = getattr(ssl.SSLContext.__base__, "_msg_callback", None)
-    if hook is not None:
-        context.sslobject_class = _ServerEnd
-        hook.__set__(context, _note_message)  # that of ssl.SSLContext makes enums for each record
+    if hook is None:
+        return
+    context.sslobject_class = _ServerEnd
+    hook.__set__(context, _note_message)  # that of ssl.SSLContext makes enums for each record
+    # The hook would get a compressed certificate (RFC 8879) as it is, and Python has not all of the
+    # algorithms. A client compresses its certificate only for a server that says it can read that.
+    if ssl.OPENSSL_VERSION_INFO >= (3, 2):
+        with contextlib.suppress(OverflowError):  # the 32 bits of an older Python
+            context.options |= NO_COMPRESSED_CERTIFICATE
 
 
 def _note_message(
