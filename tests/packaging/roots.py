@@ -157,9 +157,9 @@ def system(release: str, tmp_path: Path) -> Iterator[Path]:
     sudo.write_text('#!/bin/sh\nexec "$@"\n')
     sudo.chmod(0o755)
     shutil.copy("/etc/resolv.conf", folder / "etc/resolv.conf")
-    made_here = ("*.so", "*.egg-info", "__pycache__", "build", "dist", "site", ".venv*", ".git")
+    made_here = [line.strip("/") for line in (ROOT / ".gitignore").read_text().splitlines()]
     shutil.copytree(
-        ROOT, folder / "root/libmodbus-py", ignore=shutil.ignore_patterns(*made_here, ".*_cache")
+        ROOT, folder / "root/libmodbus-py", ignore=shutil.ignore_patterns(*made_here, ".git")
     )
     yield folder
     shutil.rmtree(folder)
