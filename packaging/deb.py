@@ -60,22 +60,42 @@ def main(folder: Path) -> None:
             raise SystemExit("deb: lintian found an error")
 
 
+def files(root: Path = ROOT) -> list[str]:
+    """
+    Return what belongs to the package: what git knows and is there.
+
+    Where nothing is known to git, such as in an unpacked sdist, it is all that .gitignore does not
+    name.
+
+    Raises:
+        SystemExit: git refused, and said why.
+    """
+    if (root / ".git").exists():
+        # Of a clone that belongs to somebody else, too: this program comes from it.
+        command = ["git", "-c", "safe.directory=*", "ls-files", "-z"]
+        found = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
+        if found.returncode:
+            raise SystemExit(f"deb: {found.stderr.strip()}")
+        names = found.stdout.split("\0")
+    else:
+        made = [line.strip("/") for line in (root / ".gitignore").read_text().splitlines()]
+        names = [
+            str(path)
+            for path in (each.relative_to(root) for each in root.rglob("*"))
+            if not any(part.match(each) for part in (path, *path.parents) for each in made)
+        ]
+    return sorted(name for name in names if (root / name).is_file())
+
+
 def _source(top: str) -> bytes:
     """Return the files of this clone as a tarball, without what Debian adds."""
-    if (ROOT / ".git").exists():
-        found = subprocess.run(
-            ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
-        )
-        names = found.stdout.split("\0")[:-1]
-    else:  # unpacked from a tarball: all of it belongs there
-        names = [str(path.relative_to(ROOT)) for path in ROOT.rglob("*") if path.is_file()]
     made = io.BytesIO()
     with (
         gzip.GzipFile("", "wb", 9, made, mtime=0) as packed,
         tarfile.open(fileobj=packed, mode="w") as tarball,
     ):
-        for name in sorted(names):
-            if not name.startswith(("packaging/debian/", "build/", "dist/")):
+        for name in files():
+            if not name.startswith("packaging/debian/"):
                 tarball.add(ROOT / name, f"{top}/{name}", filter=_without_user)
     return made.getvalue()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -46,6 +47,79 @@ def test_the_files_that_it_names_exist() -> None:
     # What rules changes for the setuptools of Debian 12.
     assert 'license = "MIT"\n' in project
     assert project.count("\nlicense-files = ") == 1
+
+
+# --- what is packed -------------------------------------------------------------------------------
+
+files = runpy.run_path(str(ROOT / "packaging" / "deb.py"))["files"]
+
+KNOWN = [".gitignore", "PKG-INFO", "docs/index.md", "libmodbus_py/binding/_libmodbus.c", "setup.py"]
+
+
+def put(folder: Path, *names: str) -> None:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+
+
+def git(folder: Path, *command: str) -> None:
+    own = ["-c", "user.name=N", "-c", "user.email=n@host.example"]
+    subprocess.run(["git", *own, *command], cwd=folder, check=True, capture_output=True)
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """Return a folder that has the files of KNOWN."""
+    place = tmp_path / "tree"
+    put(place, *KNOWN)
+    shutil.copy(ROOT / ".gitignore", place)
+    return place
+
+
+@pytest.fixture
+def clone(tree: Path) -> Path:
+    if shutil.which("git") is None:
+        pytest.skip("git is not installed")
+    git(tree, "init", "-q")
+    git(tree, "add", ".")
+    git(tree, "commit", "-q", "-m", "All")
+    return tree
+
+
+def test_from_an_unpacked_source_come_all_files_but_those_that_were_made_there(tree: Path) -> None:
+    lines = (ROOT / ".gitignore").read_text().replace("*", "x").split()
+    made = [f"{line.strip('/')}/in/it" if line.endswith("/") else line.strip("/") for line in lines]
+    put(tree, *made)
+    put(tree, "venv/lib/x.py", ".venv/bin/pip", "build/lib/x.py", "libmodbus_py/__pycache__/x.pyc")
+    put(tree, "libmodbus_py/binding/_libmodbus.abi3.so", "libmodbus_py.egg-info/PKG-INFO")
+    assert files(tree) == KNOWN
+
+
+def test_from_a_clone_come_the_files_that_git_knows_and_that_are_there(
+    clone: Path, tmp_path: Path
+) -> None:
+    git(clone, "worktree", "add", "-q", str(tmp_path / "other"))
+    git(clone, "update-index", "--add", "--cacheinfo", f"160000,{40 * '1'},submodule")
+    put(clone, "new.py", "venv/lib/x.py", "submodule/x.py")
+    (clone / "setup.py").unlink()
+    assert files(clone) == KNOWN[:-1]
+    put(tmp_path / "other", "new.py")
+    assert files(tmp_path / "other") == KNOWN
+
+
+def test_a_clone_may_belong_to_another_user(clone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GIT_TEST_ASSUME_DIFFERENT_OWNER", "1")
+    assert files(clone) == KNOWN
+
+
+def test_what_git_says_is_told_if_it_does_not_know_the_files(clone: Path, tmp_path: Path) -> None:
+    shutil.rmtree(clone / ".git")
+    (clone / ".git").write_text(f"gitdir: {tmp_path}/gone\n")
+    with pytest.raises(SystemExit, match="deb: fatal: not a git repository"):
+        files(clone)
+
+
+# --- units ----------------------------------------------------------------------------------------
 
 
 @each_case("command", COMMANDS)
