@@ -2,7 +2,8 @@
 Declares the C side: what is called, and the library it is called in.
 
 Out-of-line API mode, so the compiler checks every prototype against the
-installed modbus.h and fills in every constant.
+installed modbus.h and fills in every constant. setup.py compiles both modules:
+`pip install -e .` puts them beside the package's own files.
 """
 
 from pathlib import Path
@@ -30,7 +31,3 @@ scan.set_source(
     "#include <stddef.h>\n#include <stdint.h>\n"
     + "".join((PROTOCOL / f"scan.{end}").read_text() for end in "hc"),
 )
-
-if __name__ == "__main__":
-    ffi.compile(verbose=True)
-    scan.compile(verbose=True)

@@ -90,6 +90,16 @@ def test_what_is_missing_is_said_in_one_line(tree: Path, hidden: str, packages: 
     assert "raw errors" not in done.stderr
 
 
+def test_the_declarations_alone_change_no_file(tree: Path) -> None:
+    """cffi would write its C over _libmodbus.c, which is ours."""
+    before = {path: path.read_bytes() for path in tree.rglob("*") if path.is_file()}
+    done = subprocess.run(
+        [sys.executable, "-B", "build_ffi.py"], cwd=tree, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert {path: path.read_bytes() for path in tree.rglob("*") if path.is_file()} == before
+
+
 @pytest.mark.slow
 def test_what_pip_builds_has_no_bytecode_of_the_builder(tmp_path: Path) -> None:
     """With the environment of nobody, where Python writes bytecode beside what it imports."""
