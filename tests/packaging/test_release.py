@@ -1,0 +1,109 @@
+"""What is published: a tag that is the version, of which all tests passed."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.cases import each_case
+
+ROOT = Path(__file__).parents[2]
+WORKFLOWS = ROOT / ".github" / "workflows"
+
+FILES = ("pyproject.toml", "libmodbus_py/version.py", "packaging/debian/changelog")
+VERSION = re.compile(r"(?m)^(version = \"|__version__ = \"|libmodbus-py \()\d+\.\d+\.\d+")
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """Return the files that are checked, of the version 1.2.3 and with an address."""
+    for name in ("packaging/release.py", *FILES):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    for name in FILES:
+        state(tmp_path / name, "1.2.3")
+    project = tmp_path / "pyproject.toml"
+    text = re.sub(r"(?ms)^\[project\.urls\]$.*?(?=^\[)", "", project.read_text())
+    project.write_text(f'{text}\n[project.urls]\nSource = "https://forge.example/libmodbus-py"\n')
+    return tmp_path
+
+
+def state(file: Path, version: str) -> None:
+    text, count = VERSION.subn(rf"\g<1>{version}", file.read_text(), count=1)
+    assert count == 1
+    file.write_text(text)
+
+
+def answer(tree: Path, tag: str) -> tuple[int, str]:
+    command = [sys.executable, str(tree / "packaging" / "release.py"), tag]
+    done = subprocess.run(command, capture_output=True, text=True)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_tag_is_the_version(tree: Path) -> None:
+    assert answer(tree, "v1.2.3") == (0, "")
+    for tag in ("v1.2.4", "1.2.3", "v1.2", "v1.2.3-1"):
+        told = f"release: the tag is {tag}, but the version in pyproject.toml is 1.2.3\n"
+        assert answer(tree, tag) == (1, told)
+
+
+@each_case("name", FILES)
+def test_a_version_that_was_forgotten_is_named(tree: Path, name: str) -> None:
+    state(tree / name, "1.2.2")
+    told = f"release: the tag is v1.2.3, but the version in {name} is 1.2.2\n"
+    assert answer(tree, "v1.2.3") == (1, told)
+    state(tree / name, "1.2.3")
+
+
+def test_without_a_public_address_nothing_is_published(tree: Path) -> None:
+    project = tree / "pyproject.toml"
+    project.write_text(project.read_text().replace("\nSource = ", "\nHomepage = "))
+    told = "release: pyproject.toml has no [project.urls] Source, a public address\n"
+    assert answer(tree, "v1.2.3") == (1, told)
+
+
+# --- workflows ------------------------------------------------------------------------------------
+
+
+def jobs(workflow: str) -> dict[str, str]:
+    """Return the jobs of a workflow by name, each as its lines."""
+    text = (WORKFLOWS / workflow).read_text().partition("\njobs:\n")[2]
+    parts = re.split(r"(?m)^  (\w+):$", text)[1:]
+    return dict(zip(parts[::2], parts[1::2], strict=True))
+
+
+def test_what_is_published_waits_for_all_other_jobs() -> None:
+    found = jobs("release.yml")
+    (needs,) = re.findall(r"(?m)^    needs: \[(.*)\]$", found["publish"])
+    assert set(needs.split(", ")) == found.keys() - {"publish"} == {"tag", "tests", "wheels", "sdist"}
+    # A condition with a function such as always() would not wait for their success.
+    on_tags = "    if: startsWith(github.ref, 'refs/tags/v')\n"
+    for name in ("publish", "tag", "tests"):
+        assert re.findall(r"(?m)^ +if: .*\n", found[name]) == [on_tags]
+    assert not any("continue-on-error" in lines for lines in found.values())
+
+
+def test_the_tests_of_a_release_are_those_of_a_change() -> None:
+    found = jobs("release.yml")
+    assert "    uses: ./.github/workflows/ci.yml\n" in found["tests"]
+    triggers = (WORKFLOWS / "ci.yml").read_text().partition("\non:\n")[2].partition("\n\n")[0]
+    assert re.search(r"(?m)^  workflow_call:", triggers)
+    assert '      - run: python3 packaging/release.py "$GITHUB_REF_NAME"\n' in found["tag"]
+
+
+def test_actions_are_pinned_by_hash() -> None:
+    """A tag may be moved; a comment names the version, for people. Workflows here need none."""
+    uses = [
+        line.strip()
+        for path in sorted(WORKFLOWS.glob("*.yml"))
+        for line in path.read_text().splitlines()
+        if "uses:" in line
+    ]
+    assert len(uses) >= 8
+    pinned = re.compile(r"- uses: [\w./-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+|uses: \./\S+")
+    assert [line for line in uses if not pinned.fullmatch(line)] == []
