@@ -198,15 +198,6 @@ def test_there_is_one_block_that_installs() -> None:
     assert len(blocks[0]) == 1
 
 
-def test_what_is_not_published_is_not_installed_from_an_index() -> None:
-    found = [
-        str(path.relative_to(ROOT))
-        for path in DOCUMENTS
-        if re.search(r"pip install (-U )?libmodbus-py\b", path.read_text())
-    ]
-    assert found == []
-
-
 # --- pictures -------------------------------------------------------------------------------------
 
 SHOWN = "\x1b[1mtop\x1b[0m\r\nlow\r\n\x1b[2A\x1b[Jnew & \x1b[31mred\x1b[0m\r\nnext\x1b[K"

@@ -100,17 +100,31 @@ def test_the_declarations_alone_change_no_file(tree: Path) -> None:
     assert {path: path.read_bytes() for path in tree.rglob("*") if path.is_file()} == before
 
 
+@pytest.fixture
+def image(tmp_path: Path) -> Path:
+    """Return the files that deploy/Dockerfile copies, and the folder that it installs, in a folder."""
+    text = (ROOT / "deploy" / "Dockerfile").read_text()
+    for line in re.findall("^COPY (.*)$", text, re.MULTILINE):
+        *names, into = line.split()
+        for name in names:
+            place = tmp_path / into.lstrip("/")
+            if (ROOT / name).is_dir():
+                shutil.copytree(ROOT / name, place, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                place.mkdir(exist_ok=True)
+                shutil.copy(ROOT / name, place)
+    (source,) = re.findall(r"pip install '/(\w+)\[nats,mqtt,influx\]'", text)
+    return tmp_path / source
+
+
 @pytest.mark.slow
-def test_what_pip_builds_has_no_bytecode_of_the_builder(tmp_path: Path) -> None:
+def test_what_pip_builds_of_the_files_of_the_image_is_all_and_no_bytecode_of_the_builder(
+    image: Path, tmp_path: Path
+) -> None:
     """With the environment of nobody, where Python writes bytecode beside what it imports."""
-    place = tmp_path / "clone"
-    unwanted = shutil.ignore_patterns(
-        ".*", "*.so", "*.egg-info", "__pycache__", "build", "dist", "site"
-    )
-    shutil.copytree(ROOT, place, ignore=unwanted)
     done = subprocess.run(
         [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation",
-         "--no-index", "--disable-pip-version-check", "-w", str(tmp_path), str(place)],
+         "--no-index", "--disable-pip-version-check", "-w", str(tmp_path), str(image)],
         env={"PATH": os.defpath, "HOME": str(tmp_path), "TMPDIR": str(tmp_path)},
         capture_output=True,
         text=True,
@@ -118,8 +132,18 @@ def test_what_pip_builds_has_no_bytecode_of_the_builder(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
-    assert "libmodbus_py/client/blocking.py" in names
+    package = {str(path.relative_to(ROOT)) for path in (ROOT / "libmodbus_py").rglob("*.py")}
+    examples = {path.name for path in (ROOT / "examples").iterdir() if path.is_file()}
+    assert package - set(names) == set()
+    assert examples - {name.rpartition("/")[2] for name in names if "/examples/" in name} == set()
+    assert any(name.endswith("/libmodbus-py.1") for name in names)
     assert [name for name in names if "__pycache__" in name or name.endswith(".pyc")] == []
+
+
+def test_compose_files_build_the_image_of_the_tree() -> None:
+    """Of the whole repository, and not of deploy/ alone."""
+    compose = (ROOT / "deploy" / "compose.yaml").read_text()
+    assert "    build:\n      context: ..\n      dockerfile: deploy/Dockerfile\n" in compose
 
 
 @pytest.mark.skipif(shutil.which("musl-gcc") is None, reason="musl-gcc is not installed")

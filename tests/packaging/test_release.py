@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -65,6 +66,44 @@ def test_without_a_public_address_nothing_is_published(tree: Path) -> None:
     project.write_text(project.read_text().replace("\nSource = ", "\nHomepage = "))
     told = "release: pyproject.toml has no [project.urls] Source, a public address\n"
     assert answer(tree, "v1.2.3") == (1, told)
+
+
+# --- the name -------------------------------------------------------------------------------------
+
+NAME = "libmodbus-py"
+BY_NAME = re.compile(
+    r"\b(?:pip3?|pipx|uvx?|poetry)\b[^\n`&;|]*[\s'\"]libmodbus[-_]py(?![\w./*-])"
+)
+
+
+def installs_by_name(text: str) -> bool:
+    return BY_NAME.search(text.replace("\\\n", " ")) is not None
+
+
+def test_nothing_installs_from_an_index_what_is_not_there() -> None:
+    """Whoever registers the name could put anything under it."""
+    files = runpy.run_path(str(ROOT / "packaging" / "deb.py"))["files"]()
+    assert len(files) > 500
+    found = [name for name in files if installs_by_name((ROOT / name).read_text(errors="replace"))]
+    assert found == []
+
+
+def test_an_installation_by_name_is_told_from_one_of_a_file() -> None:
+    by_name = [
+        f"pip install {NAME}",
+        f"/opt/{NAME}/bin/pip install '{NAME}[nats]'",
+        f"pip install \\\n    {NAME}",
+        f"pip install --no-binary {NAME} {NAME}",
+        f'[sys.executable, "-m", "pip", "install", "{NAME}"]',
+        f"uvx {NAME} demo",
+    ]
+    of_files = [
+        f"/opt/{NAME}/bin/pip install '/src[nats]'",
+        f"pip install dist/{NAME}-*.whl",
+        f"pip install . && {NAME} demo",
+        f"`pip install .` installs {NAME}",
+    ]
+    assert [installs_by_name(text) for text in by_name + of_files] == [True] * 6 + [False] * 4
 
 
 # --- workflows ------------------------------------------------------------------------------------

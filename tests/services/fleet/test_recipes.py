@@ -290,5 +290,5 @@ def test_the_container_starts_a_command_that_there_is() -> None:
     name, *arguments = json.loads(command)
     assert name == "libmodbus-py"
     assert parsed(arguments).file == "/fleet/fleet.toml"
-    (folder,) = re.findall(r"build: \./(\w+)", text)
-    assert "influx" in (ROOT / folder / "Dockerfile").read_text()
+    (file,) = re.findall(r"build: {context: ., dockerfile: (\S+)}", text)
+    assert "influx" in (ROOT / file).read_text()
