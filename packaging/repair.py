@@ -2,7 +2,8 @@
 Make a wheel that carries libmodbus: python packaging/repair.py WHEEL FOLDER
 
 auditwheel copies the library in; its licence, the offer of its source, how to replace it, and the
-bill of materials are added here.
+bill of materials are added here. SOURCE_DATE_EPOCH is the time of all its files, so that a second
+build of the same files gives the same bytes.
 """
 
 from __future__ import annotations
@@ -30,8 +31,10 @@ def repair(wheel: Path, folder: Path, licence: bytes) -> Path:
         licence: of libmodbus.
 
     Raises:
-        SystemExit: auditwheel or wheel failed.
+        SystemExit: auditwheel or wheel failed, or SOURCE_DATE_EPOCH is not set.
     """
+    if "SOURCE_DATE_EPOCH" not in os.environ:
+        raise SystemExit("repair: set SOURCE_DATE_EPOCH to the time of the commit")
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
         _run("auditwheel", "repair", "--wheel-dir", str(place), str(wheel))

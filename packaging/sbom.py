@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import time
 import tomllib
 import uuid
 from datetime import UTC, datetime
@@ -43,7 +42,7 @@ LICENCES = LicenseFactory()
 
 def sbom(place: str, content: bytes) -> str:
     """
-    Return the bill of materials as JSON; its time is SOURCE_DATE_EPOCH, or now.
+    Return the bill of materials as JSON; its time is SOURCE_DATE_EPOCH.
 
     Args:
         place: the path in the distribution where libmodbus is, as a library or as its source.
@@ -64,7 +63,7 @@ def sbom(place: str, content: bytes) -> str:
             name="The cffi project", urls=[XsUri("https://cffi.readthedocs.io")]
         ),
     )
-    made = datetime.fromtimestamp(float(os.environ.get("SOURCE_DATE_EPOCH", time.time())), UTC)
+    made = datetime.fromtimestamp(int(os.environ["SOURCE_DATE_EPOCH"]), UTC)
     about = BomMetaData(component=own, timestamp=made, supplier=authors)
     bom = Bom(components=[carried, cffi], metadata=about)
     bom.register_dependency(own, [carried, cffi])

@@ -154,6 +154,35 @@ def test_a_second_build_under_another_umask_gives_the_same_bytes(tmp_path: Path)
     assert equal == [True, True]
 
 
+def test_the_steps_of_cibuildwheel_give_the_same_bytes(tmp_path: Path) -> None:
+    """It builds a wheel of the tree, and calls repair.py as a program."""
+    root = Path(__file__).parents[1]
+    environment = os.environ | {
+        "CFLAGS": f"-I{make.PREFIX}/include",
+        "LDFLAGS": f"-L{make.PREFIX}/lib",
+        "LD_LIBRARY_PATH": f"{make.PREFIX}/lib",
+    }
+
+    def step(*command: object) -> subprocess.CompletedProcess[str]:
+        words = [sys.executable, *map(str, command)]
+        return subprocess.run(
+            words, cwd=root, env=environment, umask=0o077, capture_output=True, text=True
+        )
+
+    shutil.rmtree(root / "build" / "lib", ignore_errors=True)
+    built = step("-m", "build", "--wheel", "--outdir", tmp_path, root)
+    assert built.returncode == 0, built.stdout + built.stderr
+    (plain,) = tmp_path.glob("*.whl")
+    repaired = step("packaging/repair.py", plain, tmp_path / "repaired")
+    assert repaired.returncode == 0, repaired.stdout + repaired.stderr
+    (wheel,) = (tmp_path / "repaired").iterdir()
+    assert (wheel.name, wheel.read_bytes() == WHEEL.read_bytes()) == (WHEEL.name, True)
+    del environment["SOURCE_DATE_EPOCH"]
+    refused = step("packaging/repair.py", plain, tmp_path / "repaired")
+    told = "repair: set SOURCE_DATE_EPOCH to the time of the commit\n"
+    assert (refused.returncode, refused.stderr) == (1, told)
+
+
 def test_debian_12_takes_it() -> None:
     if "manylinux" in WHEEL.name:
         assert "Debian 12" in make.systems(WHEEL.name).partition("; refused")[0]

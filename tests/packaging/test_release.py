@@ -135,6 +135,14 @@ def test_the_tests_of_a_release_are_those_of_a_change() -> None:
     assert '      - run: python3 packaging/release.py "$GITHUB_REF_NAME"\n' in found["tag"]
 
 
+def test_wheels_get_the_time_of_the_commit() -> None:
+    """packaging/repair.py, which cibuildwheel calls, wants it."""
+    steps = re.findall(r"(?m)^      - run: (.*)$", jobs("release.yml")["wheels"])
+    dated, built = steps
+    assert dated == 'echo "SOURCE_DATE_EPOCH=$(git log -1 --format=%ct)" >> "$GITHUB_ENV"'
+    assert "cibuildwheel" in built
+
+
 def test_actions_are_pinned_by_hash() -> None:
     """A tag may be moved; a comment names the version, for people. Workflows here need none."""
     uses = [
