@@ -188,7 +188,9 @@ def test_what_people_ask_leads_to_pages_that_exist() -> None:
 
 
 def install_blocks(path: Path) -> list[str]:
-    return re.findall(r"```sh\n(sudo apt update && sudo apt install lib.*?)```", path.read_text(), re.DOTALL)
+    return re.findall(
+        r"```sh\n(sudo apt update && sudo apt install lib.*?)```", path.read_text(), re.DOTALL
+    )
 
 
 def test_there_is_one_block_that_installs() -> None:

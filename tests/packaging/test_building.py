@@ -102,7 +102,7 @@ def test_the_declarations_alone_change_no_file(tree: Path) -> None:
 
 @pytest.fixture
 def image(tmp_path: Path) -> Path:
-    """Return the files that deploy/Dockerfile copies, and the folder that it installs, in a folder."""
+    """Return the folder that deploy/Dockerfile installs, with the files that it copies."""
     text = (ROOT / "deploy" / "Dockerfile").read_text()
     for line in re.findall("^COPY (.*)$", text, re.MULTILINE):
         *names, into = line.split()

@@ -71,9 +71,7 @@ def test_without_a_public_address_nothing_is_published(tree: Path) -> None:
 # --- the name -------------------------------------------------------------------------------------
 
 NAME = "libmodbus-py"
-BY_NAME = re.compile(
-    r"\b(?:pip3?|pipx|uvx?|poetry)\b[^\n`&;|]*[\s'\"]libmodbus[-_]py(?![\w./*-])"
-)
+BY_NAME = re.compile(r"\b(?:pip3?|pipx|uvx?|poetry)\b[^\n`&;|]*[\s'\"]libmodbus[-_]py(?![\w./*-])")
 
 
 def installs_by_name(text: str) -> bool:
@@ -119,7 +117,8 @@ def jobs(workflow: str) -> dict[str, str]:
 def test_what_is_published_waits_for_all_other_jobs() -> None:
     found = jobs("release.yml")
     (needs,) = re.findall(r"(?m)^    needs: \[(.*)\]$", found["publish"])
-    assert set(needs.split(", ")) == found.keys() - {"publish"} == {"tag", "tests", "wheels", "sdist"}
+    others = {"tag", "tests", "wheels", "sdist"}
+    assert set(needs.split(", ")) == found.keys() - {"publish"} == others
     # A condition with a function such as always() would not wait for their success.
     on_tags = "    if: startsWith(github.ref, 'refs/tags/v')\n"
     for name in ("publish", "tag", "tests"):
