@@ -1,13 +1,17 @@
 """
-Try each block of commands of docs/how-to/install.md in a new Debian: a minimal one, as root.
+Try each block of commands of docs/how-to/install.md, and the quick tests, in a new Debian.
 
     ./run python -m tests.packaging.roots [-k bookworm] [pytest arguments]
 
-The folder `build/roots`, or the one that ROOTS names, keeps every download: the base systems, the
-packages of Debian and those of PyPI. A block whose downloads lie there runs without any network;
-one that ran before, with the same commands and needs. Each system has an unpacked source archive
-of this clone in /root/libmodbus-py, is unpacked into the folder of temporary files, takes up to 1.5
-GB there, and is removed. Tests of `./run test` do not: the six blocks take minutes.
+The blocks run as root, the tests as an ordinary user who has sudo, under the umask 077, and as in
+a container: /sys can only be read.
+
+The folder `build/roots`, or the one that ROOTS names, keeps every download: the minimal systems,
+the packages of Debian and those of PyPI. What ran before, with the same commands and needs, runs
+without any network. Each system has an unpacked source archive of this clone in the user's home,
+is unpacked into the folder of temporary files, takes up to 1.5 GB there, and is removed. `./run
+test` does none of this, which takes minutes; `.ci/run` tries the tests in the Debian that it does
+not run on: `-k 'quick and other'`.
 """
 
 from __future__ import annotations
@@ -36,7 +40,12 @@ PYTHONS = {"bookworm": "3.11", "trixie": "3.13"}
 WAYS = {"source": "pip install .", "deb": "packaging/deb.py", "wheel": "./run wheel"}
 """The ways to install, and what only the block of each has."""
 
+QUICK = "./run test --quick tests/server"
+"""The tests that need none of Debian's programs, and those of servers."""
+
 PROGRAMS = ("debootstrap", "unshare", "chroot", "ip", "tar")
+
+USER = "somebody"
 
 LONGEST_S = 3600
 """Of a block: `./run wheel` builds libmodbus and the wheel twice, and runs tests."""
@@ -58,21 +67,27 @@ ENTER = """\
 set -e
 {loopback}
 mount -t proc proc proc
+mount -t sysfs -o ro sys sys
 mount -t devpts -o newinstance,ptmxmode=666 devpts dev/pts
 mount -t tmpfs shm dev/shm
 mount --bind {debs} var/cache/apt/archives
 mount --bind {wheels} mnt
-exec chroot . env -i HOME=/root PATH=/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 \
-    DEBIAN_FRONTEND=noninteractive PIP_NO_INDEX=1 PIP_FIND_LINKS=/mnt sh -exc "$1"
+exec chroot . env -i HOME={home} PATH=/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin LANG=C.UTF-8 \
+    DEBIAN_FRONTEND=noninteractive PIP_NO_INDEX=1 PIP_FIND_LINKS=/mnt {become} sh -exc "$1"
 """
+
+BECOME_USER = f"setpriv --reuid={USER} --regid={USER} --init-groups"
 
 
 def why_not() -> str:
     """Return why no system can be made here, or nothing."""
     if os.geteuid():
         return "only root can make a system to try it in"
-    missing = [each for each in PROGRAMS if shutil.which(each) is None]
-    return f"not installed: {', '.join(missing)}" if missing else ""
+    if missing := [each for each in PROGRAMS if shutil.which(each) is None]:
+        return f"not installed: {', '.join(missing)}"
+    command = ["unshare", "--mount", "--pid", "--net", "--fork", "true"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    return done.stderr.strip()  # such as in a container without privileges
 
 
 def block(way: str) -> str:
@@ -80,6 +95,16 @@ def block(way: str) -> str:
     blocks = re.findall(r"```sh\n(.*?)```", PAGE.read_text(), re.DOTALL)
     (found,) = (each for each in blocks if WAYS[way] in each)
     return str(found)
+
+
+def commands(way: str) -> str:
+    """Return the commands of a way to install, or those of the quick tests."""
+    return QUICK if way == "quick" else block(way)
+
+
+def other(release: str) -> bool:
+    """Return whether this machine has another Debian, or none."""
+    return f"VERSION_CODENAME={release}\n" not in Path("/etc/os-release").read_text()
 
 
 def kept(folder: Path) -> Path:
@@ -95,7 +120,7 @@ class Needs:
         self.debs = kept(CACHE / release / "debs")
         self.wheels = kept(CACHE / release / "wheels")
         (self.debs / "partial").mkdir(exist_ok=True)
-        texts = [block(way), *((ROOT / name).read_text() for name in ("run", "pyproject.toml"))]
+        texts = [commands(way), *((ROOT / name).read_text() for name in ("run", "pyproject.toml"))]
         texts += [(ROOT / "packaging" / "debian" / "control").read_text()]
         digest = hashlib.sha256("".join(texts).encode()).hexdigest()
         self.stamp = CACHE / release / f"{way}-{digest[:12]}"
@@ -131,11 +156,13 @@ def run_here(*command: object, cwd: Path = ROOT) -> None:
 
 def base(release: str) -> Path:
     """Return a tarball of a minimal system that knows the packages of its release."""
-    made = kept(CACHE / release) / "base.tar"
+    made = kept(CACHE / release) / "system.tar"
     if not made.exists():
         folder = CACHE / release / "base"
         shutil.rmtree(folder, ignore_errors=True)
-        run_here("debootstrap", "--variant=minbase", release, folder)
+        run_here("debootstrap", "--variant=minbase", "--include=sudo", release, folder)
+        run_here("chroot", folder, "useradd", "--create-home", USER)
+        (folder / "etc/sudoers.d" / USER).write_text(f"{USER} ALL=(ALL) NOPASSWD: ALL\n")
         (folder / "etc/apt/sources.list").write_text(SOURCES.format(release))
         run_here("chroot", folder, "apt-get", "update", "-q")
         run_here("chroot", folder, "apt-get", "clean")
@@ -153,14 +180,12 @@ def system(release: str, tmp_path: Path) -> Iterator[Path]:
     run_here("tar", "-xf", tarball, "-C", folder)
     (folder / "etc/apt/apt.conf.d/99roots").write_text(APT)
     (folder / "etc/dpkg/dpkg.cfg.d/roots").write_text("force-unsafe-io\n")  # it is thrown away
-    sudo = folder / "usr/local/bin/sudo"
-    sudo.write_text('#!/bin/sh\nexec "$@"\n')
-    sudo.chmod(0o755)
     shutil.copy("/etc/resolv.conf", folder / "etc/resolv.conf")
     made_here = [line.strip("/") for line in (ROOT / ".gitignore").read_text().splitlines()]
-    shutil.copytree(
-        ROOT, folder / "root/libmodbus-py", ignore=shutil.ignore_patterns(*made_here, ".git")
-    )
+    for home in ("root", f"home/{USER}"):
+        clone = folder / home / "libmodbus-py"
+        shutil.copytree(ROOT, clone, ignore=shutil.ignore_patterns(*made_here, ".git"))
+    run_here("chroot", folder, "chown", "-R", f"{USER}:{USER}", f"/home/{USER}")
     yield folder
     shutil.rmtree(folder)
 
@@ -172,34 +197,55 @@ def system(release: str, tmp_path: Path) -> Iterator[Path]:
 def test_a_block_works_in_a_new_system(
     release: str, way: str, request: pytest.FixtureRequest
 ) -> None:
+    assert "all answers are right" in output(release, way, request)
+
+
+@pytest.mark.skipif(why_not() != "", reason=why_not())
+@pytest.mark.timeout(LONGEST_S)
+@pytest.mark.parametrize(
+    "release", [pytest.param(each, id=f"{each}-other" if other(each) else each) for each in PYTHONS]
+)
+def test_quick_tests_pass_for_an_ordinary_user(
+    release: str, request: pytest.FixtureRequest
+) -> None:
+    assert re.search(r"\d{4} passed", output(release, "quick", request))
+
+
+def output(release: str, way: str, request: pytest.FixtureRequest) -> str:
+    """Run the commands in a new system, print how it went, and return all that they print."""
     needs = Needs(release, way)
     is_ready = needs.stamp.exists()
     if not is_ready:
         needs.fetch()
     folder = request.getfixturevalue("system")
-    # Without a network there is nothing but the loopback, which the demonstration talks on.
-    separate = ["--net"] * is_ready
+    home, become = (f"/home/{USER}", BECOME_USER) if way == "quick" else ("/root", "")
+    # Without a network there is nothing but the loopback, which clients and servers talk on.
+    unshare = ["unshare", "--mount", "--pid", "--fork", "--kill-child", *["--net"] * is_ready]
+    loopback = "ip link set lo up" if is_ready else ""
     enter = ENTER.format(
-        loopback="ip link set lo up" if is_ready else "", debs=needs.debs, wheels=needs.wheels
+        loopback=loopback, debs=needs.debs, wheels=needs.wheels, home=home, become=become
     )
-    command = ["unshare", "--mount", "--pid", "--fork", "--kill-child", *separate]
-    began = time.monotonic()
-    done = subprocess.run(
-        [*command, "sh", "-c", enter, "sh", f"cd /root/libmodbus-py\n{block(way)}"],
+    steps = f"cd {home}/libmodbus-py\n{commands(way)}"
+    begun = time.monotonic()
+    process = subprocess.run(
+        [*unshare, "sh", "-c", enter, "sh", steps],
         cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
+        umask=0o077 if become else -1,
     )
-    seconds = time.monotonic() - began
-    assert done.returncode == 0, done.stdout[-6000:]
-    commands = [line for line in done.stdout.splitlines() if line.startswith("+ ")]
-    last = done.stdout.rstrip().rpartition("\n")[2]
+    seconds = time.monotonic() - begun
+    assert process.returncode == 0, process.stdout[-6000:]
+    lines = [line for line in process.stdout.splitlines() if line.startswith("+ ")]
+    last = process.stdout.rstrip().rpartition("\n")[2]
     network = "without a network" if is_ready else "with the network"
-    print(f"\n{release}, {way}, {network}: {seconds:.0f} s", *commands, last, sep="\n    ")
-    assert "all answers are right" in done.stdout
+    print(f"\n{release}, {way}, {network}: {seconds:.0f} s", *lines, last, sep="\n    ")
     needs.stamp.touch()
+    return process.stdout
 
 
 if __name__ == "__main__":
-    sys.exit(pytest.main([__file__, "-s", "-rs", "-p", "no:cacheprovider", *sys.argv[1:]]))
+    # In another process, in which pytest is the first to import what it rewrites.
+    options = ("-s", "-rs", "-p", "no:cacheprovider")
+    os.execv(sys.executable, [sys.executable, "-m", "pytest", __file__, *options, *sys.argv[1:]])
