@@ -257,6 +257,11 @@ class ModbusConnectionError(ModbusError, ConnectionError):
         # OSError keeps errno outside of __dict__, and would lose it in a copy.
         return type(self), self.args, {**vars(self), "errno": self.errno}
 
+    def __setstate__(self, state: dict[str, Any] | None) -> None:
+        # As CPython does. PyPy would put errno into __dict__, where nothing reads it.
+        for name, value in (state or {}).items():
+            setattr(self, name, value)
+
 
 Error = TypeVar("Error", bound=ModbusError)
 

@@ -77,6 +77,9 @@ def test_copies_keep_it_all(kind: Any, double: Callable[[Any], Any]) -> None:
     made = kind("x", **TOLD, **({"errno": 5} if kind is ModbusConnectionError else {}))
     assert repr(double(made)) == repr(made)
     assert {name: getattr(double(made), name) for name in TOLD} == TOLD
+    assert vars(double(made)) == vars(made)
+    for name in ("args", "errno", "strerror", "filename"):
+        assert getattr(double(made), name, None) == getattr(made, name, None)
 
 
 def test_a_received_bytearray_is_kept_as_bytes() -> None:
