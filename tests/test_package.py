@@ -46,7 +46,7 @@ MODULES = {
     if path.stem.isidentifier()  # PyInstaller gives its hooks names that nothing can import
 }
 
-# Older Pythons than 3.13 have no modbus-connection, which one folder is about.
+# Python 3.11 has no modbus-connection, which one folder is about.
 LACKING = [
     path
     for name in ("modbus_connection",)

@@ -29,7 +29,7 @@ PUBLIC = [
     "libmodbus_py.values",
 ]
 
-if importlib.util.find_spec("modbus_connection"):  # older Pythons than 3.13 have none
+if importlib.util.find_spec("modbus_connection"):  # Python 3.11 has none
     PUBLIC.append("libmodbus_py.modbus_connection")
 
 

@@ -1,7 +1,7 @@
 """
 tmodbus over TLS, both ways: its client on our server, our clients on its server.
 
-It needs Python 3.13, where the test extra installs it; elsewhere nothing here runs.
+It needs Python 3.12, where the test extra installs it; elsewhere nothing here runs.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from tests.support.interop import (
 )
 from tests.support.tls import VERSIONS, context
 
-tmodbus = pytest.importorskip("tmodbus", reason="tmodbus needs Python 3.13")
+tmodbus = pytest.importorskip("tmodbus", reason="tmodbus needs Python 3.12")
 
 VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
 

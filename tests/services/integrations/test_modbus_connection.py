@@ -21,7 +21,7 @@ from tests.support.peers import FakeServer, FakeUnit, echo, mbap, refusing
 from tests.support.scripted import run
 
 theirs: Any = pytest.importorskip(
-    "modbus_connection", reason="the backend of modbus-connection needs Python 3.13"
+    "modbus_connection", reason="the backend of modbus-connection needs Python 3.12"
 )
 
 backend: Any = pytest.importorskip("libmodbus_py.services.integrations.modbus_connection")

@@ -21,6 +21,6 @@ def test_import_says_in_one_line_what_is_needed(monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(ImportError) as caught:
         importlib.import_module(NAME)
     assert str(caught.value) == (
-        "the backend of modbus-connection needs modbus-connection and Python 3.13 or newer: "
+        "the backend of modbus-connection needs modbus-connection and Python 3.12 or newer: "
         + how_to_add("homeassistant")
     )

@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-pytest.importorskip("modbus_connection", reason="modbus-connection's tests need Python 3.13")
+pytest.importorskip("modbus_connection", reason="modbus-connection's tests need Python 3.12")
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

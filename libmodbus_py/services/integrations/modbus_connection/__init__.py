@@ -10,7 +10,7 @@ A backend of Home Assistant's modbus-connection: connections and units built on 
     await connection.for_unit(1).read_holding_registers(100, 3)
     connection.statistics                # counters, which continue after a reconnection
 
-It needs Python 3.13 or newer, and modbus-connection, which libmodbus-py[homeassistant] installs.
+It needs Python 3.12 or newer, and modbus-connection, which libmodbus-py[homeassistant] installs.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ try:
     import modbus_connection as theirs
 except ImportError as error:
     raise ImportError(
-        "the backend of modbus-connection needs modbus-connection and Python 3.13 or newer: "
+        "the backend of modbus-connection needs modbus-connection and Python 3.12 or newer: "
         + how_to_add("homeassistant")
     ) from error
 
