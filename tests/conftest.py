@@ -19,6 +19,7 @@ from tests.simulation.stage import Stage
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.certificates import Papers
 from tests.support.clients import KINDS, Connect, connecting
+from tests.support.leaks import freeze
 from tests.support.transports import serving
 
 pytest_plugins = ["tests.support.golden", "tests.support.leaks", "tests.support.time_limits"]
@@ -40,7 +41,7 @@ settings.load_profile("suite")
 def pytest_collection_finish() -> None:
     """Leave what was collected out of every later collection of garbage, which it makes slow."""
     gc.collect()
-    gc.freeze()
+    freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -91,10 +91,11 @@ def _descriptors() -> frozenset[str]:
 
 
 def _children() -> frozenset[str]:
-    try:
-        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
-    except ChildProcessError:
-        return frozenset()
+    if hasattr(os, "waitid"):  # PyPy has none, and looks always
+        try:
+            os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+        except ChildProcessError:
+            return frozenset()
     found: set[str] = set()
     for task in TASKS.iterdir():
         with contextlib.suppress(OSError):  # a thread that has ended meanwhile
@@ -245,6 +246,12 @@ def _tell_before(owner: Any, name: str, tell: Callable[..., None]) -> None:
 # --- each test ---------------------------------------------------------------------------
 
 
+def freeze() -> None:
+    """Leave what lives now out of every later collection, which it makes slow; PyPy cannot."""
+    if hasattr(gc, "freeze"):
+        gc.freeze()
+
+
 @pytest.fixture(autouse=True)
 def nothing_left(request: pytest.FixtureRequest) -> Iterator[None]:
     """Fail a test that left something behind, by name."""
@@ -255,7 +262,7 @@ def nothing_left(request: pytest.FixtureRequest) -> Iterator[None]:
     if before.has_less_than(Snapshot.taken()):
         _let_go_of_logs(request.node)
     names = settled(before, LOOPS.names())
-    gc.freeze()
+    freeze()
     if names:
         pytest.fail("left behind: " + "; ".join(names), pytrace=False)
 
