@@ -3,21 +3,23 @@ Test the lowest versions that pyproject.toml allows of what the package itself u
 
     ./run python packaging/lowest.py [pytest arguments]
 
-They are installed into .venv-lowest, as constraints of pip: `name==version` for each
-`name>=version`. What only tests and tools use is left free. Without arguments, the tests of what
-uses an optional dependency run. The Debian packages must be there: `./run test` installs them.
+They are installed into .venv-lowest, as constraints of pip: `name==version` for the highest
+`name>=version` that holds for this Python. What only tests and tools use is left free. Without
+arguments, the tests of what uses an optional dependency run. The Debian packages must be there:
+`./run test` installs them.
 """
 
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from packaging.requirements import Requirement
+from packaging.version import Version
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / ".venv-lowest"
@@ -34,26 +36,26 @@ TESTS = (
     "tests/tools/sunspec",
 )
 
-# The name, the lowest version, and the environment that wants it.
-_LOWEST = re.compile(r"([\w.-]+)(?:\[[^]]*\])?>=([\w.]+)[^;]*(;.*)?")
 
-
-def constraints(project: dict[str, Any]) -> Iterator[str]:
+def constraints(project: dict[str, Any]) -> list[str]:
     """
-    Return a line for each requirement.
+    Return a line for each package that this Python wants.
 
     Raises:
-        ValueError: a requirement has no lowest version.
+        ValueError: a package has no lowest version.
     """
     wanted = [*project["dependencies"]]
     for extra in EXTRAS:
         wanted += project["optional-dependencies"][extra]
-    for requirement in wanted:
-        found = _LOWEST.fullmatch(requirement)
-        if found is None:
-            raise ValueError(f"{requirement!r} has no lowest version")
-        name, version, marker = found.groups(default="")
-        yield f"{name}=={version}{marker}"
+    lowest: dict[str, list[Version]] = {}
+    for each in map(Requirement, wanted):
+        if each.marker is None or each.marker.evaluate():
+            found = [Version(part.version) for part in each.specifier if part.operator == ">="]
+            lowest.setdefault(each.name, []).extend(found)
+    for name, versions in lowest.items():
+        if not versions:
+            raise ValueError(f"{name!r} has no lowest version")
+    return [f"{name}=={max(versions)}" for name, versions in lowest.items()]
 
 
 def install() -> None:
