@@ -23,6 +23,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.ports.endpoint import parse
 from tests.support.clients import ALL, EVERYWHERE, Connect, World, asking, read
+from tests.support.names import NEEDS_IPV6
 from tests.support.peers import Answer, UdpPeer, Write, answer, answering, echo
 from tests.support.reads import echoes, good, reads
 
@@ -39,6 +40,7 @@ def refused_port() -> Iterator[int]:
 # --- what is asked for comes back ----------------------------------------------------------
 
 
+@NEEDS_IPV6
 def test_url_with_an_ipv6_address(connect: Connect) -> None:
     with (
         UdpPeer(good, family=socket.AF_INET6) as server,

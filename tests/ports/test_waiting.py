@@ -36,7 +36,7 @@ from libmodbus_py.ports.waiting_async import Alarm, run_async
 from tests.simulation.loop import VirtualLoop
 from tests.simulation.network import Network
 from tests.support.cases import each_case
-from tests.support.names import resolve
+from tests.support.names import NEEDS_IPV6, resolve
 from tests.support.peers import dead, until
 
 Drive = Callable[[Steps[Any]], Any]
@@ -191,7 +191,9 @@ def test_a_refused_address_costs_no_time(drive: Drive, monkeypatch: pytest.Monke
         made.close()
 
 
-@pytest.mark.parametrize("host", ["this-machine", "::1", "127.0.0.1"])
+@pytest.mark.parametrize(
+    "host", ["this-machine", pytest.param("::1", marks=NEEDS_IPV6), "127.0.0.1"]
+)
 @pytest.mark.usefixtures("named")
 def test_every_address_of_a_name_is_tried(drive: Drive, host: str) -> None:
     family = socket.AF_INET6 if host == "::1" else socket.AF_INET

@@ -15,6 +15,7 @@ from libmodbus_py import Device, Fault, Gateway, Route, Server
 from libmodbus_py.client.blocking import Context
 from libmodbus_py.server.serving import Serving
 from tests.support.clients import ALL, asking
+from tests.support.names import NEEDS_IPV6
 
 UNIT = 17
 SCHEMES = pytest.mark.parametrize("scheme", ["udp", "rtu+udp"])
@@ -68,6 +69,7 @@ def addresses_of_ipv6() -> list[str]:
     return list(dict.fromkeys(found))
 
 
+@NEEDS_IPV6
 @SCHEMES
 def test_ipv6(scheme: str, device: Device) -> None:
     with served(Server({UNIT: device}), scheme, "[::]") as port:

@@ -40,6 +40,7 @@ from tests.support import certificates
 from tests.support.cases import each_case
 from tests.support.certificates import Papers
 from tests.support.events import Events, named, whose
+from tests.support.names import NEEDS_IPV6
 from tests.support.peers import until
 
 TRANSPORTS = ("tcp", "rtu+tcp", "ascii+tcp", "udp")
@@ -67,6 +68,7 @@ def said(event: AuditEvent) -> dict[str, Any]:
     return dict(found)
 
 
+@NEEDS_IPV6
 @pytest.mark.parametrize("transport", TRANSPORTS)
 def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
     """In all events, as in URLs: with brackets around the address."""

@@ -10,6 +10,7 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.server.limits import Limits
 from tests.simulation.stage import Stage
 from tests.support.attacks import READ_ONE, adu, connect, descriptor_limit, receive
+from tests.support.names import NEEDS_IPV6
 from tests.support.served import ANSWER_ONE, ONE_ANSWER, OTHER, OVER_TCP, ask, served
 
 KIND = pytest.mark.parametrize("kind", OVER_TCP)
@@ -142,6 +143,7 @@ def test_hosts_outside_are_closed_at_once(stage: Stage, kind: str) -> None:
         assert server.counts(connections=0, accepted=2, disallowed=2)
 
 
+@NEEDS_IPV6
 @pytest.mark.parametrize(("allow", "allowed"), [("::1", True), ("2001:db8::/32", False)])
 def test_hosts_of_ipv6(allow: str, allowed: bool) -> None:
     server = Server(Device(Mapping(holding_registers=1)), limits=Limits(allow=[allow]))

@@ -13,6 +13,7 @@ import pytest
 from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.ports.endpoint import parse
 from tests.support.attacks import adu, connect
+from tests.support.names import NEEDS_IPV6
 
 READ, ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
@@ -66,12 +67,13 @@ def test_devices_must_be_devices(devices: object) -> None:
         Server(devices)  # type: ignore[arg-type]
 
 
-def test_serving_in_asyncio(device: Device) -> None:
+@pytest.mark.parametrize("second", ["127.0.0.2", pytest.param("[::1]", marks=NEEDS_IPV6)])
+def test_serving_in_asyncio(device: Device, second: str) -> None:
     async def main() -> bytes:
-        async with Server(device).serving("tcp://127.0.0.1:0", "tcp://[::1]:0") as running:
+        async with Server(device).serving("tcp://127.0.0.1:0", f"tcp://{second}:0") as running:
             assert [url.rpartition(":")[0] for url in running.urls] == [
                 "tcp://127.0.0.1",
-                "tcp://[::1]",
+                f"tcp://{second}",
             ]
             reader, writer = await asyncio.open_connection("127.0.0.1", parse(running.urls[0]).port)
             writer.write(adu(READ))

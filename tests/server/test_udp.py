@@ -25,6 +25,7 @@ from tests.simulation.stage import Stage, Talker
 from tests.support import attacks, vectors
 from tests.support.attacks import READ_MOST, READ_ONE, UNIT, adu, connect
 from tests.support.cases import each_case
+from tests.support.names import NEEDS_IPV6
 from tests.support.peers import until
 from tests.support.served import ANSWER_MOST, ANSWER_ONE, NEVER, OTHER, ask, served, unit_one
 from tests.support.talk import ascii_frame, rtu, tcp
@@ -34,7 +35,9 @@ READ, ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 OTHER_MACHINES = ("192.0.2.1", "2001:db8::1", "::ffff:192.0.2.1")
 
 
-@pytest.mark.parametrize("url", ["udp://127.0.0.1:0", "udp://[::1]:0"])
+@pytest.mark.parametrize(
+    "url", ["udp://127.0.0.1:0", pytest.param("udp://[::1]:0", marks=NEEDS_IPV6)]
+)
 def test_answers_go_to_who_asked_with_the_transaction_of_the_request(
     url: str, device: Device
 ) -> None:

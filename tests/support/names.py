@@ -1,5 +1,6 @@
 """
-Host names that resolve in this process alone: no test asks a name server, or /etc/hosts.
+Host names that resolve in this process alone, for no test asks a name server, or /etc/hosts; and
+whether this machine has ::1, which not every container has.
 """
 
 from __future__ import annotations
@@ -8,6 +9,18 @@ import socket
 from typing import Any
 
 import pytest
+
+
+def _has_ipv6() -> bool:
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        return False
+    return True
+
+
+NEEDS_IPV6 = pytest.mark.skipif(not _has_ipv6(), reason="this machine has no ::1")
+"""The mark of tests, and of parameters, that talk over ::1."""
 
 
 def resolve(monkeypatch: pytest.MonkeyPatch, name: str, *addresses: str) -> None:

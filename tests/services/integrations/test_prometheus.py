@@ -49,6 +49,7 @@ from tests.simulation.scripted import Scripted, Write
 from tests.simulation.sockets import DELAY
 from tests.support.certificates import Papers
 from tests.support.commands import Started, run
+from tests.support.names import NEEDS_IPV6
 from tests.support.peers import echo, until
 
 # To a peer in memory and back.
@@ -384,7 +385,7 @@ def fetched(url: str) -> Scraped:
         return parsed(answer.read().decode())
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+@pytest.mark.parametrize("host", ["127.0.0.1", pytest.param("::1", marks=NEEDS_IPV6)])
 def test_metrics_are_exposed_while_the_block_runs(registry: CollectorRegistry, host: str) -> None:
     server = Server(DEVICE)
     collect(server, registry=registry)
@@ -417,7 +418,11 @@ ARGUMENTS = ["serve", "tcp://127.0.0.1:0"]
 
 
 @pytest.mark.parametrize(
-    ("address", "stop"), [("127.0.0.1:0", signal.SIGTERM), ("[::1]:0", signal.SIGINT)]
+    ("address", "stop"),
+    [
+        ("127.0.0.1:0", signal.SIGTERM),
+        pytest.param("[::1]:0", signal.SIGINT, marks=NEEDS_IPV6),
+    ],
 )
 def test_serve_exposes_its_metrics(address: str, stop: int) -> None:
     with Started(*ARGUMENTS, "--metrics", address) as process:

@@ -41,6 +41,9 @@ OPTIONS = (
     "--force-color-profile=srgb",
 )
 
+# The origin of Chromium's own pages, which complain where there is no network.
+OWN_PAGE = re.compile(r"(chrome|devtools)[a-z-]*://")
+
 
 def missing() -> str:
     """Return what is not installed, and the Debian packages of it; nothing if all is."""
@@ -148,8 +151,9 @@ class Person:
 
     def complaints(self) -> list[str]:
         """Return what pages wrote to the browser's console since this was last asked."""
-        found = self.driver.execute("getLog", {"type": "browser"})["value"]
-        return [each["message"] for each in found]
+        entries = self.driver.execute("getLog", {"type": "browser"})["value"]
+        messages = [entry["message"] for entry in entries]
+        return [message for message in messages if not OWN_PAGE.match(message)]
 
     def run(self, script: str, *arguments: str) -> Any:
         """Return what a script in the page returns."""
