@@ -265,6 +265,9 @@ print("good")
     def test_a_lock_that_the_forking_thread_held_is_held_in_both(self) -> None:
         """As in a hook."""
         forked("""
+from libmodbus_py.device import hooks
+hooks.SLOW = 50  # a fork takes its time on a busy machine, which would be logged
+
 def taken_by_another_thread():
     got = []
     thread = threading.Thread(target=lambda: got.append(mapping.lock.acquire(blocking=False)))

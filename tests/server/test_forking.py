@@ -161,6 +161,8 @@ print("good")
 @pytest.mark.parametrize("ending", ["os._exit(0)", "signal.pause()"])
 def test_a_hook_may_fork(ending: str) -> None:
     run(f"""
+from libmodbus_py.device import hooks
+hooks.SLOW = PATIENCE  # a fork takes its time on a busy machine, which would be logged
 children = []
 
 def fork(access):
