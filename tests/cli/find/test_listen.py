@@ -27,6 +27,7 @@ from libmodbus_py.tools.listener.listener import Listener
 from libmodbus_py.tools.listener.transaction import Transaction
 from tests.support.commands import Done, Started, on_terminal, run
 from tests.support.golden import Golden
+from tests.support.peers import until
 
 DECODED = Path(__file__).parents[2] / "tools" / "listener" / "decoded.pcapng"
 
@@ -52,6 +53,10 @@ def target() -> Iterator[str]:
         yield running.urls[0]
 
 
+# WriteRegister(address=0, value=1) to unit 2.
+NOT_ANSWERED = bytes.fromhex("02 06 0000 0001")
+
+
 def ask(url: str) -> None:
     with Context.from_url(url, unit=1, timeout=20) as client:
         client.read_holding_registers(0, 3)
@@ -72,6 +77,8 @@ def test_a_line_for_each_a_summary_and_a_capture(target: str, number: int, tmp_p
     with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", file) as made:
         ask(url_of(made))
         read, refused, written = lines_of(made, 3)
+        # What had no answer prints no line; it is heard when it is in the file.
+        until(lambda: NOT_ANSWERED in file.read_bytes())
         made.send_signal(number)
         rest, errors = made.communicate()
     assert made.returncode == 0
