@@ -15,11 +15,11 @@ libmodbus-py certificates          the server's has this address, too
 
 from __future__ import annotations
 
-import os
 import re
 from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
+from random import SystemRandom
 from typing import Self
 
 from libmodbus_py import Device, Mapping, Server
@@ -27,11 +27,16 @@ from libmodbus_py.tools.testing.wires import SerialWire
 
 DEVICE_PORT, OPEN_PORT = 10502, 5502
 
+randrange = SystemRandom().randrange  # tests may seed the usual one
+
 
 def own_address() -> str:
-    """Return an address of this machine that no other process uses."""
-    pid = os.getpid()
-    return f"127.{64 + pid // 65536 % 128}.{pid // 256 % 256}.{pid % 256}"
+    """
+    Return an address of this machine that nobody else uses.
+
+    At random: containers that share a network have processes of the same number.
+    """
+    return f"127.{64 + randrange(128)}.{randrange(256)}.{randrange(256)}"
 
 
 class Home:
