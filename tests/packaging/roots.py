@@ -90,6 +90,9 @@ def why_not() -> str:
     return done.stderr.strip()  # such as in a container without privileges
 
 
+MADE_HERE = pytest.mark.skipif(bool(reason := why_not()), reason=reason)
+
+
 def block(way: str) -> str:
     """Return the commands that the page has for a way to install."""
     blocks = re.findall(r"```sh\n(.*?)```", PAGE.read_text(), re.DOTALL)
@@ -102,7 +105,7 @@ def commands(way: str) -> str:
     return QUICK if way == "quick" else block(way)
 
 
-def other(release: str) -> bool:
+def is_other(release: str) -> bool:
     """Return whether this machine has another Debian, or none."""
     return f"VERSION_CODENAME={release}\n" not in Path("/etc/os-release").read_text()
 
@@ -190,7 +193,7 @@ def system(release: str, tmp_path: Path) -> Iterator[Path]:
     shutil.rmtree(folder)
 
 
-@pytest.mark.skipif(why_not() != "", reason=why_not())
+@MADE_HERE
 @pytest.mark.timeout(LONGEST_S)
 @pytest.mark.parametrize("release", PYTHONS)
 @pytest.mark.parametrize("way", WAYS)
@@ -200,10 +203,11 @@ def test_a_block_works_in_a_new_system(
     assert "all answers are right" in output(release, way, request)
 
 
-@pytest.mark.skipif(why_not() != "", reason=why_not())
+@MADE_HERE
 @pytest.mark.timeout(LONGEST_S)
 @pytest.mark.parametrize(
-    "release", [pytest.param(each, id=f"{each}-other" if other(each) else each) for each in PYTHONS]
+    "release",
+    [pytest.param(each, id=f"{each}-other" if is_other(each) else each) for each in PYTHONS],
 )
 def test_quick_tests_pass_for_an_ordinary_user(
     release: str, request: pytest.FixtureRequest

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 
 import pytest
 
@@ -20,19 +21,29 @@ def test_each_way_to_install_is_one_block_that_ends_with_the_demonstration(way: 
 
 
 @pytest.mark.parametrize(
-    ("user", "program", "reason"),
+    ("user", "program", "error", "reason"),
     [
-        (1000, "/bin/x", "only root can make a system to try it in"),
-        (0, None, "not installed: debootstrap, unshare, chroot, ip, tar"),
-        (0, "/bin/x", ""),
+        (1000, "/bin/x", "", "only root can make a system to try it in"),
+        (0, None, "", "not installed: debootstrap, unshare, chroot, ip, tar"),
+        (0, "/bin/x", "unshare: unshare failed\n", "unshare: unshare failed"),
+        (0, "/bin/x", "", ""),
     ],
 )
 def test_where_no_system_can_be_made_the_reason_is_said(
-    user: int, program: str | None, reason: str, monkeypatch: pytest.MonkeyPatch
+    user: int, program: str | None, error: str, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    process = subprocess.CompletedProcess([], bool(error), "", error)
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: process)
     monkeypatch.setattr(os, "geteuid", lambda: user)
     monkeypatch.setattr(shutil, "which", lambda name: program)
     assert roots.why_not() == reason
+
+
+def test_the_quick_tests_run_in_each_debian_and_one_of_them_is_another() -> None:
+    others = [release for release in roots.PYTHONS if roots.is_other(release)]
+    assert len(others) >= len(roots.PYTHONS) - 1
+    assert roots.commands("quick").startswith("./run test --quick ")
+    assert "-k 'quick and other'" in (roots.ROOT / ".ci" / "run").read_text()
 
 
 def test_other_commands_are_downloaded_again(
