@@ -74,6 +74,7 @@ class ServingThread(Generic[Running]):
         self._task: asyncio.Task[None] | None = None  # once the thread has a loop
         self._running: Running | None = None
         self._failure: BaseException | None = None
+        self._is_over = False
         self._ready, self._ended = _thread.allocate_lock(), _thread.allocate_lock()
         self._ready.acquire()
         self._ended.acquire()
@@ -113,8 +114,11 @@ class ServingThread(Generic[Running]):
         is_here = self._process == os.getpid()
         if is_here and self._thread.ident != threading.get_ident():  # a hook cannot wait for it
             try:
-                with self._ended:
-                    pass
+                # From Python 3.14 on, Ctrl-C may come when the lock is taken and the block not
+                # entered, so that it stays locked.
+                if not self._is_over:
+                    with self._ended:
+                        pass
             except BaseException:
                 self.finish()
                 raise
@@ -137,7 +141,11 @@ class ServingThread(Generic[Running]):
         except RuntimeError as error:  # there are too many threads
             self._failure = error
             self._ready.release()
-            self._ended.release()
+            self._end()
+
+    def _end(self) -> None:
+        self._is_over = True
+        self._ended.release()
 
     def _run(self) -> None:
         try:
@@ -157,7 +165,7 @@ class ServingThread(Generic[Running]):
                 logger.error("the server has ended: %r", error)
         if self._running is None:
             self._ready.release()
-        self._ended.release()
+        self._end()
 
     async def _serve(self) -> None:
         self._task = asyncio.current_task()

@@ -85,4 +85,7 @@ def test_serve_forever_unfreezes_what_it_froze() -> None:
 
 
 def test_serve_forever_leaves_what_the_program_froze() -> None:
-    assert len(set(counts("gc.freeze()"))) == 1
+    start, *others = counts("gc.freeze()")
+    assert start > 10_000
+    # Some of it may be freed meanwhile.
+    assert all(start - 500 <= count <= start for count in others)

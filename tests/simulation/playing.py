@@ -4,7 +4,7 @@ Runs of a simulated world: which one a seed stands for, and the shortest that fa
 
 from __future__ import annotations
 
-import asyncio
+import inspect
 import json
 import random
 import time
@@ -152,7 +152,7 @@ def _run(world: World) -> None:
     state = random.getstate()
     random.seed(world.options.seed)  # of the pauses before connecting again
     try:
-        if asyncio.iscoroutinefunction(made):
+        if inspect.iscoroutinefunction(made):
             world.network.run(partial(made, world))
         else:
             with world.network.installed():

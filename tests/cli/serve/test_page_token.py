@@ -34,8 +34,9 @@ def test_a_token_that_was_given_opens_the_page_and_is_not_printed(
         url = page_url(process.stdout.readline())
         with urllib.request.urlopen(url) as answer:
             assert answer.status == 200
-        with pytest.raises(urllib.error.HTTPError, match="403"):
+        with pytest.raises(urllib.error.HTTPError, match="403") as caught:
             urllib.request.urlopen(url[:-1])
+        caught.value.close()
         process.terminate()
         assert TOKEN not in process.stdout.read() + process.stderr.read()
 

@@ -138,6 +138,7 @@ def answered(url: str) -> list[dict[str, Any]]:
             with urllib.request.urlopen(url, timeout=LONGEST) as answer:
                 result: list[dict[str, Any]] = json.load(answer)["data"]["result"]
         except urllib.error.HTTPError as error:
+            error.close()
             if error.code != 503:  # it has just started
                 raise
             result = []

@@ -5,6 +5,7 @@ What is taken from the bucket, and what is refused as nothing that a worker wrot
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import pytest
@@ -77,14 +78,15 @@ def test_what_is_written_is_read_as_it_was(key: str, record: Any) -> None:
         ("worker.a.1", value(zones=["north"], state="gone"), "must be one of here, ended"),
         ("worker.a.1", value(zones="north", state="here"), "'north' must be of type list"),
         ("worker.a.1", value(zones=[], state="here", lease=1, beat=True, seen=0), "of type int"),
-        ("settings", b"[" * 10_000, "recursion"),
+        # What Python 3.14 reads to its end.
+        ("settings", b"[" * 10_000, "recursion|Expecting value"),
     ],
 )
 def test_what_no_worker_wrote_is_refused(key: str, given: bytes, why: str) -> None:
     with pytest.raises(RecordError) as refused:
         decode(key, given)
     assert str(refused.value).startswith(f"{key}: ")
-    assert why in str(refused.value)
+    assert re.search(why, str(refused.value))
 
 
 # --- of strangers ------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ def test_every_failed_case_is_named_and_the_others_are_not() -> None:
     text = failure([(4, 2), (9, 3), (6, 3), (1, 0)])
     assert text.startswith("2 of 4 cases failed:\n  (9, 3)\n    test_cases.py:")
     assert "AssertionError: assert (9 // 3) == 2" in text
-    assert "ZeroDivisionError: integer division" in text
+    assert "ZeroDivisionError: " in text
     assert "(4, 2)" not in text
     assert "(6, 3)" not in text
 
