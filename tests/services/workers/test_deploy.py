@@ -23,6 +23,7 @@ from fuzz.asked_devices import UNITS, Workers, asked_devices, fleet_file, until
 from fuzz.nats_servers import NatsServers, free_ports
 from libmodbus_py.cli.main import main
 from libmodbus_py.services.workers.records import BUCKET
+from tests.support.programs import program
 
 pytest.importorskip("nats")
 
@@ -86,9 +87,11 @@ def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, cap
             workers.signal("a", signal.SIGINT)
             assert workers.ended("a", PATIENCE) == 130
             assert "Traceback" not in workers.said("a")
-            # With two of three there is a leader, but no place for three copies.
+            # With two of three there is a leader, but no place for three copies; two of NATS 2.15
+            # that begin anew elect none.
             servers.start(1)
-            until(lambda: "too few servers are up" in workers.said("b"), PATIENCE)
+            if nats_version() < (2, 15):
+                until(lambda: "too few servers are up" in workers.said("b"), PATIENCE)
             assert asked.polls == 0
             servers.start(2)
             until(lambda: asked.polls > 0, PATIENCE)
@@ -117,6 +120,12 @@ def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, cap
             workers.signal("b", signal.SIGTERM)
             assert workers.ended("b", PATIENCE) == 0
         assert asked.doubles == 0
+
+
+def nats_version() -> tuple[int, ...]:
+    command = [program("nats-server"), "--version"]
+    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return tuple(map(int, re.findall(r"\d+", text)[:2]))
 
 
 def _is_waiting(workers: Workers, name: str) -> bool:
