@@ -63,8 +63,8 @@ def context_execute_many(place: str, blocks: list[Block]) -> Iterator[Read]:
     from libmodbus_py import TcpContext, pdu
 
     requests = [pdu.ReadHoldingRegisters(*block) for block in blocks]
-    with TcpContext(HOST, int(place)) as context:
-        yield lambda: context.execute_many(requests, max_in_flight=IN_FLIGHT)
+    with TcpContext(HOST, int(place), max_in_flight=IN_FLIGHT) as context:
+        yield lambda: context.execute_many(requests)
 
 
 @contextmanager
@@ -87,9 +87,7 @@ def async_execute_many(place: str, blocks: list[Block]) -> AbstractContextManage
     from libmodbus_py import pdu
 
     requests = [pdu.ReadHoldingRegisters(*block) for block in blocks]
-    return async_client(
-        place, lambda client: client.execute_many(requests, max_in_flight=IN_FLIGHT)
-    )
+    return async_client(place, lambda client: client.execute_many(requests))
 
 
 def async_one(place: str, blocks: list[Block]) -> AbstractContextManager[Read]:

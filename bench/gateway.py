@@ -58,11 +58,13 @@ async def in_flight(url: str, clients: int, each: int, count: int) -> float:
     """Requests a second of several clients, so many of each in flight."""
     async with contextlib.AsyncExitStack() as stack:
         made = [
-            await stack.enter_async_context(AsyncClient(url, unit=1, timeout=20))
+            await stack.enter_async_context(
+                AsyncClient(url, unit=1, timeout=20, max_in_flight=each)
+            )
             for _ in range(clients)
         ]
         start = time.perf_counter()
-        jobs = (c.execute_many([READ] * (count // clients), max_in_flight=each) for c in made)
+        jobs = (c.execute_many([READ] * (count // clients)) for c in made)
         await asyncio.gather(*jobs)
         return count / (time.perf_counter() - start)
 

@@ -13,7 +13,7 @@ Looked at after each event:
     wrong       a value of another request
     stale       a value of the same request from before it was asked
     told        a write that was told as refused was carried out, or one that succeeded was not
-    order       an older write was sent after a newer one
+    order       a request was sent while an earlier one had no outcome yet, and one is a write
     beside      a request was in flight beside a write
     doubt       a request was sent in DOUBT
     endless     a wait longer than the timeouts and silences add up to
@@ -40,10 +40,9 @@ from dataclasses import dataclass, field
 from itertools import accumulate, combinations, product
 from typing import Any, NamedTuple
 
-from libmodbus_py.client.call import Call, Phase, Timeouts
+from libmodbus_py.client.call import NOT_ASKED, Batch, Call, Phase, Timeouts
 from libmodbus_py.client.connection import Transactions
 from libmodbus_py.client.options import CheckedOptions
-from libmodbus_py.client.queue import ONE_AT_A_TIME
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.port import make_port
 from libmodbus_py.protocol import pdu
@@ -90,6 +89,7 @@ ACTS: dict[str, Act] = {
     "twice +9": Act(((2, "answer"), (11, "answer"))),
     "three times": Act(((2, "answer"), (3, "answer"), (4, "answer"))),
     "refused": Act(((2, "refusal"),), does=False),
+    "busy": Act(((2, "busy"),), does=False),
     "refused twice": Act(((2, "refusal"), (3, "refusal")), does=False),
     "another unit": Act(((1, "unit"), (2, "answer"))),
     "another function": Act(((1, "function"), (2, "answer"))),
@@ -101,7 +101,22 @@ ACTS: dict[str, Act] = {
 ONLY_WITH_IDS = {"swallowed": Act((), 0, does=False)}
 
 # What a caller does: the requests that it makes at once, and what comes before or behind.
-MOVES = ("A", "B", "C", "F", "W", "pause A", "cancelled", "AB", "WAW", "AW", "lost", "given up")
+MOVES = (
+    "A",
+    "B",
+    "C",
+    "F",
+    "W",
+    "pause A",
+    "cancelled",
+    "AB",
+    "WAW",
+    "AW",
+    "in order AW",
+    "in order AWB",
+    "lost",
+    "given up",
+)
 
 
 class Asked(NamedTuple):
@@ -127,16 +142,17 @@ class World:
     errors: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        ONE_AT_A_TIME.clear()
         self.now = 0.0
         self.endpoint = parse("tcp://10.0.0.1:502" if self.has_ids else "rtu+tcp://10.0.0.1:502")
-        settings = CheckedOptions(turnaround=1.0, timeouts_before_reconnect=1000)
-        self.connection = Transactions(
-            self.endpoint, settings, make_port(self.endpoint, settings), 16
+        settings = CheckedOptions(
+            turnaround=1.0,
+            timeouts_before_reconnect=1000,
+            max_in_flight=4 if self.has_ids else 1,
         )
+        self.connection = Transactions(self.endpoint, settings, make_port(self.endpoint, settings))
         self.connection.life.connecting()
         self.connection.opened(0.0)
-        self.timeouts = Timeouts(TIMEOUT, self.retries, 0)
+        self.timeouts = Timeouts(TIMEOUT, self.retries, self.retries)
         self.framer = make_framer(self.endpoint.framing, "server")
         self.arrivals: list[tuple[float, int, bytes]] = []
         self.count = 0
@@ -144,11 +160,11 @@ class World:
         self.acts: list[str] = []
         self.version = 1
         self.writes = 0
-        self.sent_writes: list[int] = []
         self.done_writes: set[int] = set()
         self.asked: list[Asked] = []
         # Unit and function -> when it was last heard of, after it was not answered well.
         self.doubted: dict[tuple[int, int], float] = {}
+        self.unjudged: set[Call] = set()  # that were sent
         self.events = 0
 
     # --- the device ----------------------------------------------------------------------------
@@ -187,8 +203,8 @@ class World:
             return make(number, unit, request)
         if kind == "noise":
             return b"" if self.has_ids else b"\x00"
-        if kind == "refusal":
-            answer = bytes([request[0] | 0x80, 4])
+        if kind in ("refusal", "busy"):
+            answer = bytes([request[0] | 0x80, 6 if kind == "busy" else 4])
         elif kind == "unit":
             unit = 9
         elif kind == "function":
@@ -206,16 +222,24 @@ class World:
     # --- the client ----------------------------------------------------------------------------
 
     def note_sent(self, frame: Frame) -> None:
-        if frame.pdu[0] == 6:
-            number = int.from_bytes(frame.pdu[3:5], "big")
-            if self.sent_writes and number < self.sent_writes[-1]:
-                self.errors.add("order")
-            self.sent_writes.append(number)
         heard = self.doubted.pop((frame.unit, frame.pdu[0]), -math.inf)
         if not self.has_ids and self.now < heard + TIMEOUT:
             self.errors.add("doubt")
 
-    def ask(self, letter: str) -> Call:
+    def note_order(self, adu: bytes) -> None:
+        """Look whether what must come before a frame has its outcome."""
+        at = next(at for at in reversed(range(len(self.asked))) if self.asked[at].call.adu is adu)
+        call = self.asked[at].call
+        self.unjudged.add(call)
+        for earlier in self.asked[max(0, at - 4) : at]:
+            other = earlier.call
+            is_ordered = (call.changes or other.changes) and (
+                self.has_ids or other.unit == call.unit
+            )
+            if is_ordered and not other.is_done:
+                self.errors.add("order")
+
+    def request(self, letter: str) -> tuple[int, pdu.Request[Any]]:
         unit = 1
         made: pdu.Request[Any]
         if letter == "W":
@@ -226,18 +250,36 @@ class World:
         else:
             unit = 2 if letter == "C" else 1
             made = pdu.ReadHoldingRegisters("ABC".index(letter) % 2, 1)
-        call = Call(unit, made, self.timeouts)
+        return unit, made
+
+    def ask(self, letter: str) -> Call:
+        call = Call(*self.request(letter), self.timeouts)
+        self.note_asked(letter, call)
         self.connection.submit(call, self.now)
+        return call
+
+    def ask_in_order(self, letters: str) -> list[Call]:
+        """Make requests of one caller, which end at the first failure."""
+        batch = Batch(1, [self.request(letter)[1] for letter in letters], self.timeouts, limit=4)
+        for letter, call in zip(letters, batch.calls, strict=True):
+            self.note_asked(letter, call)
+        self.connection.submit(batch, self.now)
+        return batch.calls
+
+    def note_asked(self, letter: str, call: Call) -> None:
         version = self.writes if letter == "W" else self.version
         self.asked.append(Asked(letter, call, self.now, version))
-        return call
+
+    def send(self) -> None:
+        for adu in self.connection.start(self.now):
+            self.note_order(adu)
+            self.receive(adu)
 
     def step(self, until: float) -> bool:
         """Go on to the next event; return False if there is none before a time."""
         connection = self.connection
         self.events += 1
-        for adu in connection.start(self.now):
-            self.receive(adu)
+        self.send()
         pending = connection.matching.pending.values()
         if len(pending) > 1 and any(call.changes for call in pending):
             self.errors.add("beside")
@@ -251,6 +293,7 @@ class World:
             data = heapq.heappop(self.arrivals)[2]
             self.note_heard(data)
             connection.take([data], self.now)
+            self.send()  # as drivers do, before answers are decoded
         else:
             connection.tick(self.now)
         connection.settle(self.now)
@@ -258,16 +301,16 @@ class World:
         return True
 
     def note_failures(self) -> None:
-        for each in self.asked[-2:]:
+        for each in self.asked[-3:]:
             outcome = each.call.outcome
-            if each.call.order and isinstance(outcome, BaseException):
+            if each.call in self.unjudged and isinstance(outcome, BaseException):
                 is_unsent = "does not fall silent" in str(outcome)
                 if not is_unsent and not isinstance(
                     outcome, ExceptionResponse | ModbusConnectionError
                 ):
                     pair = each.call.unit, each.call.function
                     self.doubted.setdefault(pair, self.now)
-                each.call.order = 0
+                self.unjudged.discard(each.call)
 
     def note_heard(self, data: bytes) -> None:
         if not self.has_ids and len(data) > 1 and not crc16(data):
@@ -293,7 +336,10 @@ class World:
     def judge(self, asked: Asked) -> None:
         outcome = asked.call.outcome
         failed = isinstance(outcome, BaseException)
-        if asked.letter == "W":
+        if outcome is NOT_ASKED:  # behind one that failed
+            if asked.call.adu and asked.letter == "W":
+                self.errors.add("order")
+        elif asked.letter == "W":
             if not failed and asked.version not in self.done_writes:
                 self.errors.add("told")
             if isinstance(outcome, ExceptionResponse) and asked.version in self.done_writes:
@@ -334,7 +380,10 @@ class World:
             self.wait([call])
             return
         self.acts = [act]
-        self.wait([self.ask(letter) for letter in move])
+        if move.startswith("in order"):
+            self.wait(self.ask_in_order(move[9:]))
+        else:
+            self.wait([self.ask(letter) for letter in move])
 
     def idle(self, ticks: float) -> None:
         until = self.now + ticks
@@ -373,6 +422,8 @@ def exception_for(world: World, steps: Steps, unusual: Steps) -> str | None:
     """Return the name of the exception that explains the errors of a world; None for none."""
     errors = world.errors
     names = [name for move, act in unusual for name in (move, act)]
+    # The answer to a write is its own echo.
+    names += ["twice" for move, act in unusual if act == "echo" and "W" in move]
     surplus = [each for each in names if each.startswith(_SURPLUS)]
     missing = [each for each in names if each.startswith(_MISSING)]
     if world.has_ids or not surplus or not errors <= {"wrong", "stale", "told"}:

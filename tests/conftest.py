@@ -14,7 +14,6 @@ import pytest
 from hypothesis import settings
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.client.queue import ONE_AT_A_TIME
 from tests.simulation.stage import Stage
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.certificates import Papers
@@ -62,12 +61,6 @@ def _own_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
             patch.delenv(name)
         patch.setenv("HOME", str(tmp_path_factory.mktemp("home")))
         yield
-
-
-@pytest.fixture(autouse=True)
-def _unknown_endpoints() -> None:
-    """Forget which endpoints take one request at a time: other tests use the same ports."""
-    ONE_AT_A_TIME.clear()
 
 
 @pytest.fixture

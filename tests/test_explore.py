@@ -47,6 +47,13 @@ def forget_call(self: Any, call: Any, now: float) -> bool:
     return was_in_flight
 
 
+next_of_queue = Queue.next
+
+
+def next_beside_answered(self: Any, now: float, in_flight: int, unsettled: int) -> Any:
+    return next_of_queue(self, now, in_flight, 0)
+
+
 Breaking = Callable[[], AbstractContextManager[Any]]
 
 ON_LINES: dict[str, Breaking] = {
@@ -70,9 +77,9 @@ ON_LINES: dict[str, Breaking] = {
 }
 
 WITH_IDS: dict[str, Breaking] = {
-    "a write is alone": lambda: patch.object(Queue, "_is_ordered", always(False), create=True),
-    "nothing goes beside what is alone": lambda: patch.object(
-        Queue, "alone", always(None), create=True
+    "a write is alone": lambda: patch.object(Queue, "write", always(None), create=True),
+    "a write waits for the outcome of what was answered": lambda: patch.object(
+        Queue, "next", next_beside_answered
     ),
 }
 

@@ -19,15 +19,12 @@ from .requests import Awaiting
 if TYPE_CHECKING:
     from .options import AsyncOptions
 
-__all__ = ["IN_FLIGHT", "MAX_PAUSE", "AsyncClient", "Submitted"]
+__all__ = ["MAX_PAUSE", "AsyncClient", "Submitted"]
 
 Result = TypeVar("Result")
 
 # Seconds: a device that was switched on again is back after half a minute at most.
 MAX_PAUSE = 30.0
-
-# Servers need not accept more requests at once (TCP guide, 4.3.3).
-IN_FLIGHT = 16
 
 
 class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
@@ -41,11 +38,11 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     shortened by a random amount; pauses begin at 0.1 s again after a response. A request that
     cannot wait that long fails at once.
 
-    With the framings "tcp" and "udp", up to `max_in_flight` requests are pending at the same
-    time, and may be answered in any order. On serial lines, and on serial lines behind TCP or UDP,
-    requests are sent one at a time. After a failure there, the line must be silent for `timeout`
-    before the same unit gets another request, because a late response could be mistaken for the
-    response to that request. Requests are sent in the order in which they were made.
+    With the framings "tcp" and "udp", up to `max_in_flight` reads are pending at the same time,
+    and may be answered in any order; a write is alone. On serial lines, and on serial lines behind
+    TCP or UDP, requests are sent one at a time. After a failure there, the line must be silent for
+    `timeout` before the same unit gets another request, because a late response could be mistaken
+    for the response to that request. Requests are sent in the order in which they were made.
 
     A request may be cancelled at any time, for example by ``asyncio.timeout``. Its response is
     dropped when it arrives, and other requests are not affected.
@@ -80,7 +77,6 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
             parse(url),
             options,
             lambda endpoint, settings, port, connection: AsyncioDriver(port, connection),
-            IN_FLIGHT,
             max_pause=MAX_PAUSE,
             may_send=None,
         )
@@ -156,11 +152,8 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     @property
     def room(self) -> int:
         """
-        The most requests that should be pending now: `max_in_flight`, or 0 for a while.
-
-        It is 0 while a request is pending beside which nothing is sent: a write, unless
-        `max_in_flight` was given, or a request that was lost while others were pending and is sent
-        again alone. Requests that are submitted meanwhile are sent after it, even if its outcome
+        The most requests that should be pending now: `max_in_flight`, or 0 while a write has no
+        outcome yet. Requests that are submitted meanwhile are sent after it, even if its outcome
         shows that their unit does not answer.
         """
         return self._connection.room

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack
 from ..ports.schemes import DEFAULT_PORT, PARITIES, SECURE_PORT, Scheme, options_of
 from ..protocol import pdu
 from .blocking_driver import BlockingDriver
-from .call import MAX_IN_FLIGHT
 from .handle import Handle
 from .procedures import Procedures
 from .requests import Blocking
@@ -85,7 +84,7 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
         Context._kinds.update(dict.fromkeys(schemes, cls))
 
     def __init__(self, endpoint: Endpoint, options: Mapping[str, Any]) -> None:
-        super().__init__(endpoint, options, _make_driver, MAX_IN_FLIGHT, native=True)
+        super().__init__(endpoint, options, _make_driver, native=True)
 
     @staticmethod
     def from_url(address: str, **options: Unpack[UrlOptions]) -> Context:

@@ -86,10 +86,9 @@ class Call:
 
     # fmt: off
     __slots__ = (
-        "adu", "answerer", "batch", "busy_tries", "changes", "due", "earlier", "is_done",
-        "is_silent", "is_under_way", "is_wanted", "lost_at", "number", "on_done", "order",
-        "outcome", "pdu", "reply", "request", "sent_at", "since", "state", "timeouts", "tries",
-        "unit", "used", "waits_until",
+        "adu", "answerer", "batch", "busy_tries", "changes", "due", "is_done", "is_silent",
+        "is_under_way", "is_wanted", "number", "on_done", "outcome", "pdu", "reply", "request",
+        "sent_at", "since", "state", "timeouts", "tries", "unit", "used", "waits_until",
     )
     # fmt: on
 
@@ -115,14 +114,11 @@ class Call:
         self.answerer: int = 0  # the unit that answered
         self.adu: bytes = b""  # the frame that was sent last
         self.number: int = 0  # its transaction id
-        self.earlier: int = -1  # the id of the frame before, if that was not answered
-        self.order: int = 0  # its number among the frames of the connection
         self.sent_at: float = 0.0
         # When its time began; sooner by `used` if it has waited for the connection.
         self.since: float = 0.0
         self.used: float = 0.0
         self.due: float = 0.0  # when it is to be sent again
-        self.lost_at: float = math.inf  # when it is lost beside others, and is asked again alone
         self.waits_until: float = math.inf  # when it fails for lack of silence on the line
         self.is_wanted: bool = True  # False if it is not to be sent again
         self.is_under_way: bool = True  # False if its batch has gone on without its outcome
@@ -329,10 +325,6 @@ class Matching(ABC):
     @abstractmethod
     def reset(self, now: float) -> list[Call]:
         """Return the requests in flight, and begin with the next connection."""
-
-    def is_missing(self, number: int) -> bool:
-        """Return True if the answer to a request that was given up has not come yet."""
-        return False
 
 
 def no_answer(timeout: float, received: bytes, *, is_held: bool = False) -> ModbusTimeoutError:

@@ -11,9 +11,9 @@ The requests of one connection: when each is sent, and what its outcome is.
     withdraw    a caller is gone
     opened, failed, lost, interrupted, closed    what became of the connection itself
 
-Four parts decide for it: `Queue`, which request is next; `Window`, how many may be in flight; its
-`Matching`, which answer belongs to which request (`Ids` by transaction ids, `Line` on lines without
-them, one request at a time); and `Outcomes`, what becomes of a request.
+Three parts decide for it: `Queue`, which request is next; its `Matching`, which answer belongs to
+which request (`Ids` by transaction ids, `Line` on lines without them, one request at a time); and
+`Outcomes`, what becomes of a request.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from ..protocol.errors import FrameError, ModbusConnectionError, ModbusError, al
 from .call import ANSWERED, SENT, WAITING, Batch, Call, Matching
 from .ids import Ids
 from .outcomes import Outcomes, add_hint, explain_end
-from .queue import Queue, Window
+from .queue import Queue
 from .reconnecting import FORKED, Notices, Reconnecting, State
 from .statistics import Statistics
 
@@ -51,11 +51,10 @@ class Transactions:
     """
     Sends requests in their order, and settles them.
 
-    `most` requests may be in flight, unless the settings contain a number. Of the port only the
-    name, the silence and the certificate are used.
+    Of the port only the name, the silence and the certificate are used.
     """
 
-    def __init__(self, endpoint: Endpoint, settings: CheckedOptions, port: Port, most: int) -> None:
+    def __init__(self, endpoint: Endpoint, settings: CheckedOptions, port: Port) -> None:
         self.in_flight: int = 0
         # The reason to replace the connection by a new one.
         self.broken: ModbusConnectionError | None = None
@@ -65,16 +64,12 @@ class Transactions:
         self.notices: Notices = Notices()
         self.statistics: Statistics = settings.statistics or Statistics()
         self.url: str = str(endpoint)
-        has_ids, limit = endpoint.has_transactions, settings.max_in_flight
         self._trace = Trace(self.url, settings.trace, later=self.notices.add)
         self.life: Reconnecting = Reconnecting(
             str(port), settings.max_pause, self.statistics, self.notices, settings.on_state
         )
-        self.window: Window = Window(
-            endpoint, (limit or most) if has_ids else 1, limit is not None, self.statistics
-        )
         self.matching: Matching
-        if has_ids:
+        if endpoint.has_transactions:
             any_unit = settings.accept_unit == "any"
             self.matching = Ids(endpoint, self.statistics, self._trace, any_unit=any_unit)
         else:
@@ -86,12 +81,11 @@ class Transactions:
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
         self._settings = settings
-        self._queue = Queue(self.matching, self.window, is_ordered=has_ids and limit is None)
+        self._queue = Queue(self.matching, settings.max_in_flight)
         self._outcomes = Outcomes(endpoint, port, self._queue, self.life, self.statistics)
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
         self._next_start = 0.0
-        self._sent = 0  # frames
 
     @property
     def alarm(self) -> float:
@@ -102,13 +96,17 @@ class Transactions:
     def is_wanted(self) -> bool:
         """True if a request waits to be sent, or a caller waits for the connection."""
         queue = self._queue
-        return bool(queue.waiting or queue.again or queue.lost)
+        return bool(queue.waiting or queue.again)
+
+    @property
+    def limit(self) -> int:
+        """The most requests in flight."""
+        return self._queue.limit
 
     @property
     def room(self) -> int:
-        """The most requests in flight; 0 while one is alone, or waits to be asked again alone."""
-        queue = self._queue
-        return 0 if queue.lost or queue.alone is not None else self.window.limit
+        """The most requests in flight now: 0 while a write has no outcome yet."""
+        return 0 if self._queue.write is not None else self._queue.limit
 
     # --- callers ------------------------------------------------------------------------------
 
@@ -172,15 +170,13 @@ class Transactions:
         """
         adus: list[bytes] = []
         queue, matching = self._queue, self.matching
-        if not (queue.waiting or queue.again or queue.lost):
+        if not (queue.waiting or queue.again):
             return adus
         if self.broken is not None or not self.life.is_open:
             return adus
         if self.is_guarded and (error := self.forbidden()) is not None:
             self.refuse(error)
             return adus
-        if self._answered and not matching.has_ids:
-            return adus  # the outcome may lead to DOUBT
         if (matching.unanswered or matching.rest) and self._is_useless():
             if not self.in_flight:
                 self._break("given up for a new connection")
@@ -188,19 +184,16 @@ class Transactions:
         if now < self._next_start:
             matching.wake(self._next_start)
             return adus
-        if queue.lost and not self.in_flight and queue.alone is None:
-            for other in queue.choose_alone(now):
-                if isinstance(other.reply, ModbusError):
-                    self._outcomes.go_on_without(other.reply, other, now)
         matching.is_traced = self._trace.is_on()
-        while (call := queue.next(now, self.in_flight)) is not None:
+        unsettled = len(self._answered)
+        while (call := queue.next(now, self.in_flight, unsettled)) is not None:
             adus.append(self._send(call, now))
             if self._settings.request_spacing:
                 self._next_start = now + self._settings.request_spacing
                 break
             if not (queue.waiting or queue.again):
                 break
-            most, batch = self.window.number, call.batch
+            most, batch = queue.limit, call.batch
             if batch is not None and 1 < batch.limit < most:
                 most = batch.limit
             if most <= 2 * len(adus):
@@ -214,32 +207,26 @@ class Transactions:
         """Return True if the connection is dead, or an answer on it was cut off."""
         matching = self.matching
         is_dead = (
-            self._is_socket
-            and matching.unanswered >= self._settings.timeouts_before_reconnect
-            and not self._queue.lost  # these may be answered when they are sent alone
+            self._is_socket and matching.unanswered >= self._settings.timeouts_before_reconnect
         )
         # The next answer would be appended to half a frame that no request expects.
         is_cut = matching.rest and self.in_flight == len(self._silent)
         return is_dead or bool(is_cut)
 
     def _send(self, call: Call, now: float) -> bytes:
-        matching, others = self.matching, self.in_flight
+        matching = self.matching
         if call.adu:
             self.statistics.retries += 1
         call.since = now - call.used
         call.used = 0.0
         call.sent_at = now
         call.state = SENT
-        self._sent = call.order = self._sent + 1
         matching.start(call, now)
         deadline = call.since + call.timeouts.timeout
         if deadline < matching.alarm:
             matching.alarm = deadline
-        if call.changes:
-            self._queue.note_write(call)
-        elif others and self.window.is_open:
-            self.window.sent(call, others, matching)
-        self.in_flight = others + 1
+        self._queue.note_sent(call)
+        self.in_flight += 1
         if call.is_silent:
             self._silent.append((now + self._settings.turnaround, call))
             matching.wake(now + self._settings.turnaround)
@@ -255,7 +242,7 @@ class Transactions:
         call = self.matching.take_back()
         call.state, call.adu = WAITING, b""
         call.used = call.sent_at - call.since
-        self._queue.alone = None
+        self._queue.note_end(call)
         self.in_flight = 0
         self.statistics.requests -= 1
         self._queue.waiting.appendleft(call)
@@ -333,7 +320,7 @@ class Transactions:
         for call in [*self._reset(now), *self._answered]:
             self.statistics.note(call.function, "cancelled")
         self._queue.drain()
-        self._queue.alone = None
+        self._queue.write = None
         self._answered = []
         if self.life.is_open:
             self.life.lost(error, now, by_itself=False)
@@ -346,11 +333,7 @@ class Transactions:
 
     def _reset(self, now: float) -> list[Call]:
         """Return the requests in flight, and reset the state of the previous connection."""
-        queue = self._queue
         calls = [*self.matching.reset(now), *(call for _, call in self._silent)]
-        calls += queue.lost
-        queue.lost.clear()
-        self.window.reset()
         self.broken = None
         self.is_flooded = False
         self._silent = []
@@ -368,7 +351,6 @@ class Transactions:
         for call in self._reset(now):
             call.state = ANSWERED
             call.reply = alike(error)
-            call.lost_at = math.inf
             self._answered.append(call)
         self.settle(now)
 
@@ -453,8 +435,7 @@ class Transactions:
         self._silent = [each for each in self._silent if each[0] > now]
         for call in over:
             self.in_flight -= 1
-            if call is self._queue.alone:
-                self._queue.alone = None
+            self._queue.note_end(call)
             self.statistics.note(call.function, "silent")
             call.settle(None)
             if call.batch is not None:

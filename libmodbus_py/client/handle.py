@@ -46,7 +46,6 @@ class Handle(Generic[Driving]):
         endpoint: Endpoint,
         options: Mapping[str, Any],
         make_driver: Callable[[Endpoint, CheckedOptions, Port, Transactions], Driving],
-        most: int,
         **usual: Any,
     ) -> None:
         """
@@ -57,7 +56,7 @@ class Handle(Generic[Driving]):
             timeout=1.0                 the longest time that a request may take
             retries=0                   how often a request is sent again without a good response
             busy_retries=0              the same for a device that reports that it is busy
-            max_in_flight=None          requests that may be pending at once; None finds it out
+            max_in_flight=1             the most reads that may be pending at the same time
             turnaround=0.1              the duration of a broadcast
             request_spacing=0.0         the minimum time between the starts of two requests
             connect_delay=0.0           the time between connecting and the first request
@@ -92,7 +91,7 @@ class Handle(Generic[Driving]):
         self._unit = settings.unit
         self._timeouts = settings.timeouts
         self._endpoint = endpoint
-        self._connection = Transactions(endpoint, settings, port, most)
+        self._connection = Transactions(endpoint, settings, port)
         self._has_broadcast = endpoint.framing in ("rtu", "ascii")
         self._driver = make_driver(endpoint, settings, port, self._connection)
         self._holes: dict[int, Holes] = {}
@@ -170,8 +169,8 @@ class Handle(Generic[Driving]):
 
     @property
     def max_in_flight(self) -> int:
-        """The most requests that may be pending together, as set or as found out by now."""
-        return self._connection.window.limit
+        """The most reads that may be pending at the same time, as set."""
+        return self._connection.limit
 
     @property
     def late_answers(self) -> int:
@@ -428,7 +427,7 @@ class Handle(Generic[Driving]):
             self._timeouts,
             name="requests[{}]",
             is_broadcast=self._unit == 0 and self._has_broadcast,
-            limit=limit,
+            limit=min(limit, self.max_in_flight),
             go_on=bool(several.return_exceptions),
         )
 

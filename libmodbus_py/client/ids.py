@@ -54,7 +54,6 @@ class Ids(Matching):
             self._strays = b""
             self.unasked: int = 0
         if call.adu:
-            call.earlier = call.number if isinstance(call.reply, TimeoutError) else -1
             call.reply = None
         call.number = number
         call.adu = mbap(number, call.unit, call.pdu)
@@ -135,17 +134,14 @@ class Ids(Matching):
     def expire(self, now: float) -> list[Call]:
         overdue: list[Call] = []
         for number, call in list(self.pending.items()):
-            deadline = call.deadline
-            at = min(deadline, call.lost_at) if call.is_wanted else deadline
-            if at > now:
-                self.wake(at)
+            if call.deadline > now:
+                self.wake(call.deadline)
                 continue
             del self.pending[number]
             self._abandon(number)
             call.reply = call.reply or self._no_answer(call)
-            if deadline <= now:
-                self._statistics.timeouts += 1
-                self.unanswered += call.since >= self._answered_at
+            self._statistics.timeouts += 1
+            self.unanswered += call.since >= self._answered_at
             overdue.append(call)
         return overdue
 
@@ -166,9 +162,6 @@ class Ids(Matching):
         del self.pending[call.number]
         self._abandon(call.number)
         return True
-
-    def is_missing(self, number: int) -> bool:
-        return number in self._abandoned
 
     def _abandon(self, number: int) -> None:
         self._abandoned[number] = None

@@ -43,12 +43,10 @@ class Options(TypedDict, total=False):
             (``pdu.Request.repeatable``). 0 by default.
         busy_retries: how often a request is sent again that was refused with Acknowledge
             or ServerDeviceBusy, 0..100, after 0.1, 0.2, 0.4, 0.8, 1, 1... s. 0 by default.
-        max_in_flight: the number of requests that may be pending at the same time, 1..256; only
-            1 where frames carry no transaction id. None by default, which finds out how many the
-            device can handle: 1 at first, doubled as long as responses arrive, up to 16 for
-            `AsyncClient` (TCP guide, 4.3.3), and up to the argument of `execute_many` for
-            contexts. A request that gets no response while others are pending is sent once more
-            alone, if it may be sent twice (``pdu.Request.repeatable``), whatever `retries` is.
+        max_in_flight: the most reads that may be pending at the same time, 1..256; only 1 where
+            frames carry no transaction id. A write is always alone. 1 by default: many devices
+            lose requests that arrive together; servers need not accept more than 16 (TCP guide,
+            4.3.3).
         turnaround: the duration of a request that gets no response (serial line, 2.4.1). 0.1 by
             default.
         request_spacing: the minimum time between the starts of two requests, for devices that
@@ -81,7 +79,7 @@ class Options(TypedDict, total=False):
     timeout: float
     retries: int
     busy_retries: int
-    max_in_flight: int | None
+    max_in_flight: int
     turnaround: float
     request_spacing: float
     connect_delay: float
@@ -130,7 +128,7 @@ class CheckedOptions:
     timeout: float = 1.0
     retries: int = 0
     busy_retries: int = 0
-    max_in_flight: int | None = None
+    max_in_flight: int = 1
     turnaround: float = 0.1
     request_spacing: float = 0.0
     connect_delay: float = 0.0
@@ -154,8 +152,7 @@ class CheckedOptions:
         integer("timeouts_before_reconnect", self.timeouts_before_reconnect, 1, 1_000_000)
         for name in ("turnaround", "request_spacing", "connect_delay", "max_pause"):
             seconds(name, getattr(self, name), low=0)
-        if self.max_in_flight is not None:
-            integer("max_in_flight", self.max_in_flight, 1, MAX_IN_FLIGHT)
+        integer("max_in_flight", self.max_in_flight, 1, MAX_IN_FLIGHT)
         if self.keepalive is not None:
             seconds("keepalive", self.keepalive, 1, 32_767)
         if self.accept_unit not in ("same", "any"):
@@ -195,7 +192,7 @@ class CheckedOptions:
         settings = cls(**{**usual, **endpoint.client_options, **options})
         if not endpoint.has_transactions:
             where = f"on {endpoint.scheme}, whose answers carry no transaction id"
-            if settings.max_in_flight not in (None, 1):
+            if settings.max_in_flight != 1:
                 raise ValueError(f"max_in_flight must be 1 {where}")
             if settings.accept_unit != "same":
                 raise ValueError(f'accept_unit must be "same" {where}')

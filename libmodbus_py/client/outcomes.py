@@ -15,12 +15,11 @@ from ..protocol.errors import (
     IllegalFunction,
     InvalidResponse,
     ModbusError,
-    ModbusTimeoutError,
     ServerDeviceBusy,
     alike,
 )
 from ..protocol.framing import crc16, is_one_frame
-from .call import Call, Phase
+from .call import Call
 from .queue import Queue
 from .reconnecting import Reconnecting
 from .statistics import Statistics, result_of
@@ -50,16 +49,12 @@ class Outcomes:
         self._port = port
         self._queue = queue
         self._matching = queue.matching
-        self._window = queue.window
         self._life = life
         self._statistics = counted
 
     def settle(self, call: Call, now: float) -> None:
         """Set the outcome of a request whose reply is here, or send it again."""
-        if call is self._queue.alone:
-            self._queue.alone = None
-            if not call.changes:
-                self._end_trial(call)
+        self._queue.note_end(call)
         reply = call.reply
         if call.is_done:
             self._statistics.note(call.function, "cancelled")
@@ -82,34 +77,23 @@ class Outcomes:
                 if not self._matching.has_ids:
                     self._matching.conclude(call, None, now)
 
-    def _end_trial(self, call: Call) -> None:
-        """Note how a read ended that was asked again alone."""
-        if isinstance(call.reply, ModbusTimeoutError):
-            self._window.missed(call)
-            return
-        if not isinstance(call.reply, bytes) or _is_busy(call.reply):
-            return
-        if call.earlier < 0 or self._matching.is_missing(call.earlier):
-            self._window.take_one()
-        elif not self._queue.lost:  # once for all that were lost together
-            self._window.halve()
-
     def fail_unsent(self, call: Call, error: ModbusError) -> None:
         """Fail a request that is not sent."""
-        if call is self._queue.alone:
-            self._queue.alone = None
+        self._queue.note_end(call)
         if call.request is not None:
             self._statistics.note(call.function, "unsent")
         call.settle(self._outcome(alike(error), call))
 
     def refuse(self, call: Call, error: ModbusError) -> None:
         """Fail a request that is not sent, or not again; and those of its caller behind it."""
-        self.fail_unsent(call, error)
-        batch = call.batch
-        if batch is not None:
+        follower: Call | None = call
+        while follower is not None:
+            self.fail_unsent(follower, error)
+            batch = follower.batch
+            if batch is None:
+                return
             batch.under_way -= 1
-            if (follower := batch.next()) is not None:
-                self.refuse(follower, error)
+            follower = batch.next()
 
     def _outcome(self, error: ModbusError, call: Call) -> BaseException:
         """Return an error with its request, or the exception that the request's class raised."""
@@ -122,8 +106,6 @@ class Outcomes:
                 add_hint(error, explain(self._scheme, call.adu, error.received))
             if isinstance(error, IllegalFunction):
                 add_hint(error, _explain_role(self._port.certificate))
-            if isinstance(error, ModbusTimeoutError) and self._window.is_at_one:
-                add_hint(error, "this device takes one request at a time (max_in_flight=1)")
         except BaseException as mistake:
             return mistake
         return error
@@ -134,8 +116,6 @@ class Outcomes:
         self._statistics.note_answer(call.pdu[0], result, took, now)
         if self._life.fruitless:
             self._life.prove()
-        if self._window.is_open:
-            self._window.answered(call, took, self._matching.pending)
 
     def _fail(self, error: ModbusError, call: Call, now: float) -> None:
         if isinstance(error, ExceptionResponse):
@@ -144,15 +124,8 @@ class Outcomes:
         else:
             self._statistics.note(call.function, result_of(error))
         self._matching.conclude(call, error, now)
-        self.go_on_without(error, call, now)
-
-    def go_on_without(self, error: ModbusError, call: Call, now: float) -> None:
-        """Send a request again that failed, or settle it."""
         try:
-            if self._window.is_lost(error, call):
-                call.state, call.reply = Phase.WAITING, error
-                self._queue.lost.append(call)
-            elif not self._is_repeated(error, call, now):
+            if not self._is_repeated(error, call, now):
                 call.settle(self._outcome(error, call))
         except BaseException as mistake:  # of the class of the request
             call.settle(mistake)
@@ -161,7 +134,7 @@ class Outcomes:
         """Send a request again later, if that is allowed; return False if not."""
         is_busy = isinstance(error, BUSY)
         assert call.request is not None
-        if not call.is_wanted or (call.changes and self._queue.last_write > call.order):
+        if not call.is_wanted:
             return False
         if not is_busy and (isinstance(error, ExceptionResponse) or not call.request.repeatable):
             return False
@@ -177,10 +150,6 @@ class Outcomes:
         call.since = now
         self._queue.put_again(call, now + pause)
         return True
-
-
-def _is_busy(reply: bytes) -> bool:
-    return reply[0] >= 0x80 and reply[1:] == bytes([ServerDeviceBusy.code])
 
 
 # --- likely mistakes ---------------------------------------------------------------------------

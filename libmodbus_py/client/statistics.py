@@ -33,8 +33,6 @@ class Statistics:
         exceptions: exception responses.
         timeouts: requests that got no response in time.
         retries: requests that were sent again.
-        falls: how often the number of requests in flight was reduced, because the device had
-            lost requests that were sent while others were pending.
         echoes: 1 if the connection was found to return what is sent on it (local echo).
         late_answers: responses to requests that had been given up; they were dropped.
         invalid: runs of bytes that were no frame, and frames that were no valid response.
@@ -59,7 +57,6 @@ class Statistics:
     exceptions: int = 0
     timeouts: int = 0
     retries: int = 0
-    falls: int = 0
     echoes: int = 0
     late_answers: int = 0
     invalid: int = 0

@@ -92,8 +92,7 @@ def test_a_batch_among_others() -> None:
                     ]
                     batch = asyncio.create_task(
                         client.execute_many(
-                            [pdu.ReadHoldingRegisters(address, 1) for address in range(256)],
-                            max_in_flight=256,
+                            [pdu.ReadHoldingRegisters(address, 1) for address in range(256)]
                         )
                     )
                     last = asyncio.create_task(client.read_holding_registers(9, 1))

@@ -232,7 +232,7 @@ def test_nothing_is_sent_of_many_requests_that_a_context_was_thrown_out_of() -> 
         with world.connect(peer.url) as context:
             while is_struck:
                 number += 1
-                call = partial(context.execute_many, writes(10 * number), max_in_flight=3)
+                call = partial(context.execute_many, writes(10 * number))
                 is_struck, raised = struck(call, number, error)
                 assert raised is (error if is_struck else None), (number, raised)
                 world.sleep(SETTLED)

@@ -411,7 +411,7 @@ def test_a_timeout_that_is_changed_ends_each_wait(timeout: float) -> None:
 @each_case("url", [LINE, TCP])
 def test_a_clock_that_stands_still_makes_no_wait_endless(url: str) -> None:
     """Requests, answers and frames that nobody awaits, all at one moment."""
-    talk = Talk(url, max_in_flight=None, timeout=1)
+    talk = Talk(url, timeout=1)
     for number in range(50):
         exchange(talk, number)
         talk.wait(0)

@@ -118,9 +118,9 @@ def test_a_hole_is_found_although_another_request_succeeds(world: World) -> None
 def test_nothing_more_is_sent_after_the_first_failure(world: World) -> None:
     points = RegisterMap([Point("a", H, 0), Point("b", H, 10), Point("c", H, 20)])
     device = Meter(10)
-    with world.client_of("tcp", device, max_in_flight=1) as plc:
+    with world.client_of("tcp", device) as plc:
         with pytest.raises(IllegalDataAddress):
-            plc.read_map(points, max_in_flight=1)
+            plc.read_map(points)
         assert device.asked == [(0, 1), (10, 1)]
 
 

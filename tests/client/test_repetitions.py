@@ -14,7 +14,6 @@ from libmodbus_py import (
     IllegalDataAddress,
     InvalidResponse,
     ModbusConnectionError,
-    ModbusError,
     ModbusTimeoutError,
     ServerDeviceBusy,
     pdu,
@@ -77,7 +76,7 @@ TROUBLES: dict[str, Callable[[Talk], object]] = {
 @each_case("trouble", TROUBLES)
 def test_an_older_write_is_never_sent_after_a_newer_one(url: str, trouble: str) -> None:
     """Two tasks with one client: the newer write waits until the older one is over."""
-    talk = Talk(url, max_in_flight=None, timeout=1, retries=1, busy_retries=1, max_pause=0)
+    talk = Talk(url, timeout=1, retries=1, busy_retries=1, max_pause=0)
     older = talk.ask(pdu.WriteRegister(1, 1))
     newer = talk.ask(pdu.WriteRegister(1, 2))
     assert values(talk) == [1]
@@ -92,18 +91,39 @@ def test_an_older_write_is_never_sent_after_a_newer_one(url: str, trouble: str) 
     assert values(talk) == [1, 1, 2]
 
 
-@each_case("trouble", TROUBLES)
-def test_with_a_given_number_an_older_write_fails_once_a_newer_one_was_sent(trouble: str) -> None:
-    talk = Talk(max_in_flight=2, timeout=1, retries=1, busy_retries=1, max_pause=0)
-    older = talk.ask(pdu.WriteRegister(1, 1))
-    newer = talk.ask(pdu.WriteRegister(1, 2))
-    assert values(talk) == [1, 2]
+def busy(talk: Talk) -> None:
+    talk.come(reply(talk, "83 06"))
+
+
+@each_case("url", [TCP, "rtu+tcp://192.0.2.1"])
+@each_case("trouble", {"busy": busy, "silence": TROUBLES["silence"], "loss": Talk.reconnect})
+def test_a_write_waits_for_the_repetitions_of_the_read_before_it(url: str, trouble: str) -> None:
+    talk = Talk(url, timeout=1, retries=1, busy_retries=1, max_pause=0)
+    read, write, after = talk.ask(1), talk.ask(pdu.WriteRegister(1, 9)), talk.ask(2)
+    {**TROUBLES, "busy": busy}[trouble](talk)
+    talk.wait_for(2)
+    assert values(talk) == []
+    talk.come(answer(talk))
+    talk.wait_for(3)
+    assert read.outcomes == [[1]]
+    assert values(talk) == [9]
     talk.come(talk.sent[-1])
-    assert newer.outcomes == [None]
-    TROUBLES[trouble](talk)
-    talk.wait(5)
-    assert isinstance(older.outcomes[0], ModbusError)
-    assert values(talk) == [1, 2]
+    talk.wait_for(4)
+    talk.come(answer(talk))
+    talk.wait(1)
+    assert (write.outcomes, after.outcomes) == ([None], [[2]])
+
+
+def test_no_write_is_sent_before_the_answer_to_the_read_before_it_is_decoded() -> None:
+    """As drivers do, what may be sent is asked for between receiving and decoding."""
+    talk = Talk(busy_retries=1)
+    batch = talk.ask(1, pdu.WriteRegister(1, 9))
+    talk.connection.take([tcp(talk.sent[-1], "83 02")], talk.now)
+    assert talk.connection.start(talk.now) == []
+    talk.connection.settle(talk.now)
+    assert kinds(batch)[0] is IllegalDataAddress
+    assert talk.connection.start(talk.now) == []
+    assert talk.is_at_rest
 
 
 def test_what_waits_behind_a_repetition_fails_with_it_when_no_connection_is_made() -> None:

@@ -80,9 +80,9 @@ def test_repetitions_have_results_of_their_own(world: World) -> None:
 
 def test_what_nobody_waits_for_any_more_is_cancelled(world: World) -> None:
     """The first failure ends a batch; the answers to the others come, and are dropped."""
-    with world.client_of("tcp", answering(refused, good), timeout=1) as plc:
+    with world.client_of("tcp", answering(refused, good), timeout=1, max_in_flight=4) as plc:
         with pytest.raises(ModbusError):
-            plc.execute_many([REQUEST] * 8, max_in_flight=4)
+            plc.execute_many([REQUEST] * 8)
         results = dict(plc.statistics.results)
         assert results.pop((3, "exception")) == 1
         assert set(results) <= {(3, "cancelled"), (3, "ok")}

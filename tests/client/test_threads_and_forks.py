@@ -54,9 +54,7 @@ def test_a_child_sends_nothing_of_what_its_parent_asks(kind: str) -> None:
 
     with TcpPeer(slowly) as peer, asking(kind, peer.url) as context:
         requests = [pdu.WriteRegister(address, 1) for address in range(40)]
-        writer = threading.Thread(
-            target=context.execute_many, args=(requests,), kwargs={"max_in_flight": 1}
-        )
+        writer = threading.Thread(target=context.execute_many, args=(requests,))
         writer.start()
         halfway.wait()
 

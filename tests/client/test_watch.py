@@ -159,7 +159,7 @@ def test_a_point_that_is_refused_leaves_the_others(wall: Wall) -> None:
         (METER.plan(["a"]), {}, {"a": 7}),
         (Plan([("holding_registers", 3)]), {}, [[7]]),
         ({"x": ("holding_registers", 3)}, {}, {"x": [7]}),
-        ([("holding_registers", 3, 1, "int16")], {"max_in_flight": 1}, [[7]]),
+        ([("holding_registers", 3, 1, "int16")], {}, [[7]]),
     ],
 )
 def test_what_can_be_watched(wall: Wall, what: Any, options: Any, values: Any) -> None:
@@ -172,7 +172,6 @@ def test_what_can_be_watched(wall: Wall, what: Any, options: Any, values: Any) -
         (METER, {"every": 0}, ValueError, "every must be in 0.01..86400 seconds"),
         (METER, {"every": "1"}, TypeError, "every must be a number"),
         (METER, {"every": 1, "names": ["c"]}, ValueError, "no point 'c'"),
-        (METER, {"every": 1, "max_in_flight": 0}, ValueError, "max_in_flight must be"),
         ([("coilz", 1)], {"every": 1}, ValueError, "did you mean coils"),
         ([("coils", 1)], {"every": 1, "names": ["x"]}, ValueError, "names are for a RegisterMap"),
         (METER.plan(), {"every": 1, "gap": 3}, ValueError, "gap must be given to the plan"),

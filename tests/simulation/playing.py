@@ -15,8 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from libmodbus_py.client.queue import ONE_AT_A_TIME
-
 from .casts import CASTS
 from .events import START, Events
 from .rules import Broken
@@ -104,7 +102,6 @@ def play(options: Options) -> World:
 
 def tried(options: Options, lines: list[str] | None = None) -> Failure | World:
     """Run a cast; return how it failed, or the world at its end. `lines` get what was said last."""
-    ONE_AT_A_TIME.clear()  # what earlier runs found out
     world = World(options)
     exchange = Exchange(world.events)
     world.network.tap = exchange.tell

@@ -41,12 +41,12 @@ class Talk:
 
     def __init__(self, url: str = TCP, *, is_open: bool = True, **options: Any) -> None:
         endpoint = parse(url)
-        most = 16 if endpoint.framing in ("tcp", "udp") else None
+        most = 16 if endpoint.framing in ("tcp", "udp") else 1
         given = {"max_in_flight": most, **options}
         self.settings = CheckedOptions.of(endpoint, given, may_send=None)
         port = make_port(endpoint, self.settings)
         self.is_udp = endpoint.scheme == "udp"
-        self.connection = Transactions(endpoint, self.settings, port, 16)
+        self.connection = Transactions(endpoint, self.settings, port)
         self.matching: Any = self.connection.matching
         self.life = self.connection.life
         self.statistics = self.connection.statistics

@@ -177,7 +177,7 @@ def many(plc: TcpContext) -> None:
     assert_type(plc.read_many([("coils", 0), level]), list[list[Any]])
     text = plc.read_many([("input_registers", 0, 1, "string:8", "ABCD", "latin-1", " ")])
     assert_type(text, list[list[Any]])
-    plc.read_many([("holding_registers", 0, 2, "int32", "CDAB")], max_in_flight=1)
+    plc.read_many([("holding_registers", 0, 2, "int32", "CDAB")])
     found = plc.read_many([("coils", 0, 8)], return_exceptions=True)
     assert_type(found, list[list[Any] | ModbusError])
     plc.read_many(Plan({"level": ("coils", 0, 8)}, forbidden=[("coils", range(4))]))

@@ -88,7 +88,7 @@ def _tables(points: RegisterMap) -> Iterator[str]:
 def _check_device(points: RegisterMap, context: Context) -> int:
     """Print the points that a device refuses; return 1 if there are any."""
     context.connect()
-    values = context.read_map(points, return_exceptions=True, max_in_flight=1)
+    values = context.read_map(points, return_exceptions=True)
     failed = {name: value for name, value in values.items() if isinstance(value, ModbusError)}
     device = f"{context.url}, unit {context.unit}"
     for error in failed.values():

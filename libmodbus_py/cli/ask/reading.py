@@ -23,7 +23,7 @@ from ...maps.plan import Plan
 from ...maps.watched import PointIntervals, Totals
 from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, ModbusError
-from ..arguments import connected, endpoint_of
+from ..arguments import connected
 from ..main import CommandError, advice
 from ..output import Status, complain, counted
 from ..serve import over_http
@@ -105,8 +105,6 @@ class Reader:
         self._totals = Totals(at for at, point in enumerate(points) if point and point.never_falls)
         self._results: dict[int, ReadResult] = {}
         self._holes = Holes()
-        # Few devices take several requests at the same time.
-        self._limit: int = endpoint_of(options).client_options.get("max_in_flight") or 1
 
     def ask(self, context: Context, at: float = 0.0) -> list[ReadResult]:
         """
@@ -164,8 +162,8 @@ class Reader:
         answers: list[Any] = []
         while len(answers) < len(requests):
             status.show(f"{len(answers)} of {len(requests)} requests")
-            some = requests[len(answers) : len(answers) + self._limit]
-            answers += context.execute_many(some, max_in_flight=self._limit, return_exceptions=True)
+            some = requests[len(answers) : len(answers) + context.max_in_flight]
+            answers += context.execute_many(some, return_exceptions=True)
             for answer in answers[-len(some) :]:
                 if isinstance(answer, ModbusError) and not isinstance(answer, ExceptionResponse):
                     raise answer

@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from ...client.asynchronous import IN_FLIGHT, MAX_PAUSE
+from ...client.asynchronous import MAX_PAUSE
 from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
@@ -88,7 +88,7 @@ def add_command(command: argparse.ArgumentParser) -> None:
     arguments.add_client_options(
         command.add_argument_group("requests to the devices"),
         without=("unit", "native"),
-        usual=lambda: {"max_in_flight": str(IN_FLIGHT), "max_pause": f"{MAX_PAUSE:g}"},
+        usual=lambda: {"max_pause": f"{MAX_PAUSE:g}"},
     )
     add_limits(command)
     add_audit(command)

@@ -130,7 +130,7 @@ def test_much_is_sent_whole_and_in_order(talking: Talking) -> None:
 
     with talking(script, client={"timeout": 60, "max_in_flight": 256}) as (_, plc):
         asked = [pdu.WriteRegisters(each, (each,) * 120) for each in range(count)]
-        assert plc.execute_many(asked, max_in_flight=256) == [None] * count
+        assert plc.execute_many(asked) == [None] * count
         assert plc.statistics.connects == 1
     assert [int.from_bytes(each[8:10], "big") for each in got] == list(range(count))
     for each in got:

@@ -174,8 +174,8 @@ def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:
         peer.sock.sendall(peer.sealed(echo(asked[0])) + peer.end())
         done.wait(300)
 
-    with talking(script, client={"timeout": 600, "max_in_flight": 16}) as (_, plc):
-        found = plc.execute_many(reads(4), max_in_flight=8, return_exceptions=True)
+    with talking(script, client={"timeout": 600, "max_in_flight": 8}) as (_, plc):
+        found = plc.execute_many(reads(4), return_exceptions=True)
         done.set()
         assert found[0] == [0]
         assert [type(each) for each in found[1:]] == [ModbusConnectionError] * 3
@@ -197,8 +197,8 @@ def test_an_answer_and_an_alert_in_one_go(
         peer.sock.sendall(sealed.record(echo(request)) + sealed.record(ACCESS_DENIED, ALERT))
 
     with serving(script, version="1.3", keylog_filename=str(log)) as server:
-        with connect(server.url, security=papers.client(), timeout=600) as plc:
-            found = plc.execute_many(reads(9), max_in_flight=4, return_exceptions=True)
+        with connect(server.url, security=papers.client(), timeout=600, max_in_flight=4) as plc:
+            found = plc.execute_many(reads(9), return_exceptions=True)
         kept[0].close()
     refused = [each for each in found if isinstance(each, ModbusConnectionError)]
     assert found[0] == [0]

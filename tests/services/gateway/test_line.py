@@ -176,27 +176,6 @@ async def test_a_unit_that_had_less_than_half_of_the_timeout_is_not_silent(
     assert (plant.unit(1).timeouts, plant.unit(1).is_silent) == (1, is_silent)
 
 
-@on_line("tcp://10.0.0.1?timeout=0.5")
-async def test_reads_that_would_be_sent_again_are_refused_with_their_silent_unit(
-    plant: Plant,
-) -> None:
-    """The client sends reads again, one by one, that were lost beside others."""
-    plant.silent.add(9)
-    for _ in range(6):
-        plant.ask(1, Asker())
-        plant.ask(1, Asker())
-        await asyncio.sleep(0.1)
-    askers, other = [Asker() for _ in range(4)], Asker()
-    for function, asker in enumerate(askers, 1):
-        plant.ask(9, asker, f"{function:02x} 0000 0001")
-    await asyncio.sleep(TIMEOUT)
-    plant.ask(1, other)
-    await asyncio.sleep(2 * TIMEOUT)
-    assert [asker.answers for asker in askers] == [[f"8{each}0b"] for each in (1, 2, 3, 4)]
-    assert len(other.answers) == 1
-    assert plant.unit(9).resting == 2  # the second one was sent again before the line knew
-
-
 @on_line(f"{LINE}?timeout=2")
 async def test_a_damaged_answer_has_its_unit_wait_and_nobody_else(plant: Plant) -> None:
     """The line must be silent before that unit is asked again; others need not wait for it."""
