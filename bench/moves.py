@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import libmodbus_py
 from libmodbus_py import (
     AsyncClient,
-    Context,
+    Client,
     Device,
     Fleet,
     Gateway,
@@ -88,7 +88,7 @@ def profiled(name: str) -> Iterator[None]:
 
 
 def blocking(url: str, native: bool) -> None:
-    with Context.from_url(url, native=native) as client:
+    with Client(url, native=native) as client:
         for _ in range(BEFORE):
             client.read_holding_registers(0, 10)
         with profiled(f"blocking read, {'C' if native else 'Python'} carries it"):

@@ -16,7 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 from fuzz.bad_line import UNITS, BadLine, Framing
 from fuzz.command import numbers, progress
 from fuzz.transactions import Lateness, Tally, Transactions, known_device
-from libmodbus_py import AsciiContext, Context, RtuContext, Server
+from libmodbus_py import Client, Server
 
 __all__ = ["BAUDRATE", "LINES", "client", "on_a_line"]
 
@@ -34,11 +34,11 @@ AT_A_TIME = 4  # lines of each kind, a process each: a transaction waits most of
 TIMEOUT = 0.1  # five times what the framer of RTU calls silence
 
 
-def client(name: str, device: str, timeout: float, unit: int = UNITS[0]) -> Context:
+def client(name: str, device: str, timeout: float, unit: int = UNITS[0]) -> Client:
     """Make the client of one of `LINES`."""
     framing, native = LINES[name]
-    kind = RtuContext if framing == "rtu" else AsciiContext
-    return kind(device, BAUDRATE, unit=unit, timeout=timeout, native=native)
+    url = f"{framing}://{device}?baudrate={BAUDRATE}"
+    return Client(url, unit=unit, timeout=timeout, native=native)
 
 
 def on_a_line(name: str, timeout: float, seed: int, goes_on: Callable[[], bool]) -> Tally:
@@ -49,7 +49,7 @@ def on_a_line(name: str, timeout: float, seed: int, goes_on: Callable[[], bool])
         Server({UNITS[0]: known_device()}).background(
             "tcp://127.0.0.1:0", f"{framing}://{line.server}?baudrate={BAUDRATE}"
         ) as running,
-        Context.from_url(running.urls[0], unit=UNITS[0]) as clean,
+        Client(running.urls[0], unit=UNITS[0]) as clean,
         client(name, line.client, timeout) as context,
         Lateness() as lateness,
     ):

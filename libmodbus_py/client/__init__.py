@@ -8,7 +8,7 @@ From the caller to the wire:
                        types for type checkers
       polling          reads at a steady pace, for watch()
     handle             a unit, its timeouts, and the connection that it shares
-    blocking           Context, TcpContext, UdpContext, RtuContext, AsciiContext
+    blocking           the blocking client, `Client`
     asynchronous       AsyncClient
     options            the options of both, and the parts made of them
     call               one request, its timeouts and its outcome; several requests of a caller

@@ -71,7 +71,7 @@ class Handle(Generic[Driving]):
             on_state=None               called with each new `State`, and the error that led to it
             statistics=None             the `Statistics` to count in; None for new ones
 
-        Contexts also have:
+        `Client` also has:
 
             native=True                 requests are sent, and responses read, by C
 

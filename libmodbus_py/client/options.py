@@ -47,7 +47,7 @@ class Options(TypedDict, total=False):
             1 where frames carry no transaction id. None by default, which finds out how many the
             device can handle: 1 at first, doubled as long as responses arrive, up to 16 for
             `AsyncClient` (TCP guide, 4.3.3), and up to the argument of `execute_many` for
-            contexts. A request that gets no response while others are pending is sent once more
+            `Client`. A request that gets no response while others are pending is sent once more
             alone, if it may be sent twice (``pdu.Request.repeatable``), whatever `retries` is.
         turnaround: the duration of a request that gets no response (serial line, 2.4.1). 0.1 by
             default.
@@ -59,7 +59,7 @@ class Options(TypedDict, total=False):
             after which a network connection is considered dead, 1..1000000: the next request
             opens a new one. 3 by default.
         max_pause: the longest pause before the next attempt to connect; pauses begin at 0.1 s
-            and double. 0 means no pauses. 0 by default for contexts, 30 for `AsyncClient`.
+            and double. 0 means no pauses. 0 by default for `Client`, 30 for `AsyncClient`.
         keepalive: the duration of silence after which TCP probes whether the peer is still
             there, 1..32767; None for never. 30 by default.
         accept_unit: "any" accepts responses from a unit other than the one addressed, because
@@ -98,7 +98,7 @@ class Options(TypedDict, total=False):
 
 class ContextOptions(Options, total=False):
     """
-    The options of contexts.
+    The options of `Client`.
 
     Keys:
         native: True by default: requests that libmodbus supports are sent, and their responses

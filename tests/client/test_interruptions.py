@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, ModbusConnectionError, ModbusError, State, TcpContext
+from libmodbus_py import AsyncClient, Client, ModbusConnectionError, ModbusError, State
 from tests.support.clients import ALL, BLOCKING, NATIVE, Awaited, Connect, asking, connecting
 from tests.support.peers import TcpPeer, dead, ignore, peer_at, until
 from tests.support.reads import good, good_at
@@ -101,7 +101,7 @@ def test_the_timeout_includes_the_look_up_of_the_name(kind: str, answers: thread
 @pytest.mark.usefixtures("answers")
 def test_close_does_not_wait_for_the_look_up_of_a_name(kind: str) -> None:
     with ThreadPoolExecutor(1) as pool:
-        context = TcpContext("slow.invalid", timeout=600, native=kind == "native")
+        context = Client("tcp://slow.invalid", timeout=600, native=kind == "native")
         waiting = pool.submit(context.connect)
         until(lambda: context.state is State.CONNECTING)
         time.sleep(0.02)
@@ -114,7 +114,7 @@ def test_close_does_not_wait_for_the_look_up_of_a_name(kind: str) -> None:
 
 
 @contextlib.contextmanager
-def waiting_context(place: str, native: bool) -> Iterator[tuple[Context, Callable[[], object]]]:
+def waiting_context(place: str, native: bool) -> Iterator[tuple[Client, Callable[[], object]]]:
     """A context, and a request on it that waits for long."""
     with contextlib.ExitStack() as stack:
         if place == "connecting":
@@ -122,7 +122,7 @@ def waiting_context(place: str, native: bool) -> Iterator[tuple[Context, Callabl
         else:
             peer = stack.enter_context(peer_at(place, good_at(place)))
             url = peer.url
-        context = Context.from_url(url, timeout=600, native=native)
+        context = Client(url, timeout=600, native=native)
         stack.callback(context.close)
         if place == "connecting":
             yield context, context.connect
@@ -192,7 +192,7 @@ def other_process(scheme: str = "tcp") -> Iterator[str]:
 @NATIVE
 def test_close_and_requests_in_a_finalizer_during_a_request(native: bool) -> None:
     """The collector runs whenever something is made, as in the middle of a request."""
-    with other_process() as url, Context.from_url(url, native=native) as context:
+    with other_process() as url, Client(url, native=native) as context:
         context.write_registers(0, list(range(100)))
         outcomes: list[object] = []
 
@@ -228,7 +228,7 @@ def test_ctrl_c_at_any_moment_fails_no_later_request(place: str, native: bool) -
     """Each request that is not interrupted is right; none meets what an interrupted one left."""
     with (
         peer_at(place, good_at(place)) as peer,
-        Context.from_url(peer.url, timeout=0.3, native=native) as context,
+        Client(peer.url, timeout=0.3, native=native) as context,
     ):
         interrupted = 0
         before = signal.signal(signal.SIGALRM, signal.default_int_handler)
@@ -272,7 +272,7 @@ def test_the_connection_is_left_by_the_next_request(
 ) -> None:
     with (
         TcpPeer(good) as peer,
-        Context.from_url(peer.url, native=native) as context,
+        Client(peer.url, native=native) as context,
     ):
         assert context.read_holding_registers(6, 1) == [6]
         driver = context._driver
@@ -290,7 +290,7 @@ def test_a_client_that_was_closed_meanwhile_is_closed_by_the_next_request(
     native: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with TcpPeer(good) as peer:
-        context = Context.from_url(peer.url, native=native)
+        context = Client(peer.url, native=native)
         assert context.read_holding_registers(6, 1) == [6]
         Interrupted(monkeypatch, context._driver, "_shut")
         with pytest.raises(KeyboardInterrupt):

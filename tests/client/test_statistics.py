@@ -12,7 +12,7 @@ from unittest.mock import patch
 
 import pytest
 
-from libmodbus_py import AsyncClient, ModbusError, TcpContext, pdu
+from libmodbus_py import AsyncClient, Client, ModbusError, pdu
 from libmodbus_py.client.statistics import RESULTS, TIME_BOUNDS, Statistics
 from tests.simulation import network
 from tests.simulation.scripted import Scripted
@@ -204,4 +204,4 @@ def test_clients_one_after_the_other_count_in_the_same_place(connect: Connect) -
 
 def test_statistics_must_be_some() -> None:
     with pytest.raises(TypeError, match="statistics must be Statistics, not dict"):
-        TcpContext("127.0.0.1", statistics={})  # type: ignore[typeddict-item]
+        Client("tcp://127.0.0.1", statistics={})  # type: ignore[typeddict-item]

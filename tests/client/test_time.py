@@ -14,6 +14,7 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
+    Client,
     Device,
     Mapping,
     ModbusConnectionError,
@@ -21,7 +22,6 @@ from libmodbus_py import (
     Server,
     ServerDeviceBusy,
     State,
-    TcpContext,
     pdu,
 )
 from libmodbus_py.ports.schemes import SCHEMES
@@ -229,7 +229,7 @@ def test_a_shorter_timeout_of_another_thread_ends_the_wait(kind: str, scheme: st
 @BLOCKING
 def test_a_shorter_timeout_of_another_thread_ends_an_attempt_to_connect(kind: str) -> None:
     with dead() as port, ThreadPoolExecutor(1) as pool:
-        client = TcpContext("127.0.0.1", port, timeout=600, native=kind == "native")
+        client = Client(f"tcp://127.0.0.1:{port}", timeout=600, native=kind == "native")
         waiting = pool.submit(client.connect)
         until(lambda: client.state is State.CONNECTING)
         client.timeout = 0.05

@@ -14,11 +14,11 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
+    Client,
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
     State,
-    TcpContext,
     pdu,
 )
 from libmodbus_py.ports.schemes import SCHEMES
@@ -271,7 +271,7 @@ def test_a_hook_that_raises_leaves_a_context_that_works(
 
     options: dict[str, Any] = {hook: fail}
     with FakeServer(tcp, None, tcp) as server:
-        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        context = Client(f"tcp://127.0.0.1:{server.port}", native=kind == "native", **options)
         for address in range(6):
             with contextlib.suppress(error, ModbusConnectionError):
                 assert context.read_holding_registers(address, 1) == [address]
@@ -293,7 +293,7 @@ def test_a_hook_that_closes_ends_the_request(at: int, hook: str, kind: str) -> N
 
     options: dict[str, Any] = {hook: close}
     with FakeServer(tcp) as server:
-        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        context = Client(f"tcp://127.0.0.1:{server.port}", native=kind == "native", **options)
         with contextlib.suppress(ModbusConnectionError):
             for address in range(3):
                 assert context.read_holding_registers(address, 1) == [address]
@@ -316,7 +316,7 @@ def test_a_hook_that_asks_is_refused_and_harms_nobody(hook: str, kind: str) -> N
 
     options: dict[str, Any] = {hook: ask}
     with FakeServer(tcp) as server:
-        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        context = Client(f"tcp://127.0.0.1:{server.port}", native=kind == "native", **options)
         assert context.read_holding_registers(1, 1) == [1]
         context.close()
     assert isinstance(refused[0], RuntimeError)

@@ -11,12 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import (
-    AsyncClient,
-    Context,
-    ModbusError,
-    ModbusTimeoutError,
-)
+from libmodbus_py import AsyncClient, Client, ModbusError, ModbusTimeoutError
 from libmodbus_py.protocol import framing
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_servers import server
@@ -96,7 +91,7 @@ PLACES: dict[str, Place] = {
 }
 
 
-def is_answered(client: Context) -> bool:
+def is_answered(client: Client) -> bool:
     with contextlib.suppress(ModbusError):
         return client.read_holding_registers(ADDRESS, 1) == [ADDRESS]
     return False
@@ -108,9 +103,9 @@ def patience(url: str) -> float:
 
 def blocking(url: str, native: bool) -> Scenario:
     def scenario(trial: Trial) -> None:
-        client: Context | None = None
+        client: Client | None = None
         with trial.faults(ModbusTimeoutError):
-            client = Context.from_url(url, native=native, timeout=patience(url))
+            client = Client(url, native=native, timeout=patience(url))
             client.read_holding_registers(ADDRESS, 1)
             client.read_holding_registers(ADDRESS, 1)
         if client is None:

@@ -14,14 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    Context,
-    Device,
-    IllegalFunction,
-    Mapping,
-    ModbusTimeoutError,
-    pdu,
-)
+from libmodbus_py import Client, Device, IllegalFunction, Mapping, ModbusTimeoutError, pdu
 from libmodbus_py.client import blocking_driver
 from libmodbus_py.low_level import lib, loaded_version
 from libmodbus_py.ports.endpoint import Endpoint
@@ -61,7 +54,7 @@ each_transport = pytest.mark.parametrize("transport", TRANSPORTS)
 
 
 @contextlib.contextmanager
-def c_server(server: Path, transport: str, **options: Any) -> Iterator[Context]:
+def c_server(server: Path, transport: str, **options: Any) -> Iterator[Client]:
     """Yield a context of ours that is connected to the C server."""
     with c_serving(server, transport) as url, connected(url, **options) as context:
         yield context
@@ -89,7 +82,7 @@ def test_context_raises_what_c_server_refuses(
         check_refusals(url, "libmodbus", record_property)
 
 
-LACKING: dict[int, Callable[[Context], object]] = {
+LACKING: dict[int, Callable[[Client], object]] = {
     7: call("read_exception_status"),
     8: call("diagnostics", 0, 0xA537),
     11: call("read_comm_event_counter"),

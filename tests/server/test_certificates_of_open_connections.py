@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
+    Client,
     Device,
     Gateway,
     Limits,
@@ -23,7 +24,6 @@ from libmodbus_py import (
     ModbusConnectionError,
     Route,
     Server,
-    TlsContext,
 )
 from libmodbus_py.ports import tls
 from libmodbus_py.ports.endpoint import parse
@@ -73,8 +73,8 @@ def test_a_client_whose_certificate_is_revoked_is_closed(
     security = papers.server(crl=crl)
     with (
         served(papers, security=security, limits=QUICK) as (server, port),
-        TlsContext("127.0.0.1", port, security=papers.client()) as thief,
-        TlsContext("127.0.0.1", port, security=papers.client("Viewer")) as other,
+        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as thief,
+        Client(f"tls://127.0.0.1:{port}", security=papers.client("Viewer")) as other,
     ):
         assert thief.read_holding_registers(0, 1) == other.read_holding_registers(0, 1) == [0]
         crl.write_bytes(certificates.revocation_list(OPERATOR()))
@@ -91,7 +91,7 @@ def test_a_client_whose_certificate_has_expired_is_closed(
 ) -> None:
     with (
         serving(papers, limits=QUICK) as (server, port),
-        TlsContext("127.0.0.1", port, security=papers.client()) as plc,
+        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
         end = certificates.end(OPERATOR().certificate).timestamp()
@@ -105,7 +105,7 @@ def test_a_client_whose_pin_was_removed_is_closed(papers: Papers, tmp_path: Path
     security = papers.server(pin=pin)
     with (
         serving(papers, security=security, limits=QUICK) as (server, port),
-        TlsContext("127.0.0.1", port, security=papers.client()) as plc,
+        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
         security.reload()
@@ -119,7 +119,7 @@ def test_other_certificates_can_be_set_while_the_server_runs(papers: Papers) -> 
     """Who is trusted by both stays; who signed the others does not matter."""
     with (
         serving(papers, limits=QUICK) as (server, port),
-        TlsContext("127.0.0.1", port, security=papers.client()) as plc,
+        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
         with pytest.raises(TypeError, match="security must be Security, not str"):

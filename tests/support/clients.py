@@ -20,7 +20,7 @@ from typing import Any, Self
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context
+from libmodbus_py import AsyncClient, Client
 from tests.simulation.loop import VirtualLoop, complaints_of
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
@@ -36,7 +36,7 @@ NATIVE = pytest.mark.parametrize("native", [True, False])
 EVERYWHERE = pytest.mark.parametrize("world", KINDS, indirect=True)
 """In simulated time without C, and in real time with it: see the fixture `world`."""
 
-# A URL and options -> a client, to be used as a `Context` is.
+# A URL and options -> a client, to be used as a `Client` is.
 Connect = Callable[..., Any]
 
 
@@ -49,7 +49,7 @@ def read(client: Any, address: int) -> int:
 
 class Awaited:
     """
-    An `AsyncClient` with the calls of a `Context`.
+    An `AsyncClient` with the calls of a `Client`.
 
     Args:
         run: returns what an awaitable returns.
@@ -109,7 +109,7 @@ def connecting(kind: str) -> Iterator[Connect]:
         with running_loop() as loop:
             yield lambda url, **options: Awaited(threadsafe(loop), AsyncClient(url, **options))
     else:
-        yield partial(Context.from_url, native=kind == "native")
+        yield partial(Client, native=kind == "native")
 
 
 @contextmanager
@@ -162,7 +162,7 @@ class World:
     is_exact: bool
 
     def connect(self, url: str, **options: Any) -> Any:
-        """Return a client, to be used as a `Context` is."""
+        """Return a client, to be used as a `Client` is."""
         raise NotImplementedError
 
     def peer(self, scheme: str, on_request: OnRequest) -> Any:
@@ -235,7 +235,7 @@ class Simulated(World):
     def connect(self, url: str, **options: Any) -> Any:
         if self.kind == "asyncio":
             return Awaited(self._loop.run_until_complete, AsyncClient(url, **options))
-        return Context.from_url(url, native=False, **options)
+        return Client(url, native=False, **options)
 
     def peer(self, scheme: str, on_request: OnRequest) -> Scripted:
         url = url_for(scheme, line="/dev/line?baudrate=115200")

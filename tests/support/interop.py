@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import pytest
 
-from libmodbus_py import Context, Device, IllegalDataAddress, Mapping, Server
+from libmodbus_py import Client, Device, IllegalDataAddress, Mapping, Server
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.protocol.pdu import ServerId
 from libmodbus_py.tools.testing.wires import SerialWire, TcpWire
@@ -101,7 +101,7 @@ def restore(device: Device) -> None:
     device.files[3].write(9, (0x33CD, 0x0040))
 
 
-def restore_through(context: Context, function: int) -> None:
+def restore_through(context: Client, function: int) -> None:
     """The same for the tables of another server, after a function that writes."""
     if function in (5, 15):
         for first in (10, 1060):
@@ -231,9 +231,9 @@ def c_serving(server: Path, transport: str) -> Iterator[str]:
 # --- what our contexts ask -----------------------------------------------------------------
 
 
-def connected(url: str, **options: Any) -> Context:
+def connected(url: str, **options: Any) -> Client:
     """Return a context of ours for the unit there."""
-    return Context.from_url(url, **{"unit": UNIT, "timeout": TIMEOUT, **options})
+    return Client(url, **{"unit": UNIT, "timeout": TIMEOUT, **options})
 
 
 class Exchange(NamedTuple):
@@ -241,13 +241,13 @@ class Exchange(NamedTuple):
 
     function: int
     name: str
-    ask: Callable[[Context], object]
+    ask: Callable[[Client], object]
     answer: object = None
-    look: Callable[[Context], object] = lambda context: None
+    look: Callable[[Client], object] = lambda context: None
     seen: object = None
 
 
-def call(method: str, *arguments: Any) -> Callable[[Context], Any]:
+def call(method: str, *arguments: Any) -> Callable[[Client], Any]:
     """Return what calls a method of a context."""
     return methodcaller(method, *arguments)
 
@@ -306,7 +306,7 @@ def refusals() -> Iterator[Exchange]:
         yield Exchange(function, "refused", ask)
 
 
-def check_all(context: Context) -> None:
+def check_all(context: Client) -> None:
     """Assert that a context gets the answers and the refusals of the standard functions."""
     for check, exchange in each(exchanges(), lambda case: f"{case.function}-{case.name}"):
         with check:
