@@ -39,7 +39,7 @@ def test_both_clients_have_the_same_methods_with_the_same_parameters() -> None:
     # What a blocking client has no use for: requests that nobody awaits.
     others = {"submit", "abandon", "has_ids", "ready_at", "room"}
     public = {name for name in dir(AsyncClient) if not name.startswith("_")} - others
-    assert public == {name for name in dir(Client) if not name.startswith("_")} - {"from_url"}
+    assert public == {name for name in dir(Client) if not name.startswith("_")}
     assert {"read_coils", "execute_many", "read_many", "write_values", "for_unit"} <= public
     for name in public:
         blocking, asynchronous = getattr(Client, name), getattr(AsyncClient, name)

@@ -89,7 +89,7 @@ def test_a_document_runs(tmp_path: Path, run: Run) -> None:
         ("```python\n[1, 2]  # [..., 3]\n```", "is not"),
         ("```python\nfor i in range(2):\n    i  # 0\n```", "1 is not 0"),
         ("```python\nnobody\n```", "not defined"),
-        ("```python\nTcpContext\n```", "not defined"),
+        ("```python\nClient\n```", "not defined"),
         ("```python\nawait nobody\n```", "outside function"),
         ("```console\n$ echo 1\n2\n```", "and not:\n2"),
         ("```console\n$ echo 1\n```", "and not"),
