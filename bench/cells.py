@@ -121,13 +121,12 @@ WRITE_HOOK_SERVER = "Server, hook for writes"
 METERED_SERVER = "Server, metrics scraped each second"
 TRIVIAL_SERVER = "no Modbus: answers in C"
 
-DEFAULT, PYTHON = "Client", "Client, native=False"
+DEFAULT = "Client"
 CONTEXT_BULK, ASYNC_BULK = "Client.execute_many", "AsyncClient.execute_many"
 
 TCP_CLIENTS = [
     Peer(C_CLIENT, "client", C),
     Peer(DEFAULT, "tcp-context"),
-    Peer(PYTHON, "tcp-context-python"),
     Peer("pylibmodbus", "pylibmodbus", "pylibmodbus"),
     Peer("pymodbus", "pymodbus", "pymodbus"),
     Peer("pyModbusTCP", "pyModbusTCP", "pyModbusTCP"),
@@ -136,7 +135,6 @@ TCP_CLIENTS = [
 RTU_CLIENTS = [
     Peer(C_CLIENT, "client", C),
     Peer("Client, rtu", "rtu-context"),
-    Peer("Client, rtu, native=False", "rtu-context-python"),
     Peer("Client, rtu, silence=0", "rtu-context-hasty"),
     Peer("pymodbus", "pymodbus-rtu", "pymodbus"),
     Peer("minimalmodbus", "minimalmodbus", "minimalmodbus"),

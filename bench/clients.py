@@ -215,9 +215,7 @@ def minimalmodbus(place: str, blocks: list[Block]) -> Iterator[Read]:
 
 CLIENTS: dict[str, Connect] = {
     "tcp-context": tcp_context,
-    "tcp-context-python": partial(tcp_context, native=False),
     "rtu-context": rtu_context,
-    "rtu-context-python": partial(rtu_context, native=False),
     "rtu-context-hasty": partial(rtu_context, silence=0),
     "context-execute-many": context_execute_many,
     "async-execute-many": async_execute_many,

@@ -73,7 +73,7 @@ SUFFIXES = (".csv", ".json", ".jsonl", ".ndjson", ".tsv", ".txt", ".log")
 
 RARE = {
     *("busy_retries", "max_in_flight", "turnaround", "request_spacing", "connect_delay"),
-    *("timeouts_before_reconnect", "keepalive", "max_pause", "native", "accept_unit", "delimiter"),
+    *("timeouts_before_reconnect", "keepalive", "max_pause", "accept_unit", "delimiter"),
     *("rs485", "rts_delay", "echo", "silence", *SECURITY_OPTIONS),
 }
 """Options that --help leaves out."""

@@ -99,17 +99,12 @@ def _opened(line: str, stack: ExitStack) -> tuple[str, Client, Any]:
     if line == "TCP":
         running = stack.enter_context(server.background("tcp://127.0.0.1:0"))
         tcp = stack.enter_context(TcpWire(parse(running.urls[0]).port))
-        context = Client(f"tcp://127.0.0.1:{tcp.port}", native=True)
+        context = Client(f"tcp://127.0.0.1:{tcp.port}")
         return running.urls[0], stack.enter_context(context), tcp
     wire = stack.enter_context(SerialWire())
     url = f"{line.lower()}://{wire.server}?baudrate=19200"
     running = stack.enter_context(server.background(url))
-    is_rtu = line == "RTU"
-    context = (
-        Client(f"rtu://{wire.client}", baudrate=19200, native=True)
-        if is_rtu
-        else Client(f"ascii://{wire.client}")
-    )
+    context = Client(f"{line.lower()}://{wire.client}?baudrate=19200")
     return running.urls[0], stack.enter_context(context), wire
 
 
@@ -121,7 +116,7 @@ def _show(line: str, context: Client, request: pdu.Request[Any], expected: Any, 
     except ExceptionResponse as refusal:
         answer = f"refused: {refusal.args[0]}"
     right: bool = answer == expected
-    _print_row("function", f"{request.function}, carried by {'Python' if line == 'ASCII' else 'C'}")
+    _print_row("function", str(request.function))
     for name, sender in (("request", "client"), ("response", "server")):
         data = wire.sent_by(sender)
         text = repr(data.decode())[1:-1] if line == "ASCII" else data.hex(" ").upper()

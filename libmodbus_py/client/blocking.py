@@ -18,12 +18,10 @@ from .requests import Blocking
 
 if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
-    from ..ports.port import Port
     from ..ports.serial import SerialSettings
-    from .connection import Transactions
-    from .options import CheckedOptions, ContextOptions
+    from .options import Options
 
-    class ClientOptions(ContextOptions, SerialSettings, total=False):
+    class ClientOptions(Options, SerialSettings, total=False):
         """The options of `Client`, among them the settings of a serial port."""
 
 
@@ -70,8 +68,7 @@ class Client(Handle[BlockingDriver], Procedures, Blocking):
     ends the request, as it does on a serial line.
 
     Every response is checked in full: transaction id, unit, function, length, byte count and
-    echo. With `native`, a request that libmodbus supports is sent, and its response awaited, in
-    one call of C without the GIL; on serial lines libmodbus sends it.
+    echo.
 
     Args:
         url: such as "tcp://192.0.2.10?unit=17" or "rtu:///dev/ttyUSB0?baudrate=9600"
@@ -87,7 +84,12 @@ class Client(Handle[BlockingDriver], Procedures, Blocking):
 
     def __init__(self, url: str, **options: Unpack[ClientOptions]) -> None:
         endpoint, others = _parsed(url, options)
-        super().__init__(endpoint, others, _make_driver, MAX_IN_FLIGHT, native=True)
+        super().__init__(
+            endpoint,
+            others,
+            lambda endpoint, settings, port, connection: BlockingDriver(port, connection),
+            MAX_IN_FLIGHT,
+        )
 
     def close(self) -> None:
         """
@@ -134,15 +136,6 @@ class Client(Handle[BlockingDriver], Procedures, Blocking):
                         self._driver.run(job)
             except StopIteration as done:
                 return done.value
-
-
-def _make_driver(
-    endpoint: Endpoint, settings: CheckedOptions, port: Port, connection: Transactions
-) -> BlockingDriver:
-    # C reads and writes the descriptor itself, and knows no ASCII.
-    in_c = endpoint.framing != "ascii" and not endpoint.is_secure
-    is_on_libmodbus = endpoint.has_transactions or port.context is not None
-    return BlockingDriver(port, connection, native=settings.native and in_c and is_on_libmodbus)
 
 
 def _parsed(url: str, options: Mapping[str, Any]) -> tuple[Endpoint, Mapping[str, Any]]:

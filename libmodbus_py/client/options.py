@@ -21,11 +21,11 @@ from .statistics import Statistics
 if TYPE_CHECKING:  # ssl, which it needs, takes longer to import than the rest of a client
     from ..security.security import GivenContext, Security
 
-__all__ = ["AsyncOptions", "CheckedOptions", "ContextOptions", "Options"]
+__all__ = ["AsyncOptions", "CheckedOptions", "Options"]
 
 
-OF_ONE_KIND = ("native", "may_send")
-"""Options that only one kind of client has."""
+OF_ASYNC_CLIENTS = ("may_send",)
+"""Options that only `AsyncClient` has."""
 
 
 class Options(TypedDict, total=False):
@@ -96,19 +96,6 @@ class Options(TypedDict, total=False):
     statistics: Statistics | None
 
 
-class ContextOptions(Options, total=False):
-    """
-    The options of `Client`.
-
-    Keys:
-        native: True by default: requests that libmodbus supports are sent, and their responses
-            awaited, in one call of C. With False, the framers of this package handle all
-            requests. Both check every response in full.
-    """
-
-    native: bool
-
-
 class AsyncOptions(Options, total=False):
     """
     The options of `AsyncClient`.
@@ -124,7 +111,7 @@ class AsyncOptions(Options, total=False):
 
 @dataclass(frozen=True, slots=True)
 class CheckedOptions:
-    """`ContextOptions`, checked."""
+    """`AsyncOptions`, checked."""
 
     unit: int = 1
     timeout: float = 1.0
@@ -143,7 +130,6 @@ class CheckedOptions:
     trace: OnTraced | None = None
     on_state: OnState | None = None
     statistics: Statistics | None = None
-    native: bool = True
     may_send: Callable[[], bool] | None = None
 
     def __post_init__(self) -> None:
@@ -175,8 +161,6 @@ class CheckedOptions:
                 checked_callback(name, hook)
         if self.statistics is not None and not isinstance(self.statistics, Statistics):
             raise TypeError(f"statistics must be Statistics, not {type(self.statistics).__name__}")
-        if not isinstance(self.native, bool):
-            raise TypeError(f"native must be True or False, not {self.native!r}")
 
     @classmethod
     def of(cls, endpoint: Endpoint, options: Mapping[str, Any], **usual: Any) -> CheckedOptions:
@@ -187,10 +171,10 @@ class CheckedOptions:
             TypeError, ValueError: an option of the wrong name, type or range.
         """
         names = [field.name for field in fields(cls)]
-        known = [name for name in names if name not in OF_ONE_KIND or name in usual]
+        known = [name for name in names if name not in OF_ASYNC_CLIENTS or name in usual]
         for name in (*endpoint.client_options, *options):
             if name not in known:
-                serial = SERIAL_OPTIONS if endpoint.is_serial and "native" in usual else ()
+                serial = SERIAL_OPTIONS if endpoint.is_serial and "may_send" not in usual else ()
                 raise unknown_option(name, [*known, *serial])
         settings = cls(**{**usual, **endpoint.client_options, **options})
         if not endpoint.has_transactions:

@@ -182,7 +182,6 @@ CLIENT_OPTIONS: dict[str, Option] = {
         "S",
     ),
     "max_pause": _seconds("maximum seconds between two attempts to connect"),
-    "native": Option(_switch, "0 or 1", "send requests through the C library where possible", ""),
     "accept_unit": _text("same; or any, to accept answers from another unit", "WHICH"),
     "delimiter": Option(
         lambda text: int(text, 0),

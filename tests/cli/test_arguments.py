@@ -25,7 +25,7 @@ from tests.support.commands import run
 CLIENTS = ["read", "write", "identify", "diagnose", "raw", "map from-device"]
 
 # Command -> the options of clients that it has not.
-WITHOUT: dict[str, set[str]] = {"scan": {"unit"}, "gateway": {"unit", "native"}}
+WITHOUT: dict[str, set[str]] = {"scan": {"unit"}, "gateway": {"unit"}}
 
 TAKING = [*CLIENTS, *WITHOUT]
 

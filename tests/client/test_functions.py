@@ -62,7 +62,6 @@ def plc(connect: Connect, url: str) -> Iterator[Any]:
 
 
 def test_tables(plc: Any, mapping: Mapping) -> None:
-    """The first answer is checked here, the others come through libmodbus where C carries them."""
     for turn in range(3):
         coils = [True, False, True, True, False, False, True, True, True, False]
         assert plc.read_coils(10, 10) == coils
@@ -313,7 +312,7 @@ def test_hooks_are_told_who_asks_for_what(transport: str) -> None:
 )
 def test_pages_that_do_not_answer_are_invalid(asked: str | int, answer: str) -> None:
     page = bytes.fromhex(answer)
-    with making("python") as world:
+    with making("blocking") as world:
         peer = world.peer("tcp", answering(lambda request: [mbap(request, page)]))
         with world.connect(peer.url) as plc, pytest.raises(InvalidResponse):
             plc.read_device_identification(asked)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Client, pdu
+from libmodbus_py import Client, pdu
 from tests.support.cases import each_case
 from tests.support.clients import World
 from tests.support.reads import good
@@ -112,21 +112,6 @@ def test_nothing_is_sent_for_bad_arguments(world: World, ask: Any, named: str) -
             ask(plc)
         assert plc.read_holding_registers(5, 1) == [5]
         assert len(peer.requests) == 1
-
-
-def test_native_in_a_url_is_for_contexts_only() -> None:
-    url = "tcp://127.0.0.1?native=0"
-    Client(url).close()
-    with pytest.raises(TypeError, match="'native' must be one of unit, timeout"):
-        AsyncClient(url)
-    with pytest.raises(TypeError, match="'native' must be one of unit, timeout"):
-        AsyncClient("tcp://127.0.0.1", native=False)  # type: ignore[call-arg]
-
-
-@pytest.mark.parametrize("native", [None, 1, "yes"])
-def test_native_is_true_or_false(native: Any) -> None:
-    with pytest.raises(TypeError, match=f"native must be True or False, not {native!r}"):
-        Client("tcp://127.0.0.1", native=native)
 
 
 @each_case(

@@ -234,7 +234,7 @@ def told(found):
         str(error)
 
 def blocking(options):
-    plc = Client(url, native=kind == "native", max_pause=0.001, **options)
+    plc = Client(url, max_pause=0.001, **options)
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
     told([outcome(plc) for _ in range(3)])
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
@@ -270,7 +270,7 @@ LEFT_OPEN = """
 import asyncio, sys
 from libmodbus_py import AsyncClient, Client
 url, how = sys.argv[1:]
-contexts = [Client(url, native=native) for native in (True, False)]
+contexts = [Client(url) for _ in range(2)]
 for context in contexts:
     context.read_coils(0, 1)
 if how == "circle":

@@ -89,7 +89,7 @@ def step(line: str) -> str:
 @pytest.mark.parametrize(
     ("mode", "expected"), [("up", "set written cleared"), ("down", "cleared written set")]
 )
-@pytest.mark.parametrize("kind", ["native", "python", "ascii"])
+@pytest.mark.parametrize("kind", ["rtu", "ascii"])
 def test_rts_is_turned_while_a_request_goes_out(
     tmp_path: Path, mode: str, expected: str, kind: str
 ) -> None:
@@ -97,11 +97,7 @@ def test_rts_is_turned_while_a_request_goes_out(
     answer = with_echo(b":")[1] if kind == "ascii" else ANSWER
     with FakeUnit(lambda request: [answer]) as unit:
         options = f"baudrate=115200, rs485='rts-{mode}'"
-        make = {
-            "native": f"Client('rtu://{unit.path}', {options}, native=True)",
-            "python": f"Client('rtu://{unit.path}', {options}, native=False)",
-            "ascii": f"Client('ascii://{unit.path}', {options})",
-        }[kind]
+        make = f"Client('{kind}://{unit.path}', {options})"
         trace = tmp_path / "trace"
         modem_lines = compile_c(SOURCES / "rts.c", tmp_path / "rts.so", "-shared", "-fPIC")
         watch = ["strace", "-f", "-e", "trace=ioctl,write", "-o", str(trace)]

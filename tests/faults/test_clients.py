@@ -101,11 +101,11 @@ def patience(url: str) -> float:
     return PATIENT if url.startswith(("tcp", "tls")) else TIMEOUT
 
 
-def blocking(url: str, native: bool) -> Scenario:
+def blocking(url: str) -> Scenario:
     def scenario(trial: Trial) -> None:
         client: Client | None = None
         with trial.faults(ModbusTimeoutError):
-            client = Client(url, native=native, timeout=patience(url))
+            client = Client(url, timeout=patience(url))
             client.read_holding_registers(ADDRESS, 1)
             client.read_holding_registers(ADDRESS, 1)
         if client is None:
@@ -141,8 +141,8 @@ def unblocked(url: str) -> Scenario:
 
 
 @pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("kind", ["native", "python", "asyncio"])
+@pytest.mark.parametrize("kind", ["blocking", "asyncio"])
 def test_a_client_says_what_failed_and_goes_on(kind: str, place: str, tmp_path: Path) -> None:
     with PLACES[place](tmp_path) as url:
-        scenario = unblocked(url) if kind == "asyncio" else blocking(url, kind == "native")
+        scenario = unblocked(url) if kind == "asyncio" else blocking(url)
         tried(scenario, *PART)

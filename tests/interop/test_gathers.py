@@ -13,7 +13,6 @@ import contextlib
 import struct
 from collections.abc import Awaitable, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any, NamedTuple
 
 import pytest
@@ -117,9 +116,9 @@ def gather(url: str, requests: list[Any]) -> tuple[list[Any], Any]:
     return asyncio.run(ask())
 
 
-def execute_many(url: str, requests: list[Any], *, native: bool) -> tuple[list[Any], Any]:
+def execute_many(url: str, requests: list[Any]) -> tuple[list[Any], Any]:
     """Return the results of a blocking client, and its statistics."""
-    with Client(url, unit=UNIT, native=native) as plc:
+    with Client(url, unit=UNIT) as plc:
         return plc.execute_many(requests, return_exceptions=True), plc.statistics
 
 
@@ -127,8 +126,7 @@ Ask = Callable[[str, list[Any]], tuple[list[Any], Any]]
 
 CLIENTS: dict[str, Ask] = {
     "asyncio": gather,
-    "native": partial(execute_many, native=True),
-    "python": partial(execute_many, native=False),
+    "blocking": execute_many,
 }
 
 

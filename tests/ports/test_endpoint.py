@@ -89,8 +89,6 @@ CLIENT_QUERIES: list[tuple[str, Any]] = [
     ("keepalive=30", 30.0),
     ("keepalive=none", None),
     ("max_pause=1.5", 1.5),
-    ("native=0", False),
-    ("native=TRUE", True),
     ("accept_unit=any", "any"),
     ("delimiter=10", 10),
     ("delimiter=0x0D", 13),
@@ -193,7 +191,7 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("rtu:///dev/x?parity=E&parity=N", "parity is given twice"),
         ("rtu:///dev/x?baudrate=fast", "baudrate must be a number, not 'fast'"),
         ("rtu:///dev/x?echo=yes", "echo must be 0 or 1, not 'yes'"),
-        ("tcp://h?native=", "native must be 0 or 1, not ''"),
+        ("rtu:///dev/x?echo=", "echo must be 0 or 1, not ''"),
         ("tcp://h?unit=0x1", "unit must be a number, not '0x1'"),
         ("tcp://h?timeout=1y", "timeout must be a number of seconds, or such as 500ms"),
         (
@@ -253,7 +251,7 @@ NUMBERS, SECONDS = st.integers(0, 10**9), st.floats(0, 1e300)
 VALUES: dict[str, st.SearchStrategy[Any]] = {
     **dict.fromkeys(SECURITY_OPTIONS, NAMES),
     **dict.fromkeys(("rs485", "accept_unit"), NAMES),
-    **dict.fromkeys(("echo", "native"), st.booleans()),
+    **dict.fromkeys(("echo",), st.booleans()),
     **dict.fromkeys(("rts_delay", "silence", "timeout", "turnaround"), SECONDS),
     **dict.fromkeys(("request_spacing", "connect_delay", "max_pause"), SECONDS),
     "keepalive": st.none() | SECONDS,

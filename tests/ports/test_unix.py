@@ -55,11 +55,10 @@ def stale(path: str) -> None:
         made.bind(path)
 
 
-@pytest.mark.parametrize("native", [True, False])
-def test_a_blocking_client_reads_and_writes(path: str, native: bool) -> None:
+def test_a_blocking_client_reads_and_writes(path: str) -> None:
     with (
         server().background(f"unix://{path}") as running,
-        Client(f"unix://{path}", native=native) as client,
+        Client(f"unix://{path}") as client,
     ):
         assert running.urls == [f"unix://{path}"]
         client.write_register(1, 7)

@@ -54,7 +54,7 @@ def device(**options: Any) -> Device:
 def asking(server: Server | Gateway, transport: str = "tcp") -> Iterator[Any]:
     with (
         server.background(f"{transport}://127.0.0.1:0") as running,
-        Client(running.urls[0], unit=5, native=False, timeout=20) as client,
+        Client(running.urls[0], unit=5, timeout=20) as client,
     ):
         yield client
 

@@ -33,7 +33,7 @@ from libmodbus_py.server.tls import Handshakes
 from tests.simulation.network import Network
 from tests.support import certificates
 from tests.support.certificates import Papers
-from tests.support.clients import Connect, connecting
+from tests.support.clients import Connect
 from tests.support.peers import until
 from tests.support.tls import serving
 
@@ -49,12 +49,6 @@ def crl(tmp_path: Path) -> Path:
     file = tmp_path / "crl.pem"
     file.write_bytes(certificates.revocation_list())
     return file
-
-
-@pytest.fixture(params=["python", "asyncio"])
-def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
-    with connecting(request.param) as connect:
-        yield connect
 
 
 @contextmanager

@@ -43,7 +43,7 @@ def connected(transport: str, server: Server) -> Iterator[Client]:
     """A client of unit 1."""
     with (
         serving(transport, server) as url,
-        Client(url, unit=1, native=False, timeout=2) as client,
+        Client(url, unit=1, timeout=2) as client,
     ):
         yield client
 

@@ -49,7 +49,7 @@ def test_waiting_for_an_answer_takes_simulated_seconds_only() -> None:
     before = network.events.now
     with (
         network.installed(),
-        Client(peer.url, native=False, timeout=86_400) as context,
+        Client(peer.url, timeout=86_400) as context,
         pytest.raises(ModbusTimeoutError, match="within 86400 s"),
     ):
         context.read_holding_registers(0, 1)

@@ -321,24 +321,19 @@ def check_all(context: Client) -> None:
 # --- our contexts and a server of others -----------------------------------------------------
 
 
-def each_way(
+def of_a_client(
     peer: str, transport: str, cases: Iterable[Exchange]
-) -> Iterator[tuple[str, tuple[Exchange, dict[str, Any]]]]:
-    """Yield each case with its id, and with the options of each way that a context has there."""
-    ways: dict[str, dict[str, Any]] = {"python": {"native": False}}
-    if transport in ("tcp", "rtu"):
-        ways["native"] = {"native": True}
-    for exchange in cases:
-        for way, options in ways.items():
-            name = case_id(peer, "client", transport, exchange.function, exchange.name, way)
-            yield name, (exchange, options)
+) -> Iterator[tuple[str, Exchange]]:
+    """Yield each case of a client of ours with its id."""
+    for case in cases:
+        yield case_id(peer, "client", transport, case.function, case.name), case
 
 
 def check_answers(url: str, peer: str, cases: Iterable[Exchange], record: Record) -> None:
     """Assert that contexts get each answer of a server, and that it does what it is asked."""
-    for check, (exchange, options) in tried(record, each_way(peer, parse(url).scheme, cases)):
-        with check, connected(url, **options) as context:
-            for _ in range(2):  # on a line the second goes the short way
+    for check, exchange in tried(record, of_a_client(peer, parse(url).scheme, cases)):
+        with check, connected(url) as context:
+            for _ in range(2):
                 assert exchange.ask(context) == exchange.answer
                 assert exchange.look(context) == exchange.seen
             restore_through(context, exchange.function)
@@ -346,9 +341,9 @@ def check_answers(url: str, peer: str, cases: Iterable[Exchange], record: Record
 
 def check_refusals(url: str, peer: str, record: Record) -> None:
     """Assert that contexts raise what a server refuses, and go on."""
-    for check, (exchange, options) in tried(record, each_way(peer, parse(url).scheme, refusals())):
+    for check, exchange in tried(record, of_a_client(peer, parse(url).scheme, refusals())):
         # A line is silent for a timeout where an answer could be that of the request before.
-        with check, connected(url, timeout=2.0, **options) as context:
+        with check, connected(url, timeout=2.0) as context:
             for _ in range(2):
                 with pytest.raises(IllegalDataAddress) as caught:
                     exchange.ask(context)

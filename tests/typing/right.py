@@ -38,7 +38,7 @@ from libmodbus_py.maps.watched import PolledValues
 from libmodbus_py.protocol.words import TypeName, string_type
 
 ALL = [
-    Client("rtu+tcp://192.0.2.10", unit=17, timeout=1.0, native=False),
+    Client("rtu+tcp://192.0.2.10", unit=17, timeout=1.0),
     Client("udp://192.0.2.10:502", unit=17),
     Client(
         "rtu:///dev/ttyUSB0", baudrate=19200, parity="E", stop_bits=1, rs485="kernel", silence=0.01
@@ -51,7 +51,7 @@ Client("tcp://192.0.2.10", accept_unit="any", max_pause=5, timeouts_before_recon
 Client("ascii:///dev/ttyUSB0", delimiter=0x0A)
 Client("rtu:///dev/ttyUSB0", rs485=None, rts_delay=None, echo=True, busy_retries=3, turnaround=0.2)
 Client("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)
-Client("rtu:///dev/ttyUSB0", baudrate=9600, parity="N", native=False)
+Client("rtu:///dev/ttyUSB0", baudrate=9600, parity="N")
 AsyncClient("tcp://192.0.2.10", unit=17, max_in_flight=4, on_state=print)
 AsyncClient("tcp://192.0.2.10", may_send=lambda: True)
 AsyncClient("tcp://192.0.2.10", retries=2, trace=print)

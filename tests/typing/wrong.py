@@ -28,7 +28,6 @@ from libmodbus_py.listen import Separator, listen
 
 Client("tcp://192.0.2.10", timout=1.0)  # wrong
 Client("tcp://192.0.2.10", unit="17")  # wrong
-Client("tcp://192.0.2.10", native=None)  # wrong
 Client("tcp://192.0.2.10", accept_unit="all")  # wrong
 Client("tcp://192.0.2.10", 502)  # wrong
 Client("tcp://192.0.2.10", trace="wire.log")  # wrong
@@ -39,7 +38,7 @@ Client("tcp://192.0.2.10", unti=3)  # wrong
 Client("tcp://192.0.2.10", timeout="1")  # wrong
 AsyncClient("tcp://192.0.2.10", retires=2)  # wrong
 AsyncClient("tcp://192.0.2.10", unti=2)  # wrong
-AsyncClient("tcp://192.0.2.10", native=False)  # wrong
+Client("tcp://192.0.2.10", may_send=print)  # wrong
 AsyncClient("tcp://192.0.2.10", statistics={})  # wrong
 Security("own.pem", trust=5)  # wrong
 Security("own.pem", trust="ca.pem", password=b"x")  # wrong

@@ -38,7 +38,7 @@ def serving(
 
 
 def client_of(url: str, unit: int = 1, timeout: float = 5000) -> Client:
-    return Client(url, unit=unit, timeout=timeout, native=False)
+    return Client(url, unit=unit, timeout=timeout)
 
 
 def adu(body: bytes, transaction: int = 1, unit: int = 1) -> bytes:
