@@ -17,9 +17,7 @@ ffi = FFI()
 ffi.cdef((BINDING / "_libmodbus.h").read_text())
 ffi.set_source(
     "libmodbus_py.binding._libmodbus",
-    "".join(
-        (BINDING / name).read_text() for name in ("_libmodbus.c", "answer_chunk.c", "exchange.c")
-    ),
+    "".join((BINDING / name).read_text() for name in ("_libmodbus.c", "answer_chunk.c")),
     libraries=["modbus"],
 )
 

@@ -121,13 +121,12 @@ WRITE_HOOK_SERVER = "Server, hook for writes"
 METERED_SERVER = "Server, metrics scraped each second"
 TRIVIAL_SERVER = "no Modbus: answers in C"
 
-DEFAULT, PYTHON = "TcpContext", "TcpContext, native=False"
-CONTEXT_BULK, ASYNC_BULK = "TcpContext.execute_many", "AsyncClient.execute_many"
+DEFAULT = "Client"
+CONTEXT_BULK, ASYNC_BULK = "Client.execute_many", "AsyncClient.execute_many"
 
 TCP_CLIENTS = [
     Peer(C_CLIENT, "client", C),
     Peer(DEFAULT, "tcp-context"),
-    Peer(PYTHON, "tcp-context-python"),
     Peer("pylibmodbus", "pylibmodbus", "pylibmodbus"),
     Peer("pymodbus", "pymodbus", "pymodbus"),
     Peer("pyModbusTCP", "pyModbusTCP", "pyModbusTCP"),
@@ -135,9 +134,8 @@ TCP_CLIENTS = [
 ]
 RTU_CLIENTS = [
     Peer(C_CLIENT, "client", C),
-    Peer("RtuContext", "rtu-context"),
-    Peer("RtuContext, native=False", "rtu-context-python"),
-    Peer("RtuContext, silence=0", "rtu-context-hasty"),
+    Peer("Client, rtu", "rtu-context"),
+    Peer("Client, rtu, silence=0", "rtu-context-hasty"),
     Peer("pymodbus", "pymodbus-rtu", "pymodbus"),
     Peer("minimalmodbus", "minimalmodbus", "minimalmodbus"),
     Peer("uModbus", "uModbus-rtu", "umodbus"),
@@ -174,7 +172,7 @@ OUR_NAMES = {peer.name for peer in PEERS if peer.package == OURS}
 BLOCKING, ASYNCIO, BULK, SERVER, LIMIT = "blocking", "asyncio", "bulk", "servers", "limit"
 FREE, ONE_PROCESSOR = "TCP", "TCP, on one processor"  # from libmodbus's server
 OURS_FREE, OURS_ONE_PROCESSOR = "TCP, our server", "TCP, our server, on one processor"
-# RtuContext and minimalmodbus keep the specified 1.75 ms of silence, pymodbus looks every
+# Client and minimalmodbus keep the specified 1.75 ms of silence, pymodbus looks every
 # millisecond; libmodbus and uModbus do neither.
 RTU = "RTU on a pseudo-terminal"
 TO_OURS, TO_C = "to our server", "to libmodbus's server"

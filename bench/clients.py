@@ -44,26 +44,26 @@ Connect = Callable[[str, list[Block]], AbstractContextManager[Read]]
 
 @contextmanager
 def tcp_context(place: str, blocks: list[Block], **options: bool) -> Iterator[Read]:
-    from libmodbus_py import TcpContext
+    from libmodbus_py import Client
 
-    with TcpContext(HOST, int(place), **options) as context:
+    with Client(f"tcp://{HOST}:{int(place)}", **options) as context:
         yield lambda: [context.read_holding_registers(*block) for block in blocks]
 
 
 @contextmanager
 def rtu_context(place: str, blocks: list[Block], **options: Any) -> Iterator[Read]:
-    from libmodbus_py import RtuContext
+    from libmodbus_py import Client
 
-    with RtuContext(place, BAUDRATE, parity="N", unit=1, **options) as context:
+    with Client(f"rtu://{place}", baudrate=BAUDRATE, parity="N", unit=1, **options) as context:
         yield lambda: [context.read_holding_registers(*block) for block in blocks]
 
 
 @contextmanager
 def context_execute_many(place: str, blocks: list[Block]) -> Iterator[Read]:
-    from libmodbus_py import TcpContext, pdu
+    from libmodbus_py import Client, pdu
 
     requests = [pdu.ReadHoldingRegisters(*block) for block in blocks]
-    with TcpContext(HOST, int(place), max_in_flight=IN_FLIGHT) as context:
+    with Client(f"tcp://{HOST}:{int(place)}", max_in_flight=IN_FLIGHT) as context:
         yield lambda: context.execute_many(requests)
 
 
@@ -213,9 +213,7 @@ def minimalmodbus(place: str, blocks: list[Block]) -> Iterator[Read]:
 
 CLIENTS: dict[str, Connect] = {
     "tcp-context": tcp_context,
-    "tcp-context-python": partial(tcp_context, native=False),
     "rtu-context": rtu_context,
-    "rtu-context-python": partial(rtu_context, native=False),
     "rtu-context-hasty": partial(rtu_context, silence=0),
     "context-execute-many": context_execute_many,
     "async-execute-many": async_execute_many,

@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Iterator
 
-from libmodbus_py import AsyncClient, Context, ExceptionResponse, pdu
+from libmodbus_py import AsyncClient, Client, ExceptionResponse, pdu
 from libmodbus_py.tools.testing.wires import SerialWire
 
 from .bus import Bus
@@ -43,7 +43,7 @@ def gateway(line: str) -> Iterator[str]:
 
 def one_by_one(url: str, count: int) -> float:
     """Requests a second of a client that waits for each answer; the best of five."""
-    with Context.from_url(url, unit=1, timeout=5) as context:
+    with Client(url, unit=1, timeout=5) as context:
         context.execute(READ)
         best = 0.0
         for _ in range(5):
@@ -94,7 +94,7 @@ def silent_unit(count: int = 500) -> None:
     """One client polls a good unit and a dead one in turn, as most do."""
     with Bus() as bus, gateway(f"rtu://{bus.path}?timeout=0.5") as url:
         waits: list[float] = []
-        with Context.from_url(url, timeout=5) as context:
+        with Client(url, timeout=5) as context:
             begin = time.perf_counter()
             for number in range(count):
                 start = time.perf_counter()

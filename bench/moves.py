@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import libmodbus_py
 from libmodbus_py import (
     AsyncClient,
-    Context,
+    Client,
     Device,
     Fleet,
     Gateway,
@@ -87,11 +87,11 @@ def profiled(name: str) -> Iterator[None]:
             print(*(f"    {call}" for call in profile.calls), sep="\n")
 
 
-def blocking(url: str, native: bool) -> None:
-    with Context.from_url(url, native=native) as client:
+def blocking(url: str) -> None:
+    with Client(url) as client:
         for _ in range(BEFORE):
             client.read_holding_registers(0, 10)
-        with profiled(f"blocking read, {'C' if native else 'Python'} carries it"):
+        with profiled("blocking read"):
             client.read_holding_registers(0, 10)
 
 
@@ -152,8 +152,7 @@ def device(**options: Any) -> Device:
 
 def main() -> None:
     with Server(device()).background("tcp://127.0.0.1:0") as running:
-        blocking(running.urls[0], native=True)
-        blocking(running.urls[0], native=False)
+        blocking(running.urls[0])
         asyncio.run(awaited(running.urls[0]))
     asyncio.run(answered("server, plain", device()))
     hook = Hook(lambda access: None, holding_registers=range(100))

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from libmodbus_py import Context, Fault, ModbusError, Server, device_file
+from libmodbus_py import Client, Fault, ModbusError, Server, device_file
 from libmodbus_py.page import live_page
 from tests.support.peers import until
 from tests.tools.page.browsers import missing, person_at
@@ -42,7 +42,7 @@ def main() -> int:
     with (
         live_page(server) as page,
         server.background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=7) as plc,
+        Client(running.urls[0], unit=7) as plc,
         person_at(f"{page.url}#7/points", WIDTH, HEIGHT) as person,
     ):
         client = threading.Thread(target=talk, args=(plc, is_over.wait))

@@ -39,7 +39,7 @@ def commands_of(tools: Tools, port: str) -> dict[str, list[str]]:
         "libmodbus-py --version": [*ours, "--version"],
         "libmodbus-py, wrong usage": [*ours, "read"],
         "libmodbus-py, one read": [*ours, "read", url, "holding", "0"],
-        "import TcpContext": [tools.ours, "-c", "from libmodbus_py import TcpContext"],
+        "import Client": [tools.ours, "-c", "from libmodbus_py import Client"],
     }
     for name, program in (
         ("import pymodbus.client", "import pymodbus.client"),

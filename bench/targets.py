@@ -21,7 +21,6 @@ from bench.cells import (
     OUR_SERVER,
     OURS_FREE,
     OURS_ONE_PROCESSOR,
-    PYTHON,
     SERVER,
     TO_C,
     TO_OURS,
@@ -65,10 +64,9 @@ def server(load: str, theirs: str, least: float, ours: str = OUR_SERVER) -> Targ
 
 TARGETS = [
     *(
-        blocking(variant, ours, theirs, least)
-        for variant, ours, (theirs, least) in product(
+        blocking(variant, DEFAULT, theirs, least)
+        for variant, (theirs, least) in product(
             (FREE, ONE_PROCESSOR, OURS_FREE, OURS_ONE_PROCESSOR),
-            (DEFAULT, PYTHON),
             ((C_CLIENT, 0.95), ("pylibmodbus", 1), ("pyModbusTCP", 1)),
         )
     ),

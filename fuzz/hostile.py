@@ -15,7 +15,7 @@ from typing import Self
 from fuzz.bad_line import UNITS
 from fuzz.checks import examples
 from fuzz.transactions import FIXED, register
-from libmodbus_py import ModbusError, TcpContext
+from libmodbus_py import Client, ModbusError
 
 __all__ = ["STREAMS", "UNIT", "Hostile", "Innocent"]
 
@@ -147,7 +147,7 @@ class Innocent:
         self.reads = 0
         self.findings: list[str] = []
         self._random = random.Random(seed)
-        self._context = TcpContext("127.0.0.1", port, unit=UNIT, timeout=10)
+        self._context = Client(f"tcp://127.0.0.1:{port}", unit=UNIT, timeout=10)
 
     def __enter__(self) -> Self:
         self._context.connect()

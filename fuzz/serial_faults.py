@@ -1,8 +1,8 @@
 """
 Faults on serial lines: python -m fuzz.serial_faults [TRANSACTIONS] [SEED]
 
-Does as many transactions, 100000 unless told otherwise, spread over RTU through libmodbus, RTU
-without it, and ASCII, each on four lines at a time. Prints what happened; exits with
+Does as many transactions, 100000 unless told otherwise, spread over RTU and ASCII, each on four
+lines at a time. Prints what happened; exits with
 1 if a wrong value or an unreported loss got through, or a fault spoiled more
 than one transaction after it.
 """
@@ -16,16 +16,12 @@ from concurrent.futures import ProcessPoolExecutor
 from fuzz.bad_line import UNITS, BadLine, Framing
 from fuzz.command import numbers, progress
 from fuzz.transactions import Lateness, Tally, Transactions, known_device
-from libmodbus_py import AsciiContext, Context, RtuContext, Server
+from libmodbus_py import Client, Server
 
 __all__ = ["BAUDRATE", "LINES", "client", "on_a_line"]
 
-# What a client on each line is: its framing, and whether libmodbus may carry requests.
-LINES: dict[str, tuple[Framing, bool]] = {
-    "RTU through libmodbus": ("rtu", True),
-    "RTU without libmodbus": ("rtu", False),
-    "ASCII": ("ascii", True),
-}
+# The framing on each line.
+LINES: dict[str, Framing] = {"RTU": "rtu", "ASCII": "ascii"}
 
 BAUDRATE = 1_000_000  # a pty knows none; the client waits for the length of its frames
 
@@ -34,22 +30,20 @@ AT_A_TIME = 4  # lines of each kind, a process each: a transaction waits most of
 TIMEOUT = 0.1  # five times what the framer of RTU calls silence
 
 
-def client(name: str, device: str, timeout: float, unit: int = UNITS[0]) -> Context:
+def client(name: str, device: str, timeout: float, unit: int = UNITS[0]) -> Client:
     """Make the client of one of `LINES`."""
-    framing, native = LINES[name]
-    kind = RtuContext if framing == "rtu" else AsciiContext
-    return kind(device, BAUDRATE, unit=unit, timeout=timeout, native=native)
+    return Client(f"{LINES[name]}://{device}?baudrate={BAUDRATE}", unit=unit, timeout=timeout)
 
 
 def on_a_line(name: str, timeout: float, seed: int, goes_on: Callable[[], bool]) -> Tally:
     """Do transactions on one of `LINES`, with a server in this process."""
-    framing, _ = LINES[name]
+    framing = LINES[name]
     with (
         BadLine(framing, timeout, seed) as line,
         Server({UNITS[0]: known_device()}).background(
             "tcp://127.0.0.1:0", f"{framing}://{line.server}?baudrate={BAUDRATE}"
         ) as running,
-        Context.from_url(running.urls[0], unit=UNITS[0]) as clean,
+        Client(running.urls[0], unit=UNITS[0]) as clean,
         client(name, line.client, timeout) as context,
         Lateness() as lateness,
     ):

@@ -24,7 +24,7 @@ from fuzz.command import numbers, progress
 from fuzz.hostile import Hostile, Innocent
 from fuzz.serial_faults import BAUDRATE, LINES, client
 from fuzz.transactions import Lateness, Tally, Transactions, known_device, seconds_left
-from libmodbus_py import Server, TcpContext
+from libmodbus_py import Client, Server
 
 TIMEOUT = 0.25  # the server has the hostile clients to deal with, too
 
@@ -88,7 +88,7 @@ def served(lines: dict[str, BadLine]) -> Iterator[tuple[int, int]]:
 def on_a_line(name: str, line: BadLine, port: int, seconds: float, seed: int) -> Tally:
     with (
         client(name, line.client, TIMEOUT, UNIT[name]) as context,
-        TcpContext("127.0.0.1", port, unit=UNIT[name], timeout=10) as clean,
+        Client(f"tcp://127.0.0.1:{port}", unit=UNIT[name], timeout=10) as clean,
         Lateness() as lateness,
     ):
         return Transactions(context, clean, line, lateness, seed).run(seconds_left(seconds))

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Literal, Self
 
 from fuzz.bad_line import FAULTS, BadLine
-from libmodbus_py import Context, Device, Mapping, ModbusError
+from libmodbus_py import Client, Device, Mapping, ModbusError
 
 __all__ = [
     "FIXED",
@@ -214,7 +214,7 @@ class Transactions:
     """
 
     def __init__(
-        self, context: Context, clean: Context, line: BadLine, lateness: Lateness, seed: int
+        self, context: Client, clean: Client, line: BadLine, lateness: Lateness, seed: int
     ) -> None:
         self.tally = Tally()
         self._context = context

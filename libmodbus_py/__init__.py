@@ -3,9 +3,9 @@ Modbus for Python on Debian's libmodbus: clients and servers, over networks and 
 
 ::
 
-    from libmodbus_py import IllegalDataAddress, TcpContext
+    from libmodbus_py import Client, IllegalDataAddress
 
-    with TcpContext("192.0.2.10", unit=17, timeout=1.0) as plc:
+    with Client("tcp://192.0.2.10", unit=17, timeout=1.0) as plc:
         plc.write_registers(100, [555, 0, 100])
         plc.read_holding_registers(100, 3)             # [555, 0, 100]
         plc.read_values("input_registers", 0, "float32", 2)   # [21.5, 1013.25]
@@ -17,8 +17,6 @@ Modbus for Python on Debian's libmodbus: clients and servers, over networks and 
 Addresses are 0-based and times are in seconds everywhere. The names that most programs need:
 
 ====================== ==========================================================================
-TcpContext             a client over TCP; `UdpContext` and `TlsContext` are made in the same way
-RtuContext             a client on a serial line; `AsciiContext` for ASCII mode
 Client                 a client for any URL, such as "tcp://192.0.2.10" or "rtu:///dev/ttyUSB0"
 AsyncClient            the same for asyncio, with the same methods as coroutines
 Server                 answers requests over any number of transports

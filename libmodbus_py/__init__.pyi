@@ -9,13 +9,7 @@ from . import low_level as low_level
 from . import pdu as pdu
 from . import values as values
 from .client.asynchronous import AsyncClient as AsyncClient
-from .client.blocking import AsciiContext as AsciiContext
 from .client.blocking import Client as Client
-from .client.blocking import Context as Context
-from .client.blocking import RtuContext as RtuContext
-from .client.blocking import TcpContext as TcpContext
-from .client.blocking import TlsContext as TlsContext
-from .client.blocking import UdpContext as UdpContext
 from .client.reconnecting import State as State
 from .client.statistics import Statistics as Statistics
 from .device.access import Access as Access

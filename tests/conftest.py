@@ -107,7 +107,7 @@ def url(request: pytest.FixtureRequest, device: Device) -> Iterator[str]:
 
 @pytest.fixture(params=KINDS)
 def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
-    """Makes clients of one kind: for what holds for both, and both ways of the blocking one."""
+    """Makes clients of one kind: for what holds for both."""
     with connecting(request.param) as made:
         yield made
 

@@ -27,7 +27,7 @@ from typing import Any
 import pytest
 
 import libmodbus_py
-from libmodbus_py import Context, Device, Mapping, low_level, pdu
+from libmodbus_py import Client, Device, Mapping, low_level, pdu
 from libmodbus_py.low_level import ffi, lib, loaded_version
 from libmodbus_py.ports.schemes import TRANSPORTS
 from libmodbus_py.protocol import errors
@@ -143,9 +143,9 @@ class TestMap:
     def test_help_begins_with_an_example_and_the_names_that_matter(self) -> None:
         head = pydoc.plaintext.document(libmodbus_py).splitlines()[:35]
         rulers = [number for number, line in enumerate(head) if line.strip().startswith("====")]
-        assert 'with TcpContext("192.0.2.10"' in "\n".join(head[: rulers[0]])
+        assert 'with Client("tcp://192.0.2.10"' in "\n".join(head[: rulers[0]])
         names = [line.split()[0] for line in head[rulers[0] + 1 : rulers[1]]]
-        assert len(names) == 10
+        assert len(names) == 8
         assert set(names) <= set(libmodbus_py.__all__)
 
     def test_the_example_of_help_compiles(self) -> None:
@@ -268,11 +268,11 @@ class TestPublicNames:
         assert libmodbus_py.__version__ == version("libmodbus-py")
 
     def test_every_request_is_a_method_of_the_same_name(self) -> None:
-        """ReadCoils is what Context.read_coils sends, with the same parameters."""
+        """ReadCoils is what Client.read_coils sends, with the same parameters."""
         requests = {*pdu.REQUESTS.values(), pdu.ReadDeviceIdentification}
         for request in requests:
             name = re.sub(r"(?<!^)(?=[A-Z])", "_", request.__name__).lower()
-            method = getattr(Context, name, None)
+            method = getattr(Client, name, None)
             assert callable(method), f"{request.__name__}: no {name}"
             if request in (pdu.ReadDeviceIdentification, pdu.Diagnostics):
                 continue  # several requests, and a number instead of its bytes
@@ -282,7 +282,7 @@ class TestPublicNames:
     def test_every_request_method_has_a_request(self) -> None:
         names = {
             "".join(word.capitalize() for word in name.split("_"))
-            for name, value in inspect.getmembers(Context)
+            for name, value in inspect.getmembers(Client)
             if inspect.isfunction(value) and re.match(r"(read|write|mask|report)_", name)
         }
         lacking = (
@@ -292,7 +292,7 @@ class TestPublicNames:
             - set(pdu.__all__)
         )
         assert not lacking
-        assert {"diagnostics", "encapsulated_transport", "execute"} < set(dir(Context))
+        assert {"diagnostics", "encapsulated_transport", "execute"} < set(dir(Client))
 
     def test_signatures_are_those_that_other_programs_call(self) -> None:
         expected = {
@@ -307,7 +307,7 @@ class TestPublicNames:
             "execute": "(request, *, timeout=None, retries=None)",
         }
         for name, text in expected.items():
-            signature = inspect.signature(getattr(Context, name))
+            signature = inspect.signature(getattr(Client, name))
             bare = [
                 each.replace(annotation=inspect.Parameter.empty)
                 for each in list(signature.parameters.values())[1:]
@@ -346,7 +346,7 @@ class TestLateImports:
         [
             ("import libmodbus_py", {"late"}, {"client", "ports", "protocol"}),
             (
-                "from libmodbus_py import TcpContext",
+                "from libmodbus_py import Client",
                 # The compiled modules are wanted, so that it fails at once where they lack.
                 {"client.requests", "binding._libmodbus", "protocol._scan"},
                 {
@@ -357,7 +357,7 @@ class TestLateImports:
                 },
             ),
             (
-                "from libmodbus_py import TcpContext; TcpContext('127.0.0.1').close()",
+                "from libmodbus_py import Client; Client('tcp://127.0.0.1').close()",
                 {"client.options", "ports.endpoint"},
                 {"client.line", "maps", "ports.serial", "protocol.pdu.writes"},
             ),
@@ -375,7 +375,7 @@ class TestLateImports:
                 },
             ),
             (
-                "from libmodbus_py import RtuContext; RtuContext('/dev/null').close()",
+                "from libmodbus_py import Client; Client('rtu:///dev/null').close()",
                 {"ports.serial", "protocol.pdu.function_codes"},
                 {"maps", "protocol.values", "client.asyncio_driver"},
             ),
@@ -395,13 +395,13 @@ class TestLateImports:
 
     def test_a_client_that_is_not_made_needs_no_dataclasses(self) -> None:
         """They bring inspect, and with it half of what compiles Python."""
-        found = imported_by("from libmodbus_py import TcpContext")
+        found = imported_by("from libmodbus_py import Client")
         assert not found & {"dataclasses", "inspect", "urllib.parse"}
 
     def test_one_read_brings_one_kind_of_request(self) -> None:
         found = imported_by(
             "import socket, threading\n"
-            "from libmodbus_py import TcpContext\n"
+            "from libmodbus_py import Client\n"
             "there = socket.create_server(('127.0.0.1', 0))\n"
             "def answer():\n"
             "    here, _ = there.accept()\n"
@@ -409,7 +409,7 @@ class TestLateImports:
             "    here.sendall(asked[:4] + bytes([0, 5]) + asked[6:8] + bytes([2, 1, 2]))\n"
             "thread = threading.Thread(target=answer)\n"
             "thread.start()\n"
-            "with TcpContext('127.0.0.1', there.getsockname()[1], timeout=20) as plc:\n"
+            "with Client('tcp://127.0.0.1:%d' % there.getsockname()[1], timeout=20) as plc:\n"
             "    assert plc.read_holding_registers(0, 1) == [0x102]\n"
             "thread.join()\n"
         )
@@ -550,7 +550,7 @@ def import_from(directory: Path) -> subprocess.CompletedProcess[str]:
     """Without site, so that no editable installation lends its compiled module."""
     backend = importlib.import_module("_cffi_backend").__file__ or ""
     return subprocess.run(
-        [sys.executable, "-S", "-c", "from libmodbus_py import TcpContext"],
+        [sys.executable, "-S", "-c", "from libmodbus_py import Client"],
         cwd=directory,
         env={**os.environ, "PYTHONPATH": str(Path(backend).parent)},
         capture_output=True,

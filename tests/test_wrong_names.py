@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
-    Context,
+    Client,
     Device,
     Fault,
     Gateway,
@@ -170,8 +170,8 @@ def test_a_wrong_word_on_the_command_line(words: str, close: str) -> None:
         (lambda plc: plc.read_values("hr", 0, "float32", order="ABDC"), "did you mean "),
     ],
 )
-def test_a_wrong_word_in_a_program(ask: Callable[[Context], Any], close: str) -> None:
-    plc = Context.from_url("tcp://127.0.0.1:1")
+def test_a_wrong_word_in_a_program(ask: Callable[[Client], Any], close: str) -> None:
+    plc = Client("tcp://127.0.0.1:1")
     try:
         with pytest.raises(ValueError, match=close):
             ask(plc)

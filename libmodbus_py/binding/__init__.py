@@ -3,6 +3,5 @@ libmodbus: its build, its functions, and its errors as exceptions.
 
     _libmodbus.h, .c    what cffi declares and compiles; weak names for functions newer than 3.1.6
     answer_chunk.c      the server's short way: received bytes in, answers out, in one call
-    exchange.c          the client's: look, send, wait and read, in one call
     library             the one import of the compiled module; errno as exceptions
 """

@@ -224,15 +224,3 @@ typedef struct {
 
 int answer_chunk(replier_t *replier, mapping_t *mapping, const watched_t *watched,
                  tally_t *tally, int unit, const uint8_t *data, int start, int end);
-
-/* Ours: exchange.c. */
-typedef struct {
-    modbus_t *context;
-    uint8_t answer[...];
-    int error;
-} exchange_t;
-
-enum { NOTHING, NOT_SENT, FAILED, ... };
-
-int exchange(exchange_t *exchange, int descriptor, int waker, const uint8_t *adu, int size,
-             double timeout);

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
     from typing import Any
 
-    from ..client.blocking import Context
+    from ..client.blocking import Client
     from ..ports.endpoint import Endpoint
     from ..ports.schemes import Option
 
@@ -73,7 +73,7 @@ SUFFIXES = (".csv", ".json", ".jsonl", ".ndjson", ".tsv", ".txt", ".log")
 
 RARE = {
     *("busy_retries", "max_in_flight", "turnaround", "request_spacing", "connect_delay"),
-    *("timeouts_before_reconnect", "keepalive", "max_pause", "native", "accept_unit", "delimiter"),
+    *("timeouts_before_reconnect", "keepalive", "max_pause", "accept_unit", "delimiter"),
     *("rs485", "rts_delay", "echo", "silence", *SECURITY_OPTIONS),
 }
 """Options that --help leaves out."""
@@ -378,16 +378,16 @@ def endpoint_of(options: argparse.Namespace) -> Endpoint:
     return with_options([options.url], options)[0]
 
 
-def connected(options: argparse.Namespace) -> Context:
+def connected(options: argparse.Namespace) -> Client:
     """Make the client; it connects when it is used."""
-    from ..client.blocking import Context
+    from ..client.blocking import Client
 
     hooks: dict[str, Any] = {}
     if options.verbose:
         from .tracing import Tracing
 
         hooks["trace"] = Tracing()
-    return Context.from_url(endpoint_of(options).url, **hooks)
+    return Client(endpoint_of(options).url, **hooks)
 
 
 def with_options(

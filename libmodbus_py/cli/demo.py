@@ -16,7 +16,7 @@ from contextlib import ExitStack
 from typing import Any
 
 from ..binding.library import loaded_version
-from ..client.blocking import AsciiContext, Context, RtuContext, TcpContext
+from ..client.blocking import Client
 from ..device.device import Device
 from ..device.mapping import Mapping
 from ..ports.endpoint import parse
@@ -88,7 +88,7 @@ def _demo(_: argparse.Namespace) -> int:
     return 0 if right else 1
 
 
-def _opened(line: str, stack: ExitStack) -> tuple[str, Context, Any]:
+def _opened(line: str, stack: ExitStack) -> tuple[str, Client, Any]:
     """Return the URL of a server on a line, a client, and the recorded wire between them."""
     meter, station = Mapping(holding_registers=200), Mapping(coils=100)
     meter.holding_registers[122:125] = EXAMPLES[0][3]
@@ -99,17 +99,16 @@ def _opened(line: str, stack: ExitStack) -> tuple[str, Context, Any]:
     if line == "TCP":
         running = stack.enter_context(server.background("tcp://127.0.0.1:0"))
         tcp = stack.enter_context(TcpWire(parse(running.urls[0]).port))
-        context: Context = TcpContext("127.0.0.1", tcp.port, native=True)
+        context = Client(f"tcp://127.0.0.1:{tcp.port}")
         return running.urls[0], stack.enter_context(context), tcp
     wire = stack.enter_context(SerialWire())
     url = f"{line.lower()}://{wire.server}?baudrate=19200"
     running = stack.enter_context(server.background(url))
-    is_rtu = line == "RTU"
-    context = RtuContext(wire.client, 19200, native=True) if is_rtu else AsciiContext(wire.client)
+    context = Client(f"{line.lower()}://{wire.client}?baudrate=19200")
     return running.urls[0], stack.enter_context(context), wire
 
 
-def _show(line: str, context: Context, request: pdu.Request[Any], expected: Any, wire: Any) -> bool:
+def _show(line: str, context: Client, request: pdu.Request[Any], expected: Any, wire: Any) -> bool:
     """Send a request, print what is on the line, and return True if the answer is right."""
     wire.clear()
     try:
@@ -117,7 +116,7 @@ def _show(line: str, context: Context, request: pdu.Request[Any], expected: Any,
     except ExceptionResponse as refusal:
         answer = f"refused: {refusal.args[0]}"
     right: bool = answer == expected
-    _print_row("function", f"{request.function}, carried by {'Python' if line == 'ASCII' else 'C'}")
+    _print_row("function", str(request.function))
     for name, sender in (("request", "client"), ("response", "server")):
         data = wire.sent_by(sender)
         text = repr(data.decode())[1:-1] if line == "ASCII" else data.hex(" ").upper()

@@ -8,11 +8,11 @@ From the caller to the wire:
                        types for type checkers
       polling          reads at a steady pace, for watch()
     handle             a unit, its timeouts, and the connection that it shares
-    blocking           Context, TcpContext, UdpContext, RtuContext, AsciiContext
+    blocking           the blocking client, `Client`
     asynchronous       AsyncClient
     options            the options of both, and the parts made of them
     call               one request, its timeouts and its outcome; several requests of a caller
-    blocking_driver    waits with poll or in C, for any thread; forks, Ctrl-C
+    blocking_driver    waits with poll, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer
     connection         when each request is sent, and its outcome; without sockets or clocks
       queue            which request is next, and how many may be in flight

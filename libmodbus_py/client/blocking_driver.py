@@ -2,28 +2,25 @@
 The driver of blocking clients: it waits, reads and sends for a connection, for any thread.
 
 It deals with threads, forks, signals and the lock. The connection decides what is sent, and what
-received bytes mean. A single request is sent, and its answer awaited, by one call of C where that
-is possible (`Carrier`); what came is given to the connection as all that is received.
+received bytes mean.
 """
 
 from __future__ import annotations
 
 import errno
-import os
 import threading
 import weakref
 from typing import TYPE_CHECKING
 
-from ..binding.library import ffi, lib
-from ..ports.port import abandoned_in_children, lost
-from ..ports.waiting import LONGEST, READ, WRITE, Woken, run
+from ..ports.port import abandoned_in_children
+from ..ports.waiting import READ, WRITE, Woken, run
 from ..protocol.errors import ModbusConnectionError
-from .call import Batch, Call
 from .reconnecting import FORKED, State
 
 if TYPE_CHECKING:
     from ..ports.port import Port
     from ..ports.waiting import Waker
+    from .call import Batch, Call
     from .connection import Transactions
 
 __all__ = ["BlockingDriver"]
@@ -35,47 +32,14 @@ LEAVING_S = 1.0
 SLEPT_S = 0.005
 
 
-class Carrier:
-    """
-    Sends a request, waits, and reads once, in one call of C without the GIL.
-
-    The port is a TCP connection, a UDP socket, or a serial port in RTU mode; there libmodbus sends.
-    """
-
-    def __init__(self, port: Port) -> None:
-        self._port = port
-        self._exchange = ffi.new("exchange_t *")
-        self._answer = ffi.buffer(self._exchange.answer)
-        if port.context is not None:
-            self._exchange.context = port.context
-
-    def carry(self, adu: bytes, timeout: float, waker: int) -> bytes | None:
-        """
-        Return what came, or nothing; None if there is something to read before the request.
-
-        The wait also ends when the descriptor `waker` is readable.
-        """
-        wait = min(timeout, LONGEST) if timeout > 0 else 0.0  # poll() would wait for ever
-        descriptor = self._port.descriptor
-        got: int = lib.exchange(self._exchange, descriptor, waker, adu, len(adu), wait)
-        if got >= 0:
-            answer: bytes = self._answer[:got]
-            return answer
-        if got == lib.NOT_SENT:
-            return None
-        error = self._exchange.error
-        raise lost(OSError(error, os.strerror(error)))
-
-
 class BlockingDriver:
     """
     Runs the requests of one connection, those of one caller at a time, for any thread.
 
-    With `native`, C may carry single requests. While a thread holds `lock`, only that thread can
-    send; `waker` waits, on the clock of the port.
+    While a thread holds `lock`, only that thread can send; `waker` waits, on the clock of the port.
     """
 
-    def __init__(self, port: Port, connection: Transactions, *, native: bool) -> None:
+    def __init__(self, port: Port, connection: Transactions) -> None:
         self._port = port
         self._connection = connection
         self._life = connection.life
@@ -86,7 +50,6 @@ class BlockingDriver:
             reason = f"cannot make a client of {connection.url}: {error.strerror}"
             raise ModbusConnectionError(reason, errno=error.errno) from error
         self._now = self.waker.now
-        self._carrier = Carrier(port) if native else None
         self._closed = False
         self._pauses: set[Waker] = set()
         self._start_anew()
@@ -200,13 +163,12 @@ class BlockingDriver:
         connection, port, now = self._connection, self._port, self._now()
         try:
             connection.submit(job, now)
-            carrier = self._carrier if isinstance(job, Call) and not job.is_silent else None
             while not job.is_done:
                 if lock is not self.lock:  # a callback or a signal handler forked
                     raise ModbusConnectionError(FORKED, errno=errno.EBADF)
                 try:
                     if self._life.is_open:
-                        self._step(job, carrier, now or self._now())
+                        self._step(job, now or self._now())
                     else:
                         self._connect()
                 except Woken:  # by `close`, or because timeouts have changed
@@ -224,31 +186,20 @@ class BlockingDriver:
         except Woken:
             self._shut()
 
-    def _step(self, job: Call | Batch, carrier: Carrier | None, now: float) -> None:
+    def _step(self, job: Call | Batch, now: float) -> None:
         """Send requests that may be sent, wait for bytes, and process them."""
         connection, port = self._connection, self._port
         try:
-            if carrier is None and not connection.in_flight and port.has_input():
+            if not connection.in_flight and port.has_input():
                 self._look(now)
             adus = connection.start(now)
             if self._notices.waiting:
                 self._notices.give()  # the sent frames are traced before the wait for answers
-            if adus and carrier is not None:
-                wait = connection.matching.alarm - now
-                got = carrier.carry(adus[0], wait, self.waker.descriptor)
-                if got:
-                    now = self._now()
-                    connection.take((got,), now)
-                    connection.settle(now)
-                elif got is None:
-                    connection.take_back()
-                    self._look(now)
-            else:
-                while adus:
-                    port.send(adus, now)
-                    adus = connection.start(now)
-                if not (job.is_done or connection.broken):
-                    self._wait(now)
+            while adus:
+                port.send(adus, now)
+                adus = connection.start(now)
+            if not (job.is_done or connection.broken):
+                self._wait(now)
         except ModbusConnectionError as error:
             self._lose(error, by_itself=True)
         if connection.broken is not None:

@@ -300,10 +300,6 @@ class Matching(ABC):
         """Encode the frame of a request, and expect the answer from now on."""
 
     @abstractmethod
-    def take_back(self) -> Call:
-        """Return the only request in flight, which was not sent after all."""
-
-    @abstractmethod
     def take(self, data: bytes, now: float) -> list[Call]:
         """Return the requests that received bytes answer, with their replies."""
 

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 from ..ports.trace import Trace
 from ..protocol.checks import finished, log_failure
 from ..protocol.errors import FrameError, ModbusConnectionError, ModbusError, alike
-from .call import ANSWERED, SENT, WAITING, Batch, Call, Matching
+from .call import ANSWERED, SENT, Batch, Call, Matching
 from .ids import Ids
 from .outcomes import Outcomes, add_hint, explain_end
 from .queue import Queue
@@ -236,16 +236,6 @@ class Transactions:
         if matching.is_traced:
             self._trace.tell("sent", call.adu, call.unit, call.pdu[0])
         return call.adu
-
-    def take_back(self) -> None:
-        """Note that the only request in flight was not sent after all: it waits again."""
-        call = self.matching.take_back()
-        call.state, call.adu = WAITING, b""
-        call.used = call.sent_at - call.since
-        self._queue.note_end(call)
-        self.in_flight = 0
-        self.statistics.requests -= 1
-        self._queue.waiting.appendleft(call)
 
     # --- the connection -----------------------------------------------------------------------
 

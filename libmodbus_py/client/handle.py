@@ -70,10 +70,6 @@ class Handle(Generic[Driving]):
             on_state=None               called with each new `State`, and the error that led to it
             statistics=None             the `Statistics` to count in; None for new ones
 
-        Contexts also have:
-
-            native=True                 requests are sent, and responses read, by C
-
         `AsyncClient` also has, and differs in one default:
 
             may_send=None               requests are sent only while this function returns True

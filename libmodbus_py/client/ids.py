@@ -60,10 +60,6 @@ class Ids(Matching):
         if not call.is_silent:
             pending[number] = call
 
-    def take_back(self) -> Call:
-        _, call = self.pending.popitem()
-        return call
-
     # --- answers --------------------------------------------------------------------------
 
     def take(self, data: bytes, now: float) -> list[Call]:

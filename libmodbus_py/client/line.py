@@ -201,12 +201,6 @@ class Line(Matching):
             pair = self._pairs[key] = Pair(now)
         return pair
 
-    def take_back(self) -> Call:
-        call, self._call = self._call, None
-        assert call is not None
-        self._echo.forget()
-        return call
-
     # --- bytes ----------------------------------------------------------------------------
 
     def take(self, data: bytes, now: float) -> list[Call]:

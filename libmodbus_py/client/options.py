@@ -21,11 +21,11 @@ from .statistics import Statistics
 if TYPE_CHECKING:  # ssl, which it needs, takes longer to import than the rest of a client
     from ..security.security import GivenContext, Security
 
-__all__ = ["AsyncOptions", "CheckedOptions", "ContextOptions", "Options"]
+__all__ = ["AsyncOptions", "CheckedOptions", "Options"]
 
 
-OF_ONE_KIND = ("native", "may_send")
-"""Options that only one kind of client has."""
+OF_ASYNC_CLIENTS = ("may_send",)
+"""Options that only `AsyncClient` has."""
 
 
 class Options(TypedDict, total=False):
@@ -57,7 +57,7 @@ class Options(TypedDict, total=False):
             after which a network connection is considered dead, 1..1000000: the next request
             opens a new one. 3 by default.
         max_pause: the longest pause before the next attempt to connect; pauses begin at 0.1 s
-            and double. 0 means no pauses. 0 by default for contexts, 30 for `AsyncClient`.
+            and double. 0 means no pauses. 0 by default for `Client`, 30 for `AsyncClient`.
         keepalive: the duration of silence after which TCP probes whether the peer is still
             there, 1..32767; None for never. 30 by default.
         accept_unit: "any" accepts responses from a unit other than the one addressed, because
@@ -94,19 +94,6 @@ class Options(TypedDict, total=False):
     statistics: Statistics | None
 
 
-class ContextOptions(Options, total=False):
-    """
-    The options of contexts.
-
-    Keys:
-        native: True by default: requests that libmodbus supports are sent, and their responses
-            awaited, in one call of C. With False, the framers of this package handle all
-            requests. Both check every response in full.
-    """
-
-    native: bool
-
-
 class AsyncOptions(Options, total=False):
     """
     The options of `AsyncClient`.
@@ -122,7 +109,7 @@ class AsyncOptions(Options, total=False):
 
 @dataclass(frozen=True, slots=True)
 class CheckedOptions:
-    """`ContextOptions`, checked."""
+    """`AsyncOptions`, checked."""
 
     unit: int = 1
     timeout: float = 1.0
@@ -141,7 +128,6 @@ class CheckedOptions:
     trace: OnTraced | None = None
     on_state: OnState | None = None
     statistics: Statistics | None = None
-    native: bool = True
     may_send: Callable[[], bool] | None = None
 
     def __post_init__(self) -> None:
@@ -172,8 +158,6 @@ class CheckedOptions:
                 checked_callback(name, hook)
         if self.statistics is not None and not isinstance(self.statistics, Statistics):
             raise TypeError(f"statistics must be Statistics, not {type(self.statistics).__name__}")
-        if not isinstance(self.native, bool):
-            raise TypeError(f"native must be True or False, not {self.native!r}")
 
     @classmethod
     def of(cls, endpoint: Endpoint, options: Mapping[str, Any], **usual: Any) -> CheckedOptions:
@@ -184,10 +168,10 @@ class CheckedOptions:
             TypeError, ValueError: an option of the wrong name, type or range.
         """
         names = [field.name for field in fields(cls)]
-        known = [name for name in names if name not in OF_ONE_KIND or name in usual]
+        known = [name for name in names if name not in OF_ASYNC_CLIENTS or name in usual]
         for name in (*endpoint.client_options, *options):
             if name not in known:
-                serial = SERIAL_OPTIONS if endpoint.is_serial and "native" in usual else ()
+                serial = SERIAL_OPTIONS if endpoint.is_serial and "may_send" not in usual else ()
                 raise unknown_option(name, [*known, *serial])
         settings = cls(**{**usual, **endpoint.client_options, **options})
         if not endpoint.has_transactions:

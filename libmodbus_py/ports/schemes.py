@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ASCII_DEFAULTS", "CLIENT_OPTIONS", "DEFAULT_PORT", "OTHER_NAMES", "PARITIES", "SCHEMES",
-    "SECURE_PORT", "SECURITY_OPTIONS", "SERIAL_DEFAULTS", "SERIAL_OPTIONS", "TRANSPORTS", "Option",
+    "SECURITY_OPTIONS", "SERIAL_DEFAULTS", "SERIAL_OPTIONS", "TRANSPORTS", "Option",
     "Scheme", "Transport", "TransportRules", "character_bits", "framing_of", "options_of",
     "parity_of", "shape_of",
 ]  # fmt: skip
 
-DEFAULT_PORT, SECURE_PORT = 502, 802
-"""The ports of Modbus/TCP and of Modbus Security."""
+DEFAULT_PORT = 502
+"""The port of Modbus/TCP."""
 
 Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "unix", "rtu", "ascii"]
 
@@ -139,7 +139,7 @@ class TransportRules(NamedTuple):
 TRANSPORTS: dict[Transport, TransportRules] = {
     "tcp": TransportRules("sockets.TcpPort"),
     "udp": TransportRules("sockets.UdpPort", is_datagram=True),
-    "tls": TransportRules("tls.TlsPort", SECURITY_OPTIONS, SECURE_PORT, is_secure=True),
+    "tls": TransportRules("tls.TlsPort", SECURITY_OPTIONS, 802, is_secure=True),
     "unix": TransportRules("unix.UnixPort", port=0, example="/run/modbus.sock"),
     "serial": TransportRules(
         "serial.SerialPort", SERIAL_OPTIONS, 0, "/dev/ttyUSB0", is_serial=True
@@ -182,7 +182,6 @@ CLIENT_OPTIONS: dict[str, Option] = {
         "S",
     ),
     "max_pause": _seconds("maximum seconds between two attempts to connect"),
-    "native": Option(_switch, "0 or 1", "send requests through the C library where possible", ""),
     "accept_unit": _text("same; or any, to accept answers from another unit", "WHICH"),
     "delimiter": Option(
         lambda text: int(text, 0),

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .port import PortSettings
 
-__all__ = ["LineSettings", "ReadOnlySerialPort", "SerialPort", "SerialSettings"]
+__all__ = ["ReadOnlySerialPort", "SerialPort", "SerialSettings"]
 
 Parity = Literal["N", "E", "O", "none", "even", "odd"]
 Rs485 = Literal["kernel", "rts-up", "rts-down"]
@@ -38,9 +38,10 @@ Rs485 = Literal["kernel", "rts-up", "rts-down"]
 _open_here: set[int] = set()
 
 
-class LineSettings(TypedDict, total=False):
-    """The settings of a `SerialPort` except its speed."""
+class SerialSettings(TypedDict, total=False):
+    """The settings of a `SerialPort`."""
 
+    baudrate: int
     parity: Parity
     data_bits: int
     stop_bits: int
@@ -48,12 +49,6 @@ class LineSettings(TypedDict, total=False):
     rts_delay: float | None
     echo: bool | None
     silence: float | None
-
-
-class SerialSettings(LineSettings, total=False):
-    """All settings of a `SerialPort`."""
-
-    baudrate: int
 
 
 class SerialPort(Port):

@@ -243,7 +243,7 @@ def discover(client: Any, *, bases: Iterable[int] = BASES) -> Any:
     whose scale factor the device lacks has no value.
 
     Args:
-        client: a `Context` or an `AsyncClient`; requests are sent to its unit.
+        client: a `Client` or an `AsyncClient`; requests are sent to its unit.
         bases: 1..16 addresses at which the chain may begin, 0..65535, tried in this order.
 
     Returns:

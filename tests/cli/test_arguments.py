@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 
-from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.cli.arguments import endpoint_of
 from libmodbus_py.cli.commands import parsed
 from libmodbus_py.cli.foreign import OPTIONS
@@ -25,7 +25,7 @@ from tests.support.commands import run
 CLIENTS = ["read", "write", "identify", "diagnose", "raw", "map from-device"]
 
 # Command -> the options of clients that it has not.
-WITHOUT: dict[str, set[str]] = {"scan": {"unit"}, "gateway": {"unit", "native"}}
+WITHOUT: dict[str, set[str]] = {"scan": {"unit"}, "gateway": {"unit"}}
 
 TAKING = [*CLIENTS, *WITHOUT]
 
@@ -43,7 +43,7 @@ def test_options_of_urls_are_those_of_the_command_line(command: str) -> None:
 def test_a_gateway_has_options_for_its_devices_and_prints_frames(device: str) -> None:
     arguments = ["tcp://127.0.0.1:0", "--to", f"7={device}", "--timeout", "5", "-v"]
     with serving("gateway", *arguments) as (process, url):
-        with Context.from_url(url, unit=7) as context:
+        with Client(url, unit=7) as context:
             context.write_register(0, 555)
         asked, answered = process.stderr.readline(), process.stderr.readline()
     assert " <   7  WriteRegister " in asked

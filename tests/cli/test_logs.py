@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context
+from libmodbus_py import Client
 from libmodbus_py.cli.logs import logged
 from tests.cli.serving import FLEET_OF_ONE
 from tests.support.commands import PAGE_TOKEN, Started
@@ -106,7 +106,7 @@ def test_servers_tell_where_they_listen_and_every_frame(command: list[str]) -> N
     options = ["--log", "debug", "--log-format", "json"]
     with Started(*command, "tcp://127.0.0.1:0", *options) as process:
         url = json.loads(process.stdout.readline())["message"].removeprefix("listening on ")
-        with Context.from_url(url) as plc:
+        with Client(url) as plc:
             plc.read_holding_registers(0, 1)
         process.terminate()
         assert process.wait() == 0

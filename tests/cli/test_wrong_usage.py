@@ -209,7 +209,6 @@ MAPS = [
     ("map check sdm120 --unit 17", "--unit needs --device"),
     ("map check sdm120 --baudrate 9600", "--baudrate needs --device"),
     ("map check sdm120 --ca a.pem", "--ca needs --device"),
-    ("map check sdm120 --native", "--native needs --device"),
     ("map class sdm120 -o FOLDER/mine.py", "mine.py exists, and would be overwritten"),
     ("map class sdm120 -o FOLDER/meter.txt", "meter.txt: it must end with .py"),
     ("map class sdm120 -o FOLDER/none/meter.py", "none/meter.py: the folder does not exist"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.clients import World, making
+from tests.support.clients import KINDS, World, making
 from tests.support.transports import TRANSPORTS
 
 
@@ -19,8 +19,8 @@ def transport(request: pytest.FixtureRequest) -> Any:
     return request.param
 
 
-@pytest.fixture(params=["python", "asyncio"])
+@pytest.fixture(params=KINDS)
 def world(request: pytest.FixtureRequest) -> Iterator[World]:
-    """Simulated clients of both kinds, and peers; with `EVERYWHERE` a real one that C carries."""
+    """Simulated clients of both kinds, and peers."""
     with making(request.param) as made:
         yield made

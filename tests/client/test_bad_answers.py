@@ -4,7 +4,6 @@ Answers that are none: the right error, at the right time, and the next request 
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -20,7 +19,7 @@ from libmodbus_py import (
     ModbusTimeoutError,
     framing,
 )
-from tests.support.clients import EVERYWHERE, KINDS, Simulated, World, read
+from tests.support.clients import World, read
 from tests.support.peers import Answer, Write, answer, answering, mbap
 
 GOOD = b"\x03\x06\x02\x2b\x00\x00\x00\x64"
@@ -88,12 +87,8 @@ WAITED_OUT = {"other protocol"} | {
     name for name, (_, error) in BAD_TCP.items() if error is ModbusTimeoutError
 }
 
-CASES = [
-    (kind, name) for kind in KINDS for name in BAD_TCP if kind != "native" or name not in WAITED_OUT
-]
 
-
-@pytest.mark.parametrize(("world", "name"), CASES, indirect=["world"])
+@pytest.mark.parametrize("name", BAD_TCP)
 def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
     bad, error = BAD_TCP[name]
     peer = world.peer("tcp", answering(bad, good_tcp))
@@ -109,7 +104,6 @@ def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
         assert values(context) == VALUES
 
 
-@EVERYWHERE
 def test_tcp_answer_followed_by_garbage(world: World) -> None:
     def with_garbage(request: bytes) -> list[bytes]:
         return [mbap(request, GOOD) + b"\xde\xad\xbe\xef"]
@@ -119,7 +113,6 @@ def test_tcp_answer_followed_by_garbage(world: World) -> None:
             assert values(context) == VALUES
 
 
-@EVERYWHERE
 def test_a_skipped_frame_beside_an_answer_does_not_spoil_the_next_one(world: World) -> None:
     def with_other_protocol(request: bytes, write: Write) -> None:
         write(mbap(request, GOOD, protocol=7) + mbap(request, GOOD))
@@ -136,7 +129,6 @@ def test_a_skipped_frame_beside_an_answer_does_not_spoil_the_next_one(world: Wor
         assert peer.connections == 1
 
 
-@EVERYWHERE
 def test_trickling_answer_does_not_extend_the_deadline(world: World) -> None:
     def trickle(request: bytes, write: Write) -> None:
         for at, byte in enumerate(mbap(request, GOOD)):
@@ -148,7 +140,6 @@ def test_trickling_answer_does_not_extend_the_deadline(world: World) -> None:
                 values(context)
 
 
-@EVERYWHERE
 def test_connection_closed_in_mid_answer(world: World) -> None:
     def half_and_close(request: bytes, write: Write) -> None:
         write(mbap(request, GOOD)[:9])
@@ -209,21 +200,6 @@ def test_serial_error_and_next_request_succeeds(world: World, name: str, scheme:
 
 
 @SERIAL
-@pytest.mark.parametrize("world", ["native"], indirect=True)
-@pytest.mark.parametrize("name", ["wrong check", "exception"])
-def test_serial_error_through_c(world: World, name: str, scheme: str) -> None:
-    body, spoil, error = BAD_SERIAL[name]
-    bad = FRAMES[scheme](body, spoil)
-    unit = world.peer(scheme, answering(FRAMES[scheme](GOOD_SERIAL), bad))
-    with world.connect(unit.url, timeout=30) as context:
-        assert values(context) == VALUES
-        with pytest.raises(error) as caught:
-            values(context)
-        assert caught.value.sent == unit.requests[1]
-        assert caught.value.received == bad(b"")[0]
-
-
-@SERIAL
 @pytest.mark.parametrize("trouble", ["noise before", "garbage behind", "half", "nothing"])
 def test_serial_resynchronises_after_trouble(world: World, trouble: str, scheme: str) -> None:
     good = FRAMES[scheme](GOOD_SERIAL)
@@ -246,28 +222,6 @@ def test_serial_resynchronises_after_trouble(world: World, trouble: str, scheme:
             assert not isinstance(error, ExceptionResponse)  # noqa: PT017
         for _ in range(3):
             assert values(context) == VALUES
-
-
-@pytest.mark.parametrize("world", ["native"], indirect=True)
-def test_a_late_answer_on_a_line_through_c(world: World) -> None:
-    """It counts as an answer only where this process was too busy to find it late."""
-
-    delay = 0.0
-
-    def slow(request: bytes, write: Write) -> None:
-        write(answer(request, "rtu"), after=delay)
-
-    unit = world.peer("rtu", slow)
-    with world.connect(unit.url, timeout=30) as context:
-        assert context.read_holding_registers(76, 1) == [76]
-        context.timeout = 0.2
-        delay = 0.3
-        for address in range(2):
-            with contextlib.suppress(ModbusTimeoutError):
-                assert context.read_holding_registers(address, 1) == [address]
-        context.timeout = 30
-        unit.on_request = answering(lambda request: [answer(request, "rtu")])
-        assert context.read_holding_registers(77, 1) == [77]
 
 
 # --- on lines ------------------------------------------------------------------------------------
@@ -302,17 +256,9 @@ def test_what_stands_before_each_answer_on_a_line_harms_none(
         assert [read(client, address) for address in range(40)] == list(range(40))
 
 
-@pytest.mark.parametrize("world", ["native"], indirect=True)
-def test_a_stray_byte_before_each_answer_through_c(world: World) -> None:
-    unit = world.peer("rtu", answering(lambda request: [b"\x00" + answer(request, "rtu")]))
-    with world.connect(unit.url, timeout=30) as client:
-        assert [read(client, address) for address in range(10)] == list(range(10))
-
-
 # --- over TCP ------------------------------------------------------------------------------------
 
 
-@EVERYWHERE
 def test_a_late_answer_during_a_request_does_not_fail_it(world: World) -> None:
     """It comes while the second request after the one that was given up waits."""
     owed = b""
@@ -342,7 +288,6 @@ def test_a_late_answer_during_a_request_does_not_fail_it(world: World) -> None:
         assert peer.connections == 1
 
 
-@EVERYWHERE
 def test_a_device_that_is_unit_255_to_everybody_is_reached_with_an_option(world: World) -> None:
     peer = world.peer("tcp", answering(lambda request: [answer(request, "tcp", unit=255)]))
     with (
@@ -359,7 +304,7 @@ def test_a_device_that_is_unit_255_to_everybody_is_reached_with_an_option(world:
 # --- before a request goes out -------------------------------------------------------------------
 
 
-def test_what_came_meanwhile_is_no_answer_to_the_next_request(world: Simulated) -> None:
+def test_what_came_meanwhile_is_no_answer_to_the_next_request(world: World) -> None:
     """A program that was busy reads what nobody asked for before it asks."""
 
     def twice(request: bytes, write: Write) -> None:

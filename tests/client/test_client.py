@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, IllegalDataAddress, Mapping, Server, pdu
+from libmodbus_py import Client, Device, IllegalDataAddress, Mapping, Server, pdu
 from libmodbus_py.client.asynchronous import AsyncClient
 from tests.simulation.scripted import Scripted
 from tests.support.clients import Awaited, threadsafe
@@ -39,10 +39,10 @@ def test_both_clients_have_the_same_methods_with_the_same_parameters() -> None:
     # What a blocking client has no use for: requests that nobody awaits.
     others = {"submit", "abandon", "has_ids", "ready_at", "room"}
     public = {name for name in dir(AsyncClient) if not name.startswith("_")} - others
-    assert public == {name for name in dir(Context) if not name.startswith("_")} - {"from_url"}
+    assert public == {name for name in dir(Client) if not name.startswith("_")}
     assert {"read_coils", "execute_many", "read_many", "write_values", "for_unit"} <= public
     for name in public:
-        blocking, asynchronous = getattr(Context, name), getattr(AsyncClient, name)
+        blocking, asynchronous = getattr(Client, name), getattr(AsyncClient, name)
         if not isinstance(blocking, property):
             # What is awaited has another type where iteration is asynchronous, too.
             parameters = [inspect.signature(each).parameters for each in (asynchronous, blocking)]

@@ -33,9 +33,7 @@ from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
 from tests.support.clients import (
     ALL,
-    EVERYWHERE,
     Connect,
-    Simulated,
     World,
     asking,
     connecting,
@@ -68,7 +66,7 @@ def test_connection_error_says_why(connect: Connect, host: str, number: int | No
     assert host[:20] in str(caught.value)
 
 
-@pytest.mark.parametrize("kind", ["native", "asyncio"])
+@pytest.mark.parametrize("kind", ["blocking", "asyncio"])
 def test_a_dead_host_on_the_real_system(kind: str) -> None:
     with (
         dead() as port,
@@ -98,9 +96,7 @@ def connecting_to(kind: str, url: str, **options: Any) -> Iterator[Any]:
 
 
 @pytest.mark.parametrize("max_pause", [0, 10])
-def test_request_waits_for_the_next_attempt_if_it_has_time(
-    world: Simulated, max_pause: float
-) -> None:
+def test_request_waits_for_the_next_attempt_if_it_has_time(world: World, max_pause: float) -> None:
     plc = world.connect(NOBODY, timeout=1, max_pause=max_pause)
     with pytest.raises(ModbusConnectionError):
         plc.connect()
@@ -116,7 +112,6 @@ def test_request_waits_for_the_next_attempt_if_it_has_time(
 # --- that end -------------------------------------------------------------------------------------
 
 
-@EVERYWHERE
 @pytest.mark.parametrize("retries", [0, 3])
 def test_a_server_that_closes_at_once_is_an_error_soon(world: World, retries: int) -> None:
     peer = world.peer("tcp", lambda request, write: write(None))
@@ -143,7 +138,6 @@ def test_server_that_hangs_up_at_once_is_not_hammered(world: World) -> None:
             assert peer.connections <= most
 
 
-@EVERYWHERE
 def test_connections_that_end_are_made_anew_by_the_next_request(world: World) -> None:
     """At once, before the client has read of the end, and later."""
     peer = world.peer("tcp", good)
@@ -176,7 +170,7 @@ def test_options_of_the_socket_are_set(connect: Connect, keepalive: int | None) 
 # --- ports ----------------------------------------------------------------------------------------
 
 
-def test_an_unplugged_port_is_a_connection_error_and_is_opened_again(world: Simulated) -> None:
+def test_an_unplugged_port_is_a_connection_error_and_is_opened_again(world: World) -> None:
     unit = world.peer("rtu", lambda request, write: write(answer(request, "rtu")))
     line = world.network.line("/dev/line")
     plc = world.connect(unit.url, timeout=5, max_pause=0)
@@ -220,7 +214,6 @@ def test_a_port_that_is_unplugged_on_the_real_system(kind: str, tmp_path: Path) 
 # --- what is told of them -------------------------------------------------------------------------
 
 
-@EVERYWHERE
 def test_handles_of_several_units_share_the_connection(world: World) -> None:
     """Unit 0 over TCP is a unit like others."""
     peer = world.peer("tcp", good)
@@ -237,7 +230,6 @@ def test_handles_of_several_units_share_the_connection(world: World) -> None:
 # --- that are closed for good ----------------------------------------------------------------
 
 
-@EVERYWHERE
 def test_close_is_idempotent_and_final(world: World) -> None:
     plc = world.client_of("tcp", good)
     assert not plc.closed
@@ -289,9 +281,7 @@ URL = f"tcp://{HOST}:502"
 
 
 @pytest.mark.parametrize("own", [0.1, 5.0])
-def test_an_attempt_lasts_as_long_as_the_timeout_of_its_request(
-    world: Simulated, own: float
-) -> None:
+def test_an_attempt_lasts_as_long_as_the_timeout_of_its_request(world: World, own: float) -> None:
     """Or of its handle, but not as that of the client."""
     world.network.unreachable.add(HOST)
     plc = world.connect(URL, timeout=1)

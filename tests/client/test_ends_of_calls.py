@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, pdu
+from libmodbus_py import AsyncClient, Client, pdu
 from tests.simulation.loop import complaints_of
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
@@ -89,7 +89,7 @@ def struck(
 
 
 def strike_each_moment(
-    context: Context,
+    context: Client,
     peer: Peer | Scripted,
     scheme: str,
     error: BaseException,
@@ -126,7 +126,7 @@ def strike_each_moment(
 def test_nothing_is_sent_of_a_call_that_a_context_was_thrown_out_of(
     scheme: str, error: BaseException
 ) -> None:
-    with making("python") as world:
+    with making("blocking") as world:
         peer = world.peer(scheme, replying(scheme))
         with world.connect(peer.url, retries=1) as context:
             settle = partial(world.sleep, SETTLED)
@@ -144,7 +144,7 @@ def test_nothing_is_sent_of_a_call_that_c_carries(scheme: str, error: BaseExcept
     with peer_at(scheme, replying(scheme)) as peer:
         # On a line a unit that owes an answer is left alone for one timeout, in real seconds.
         options, step = ({"timeout": 0.25}, 15) if scheme == "rtu" else ({}, 1)
-        with Context.from_url(peer.url, native=True, retries=1, **options) as context:
+        with Client(peer.url, retries=1, **options) as context:
             assert strike_each_moment(context, peer, scheme, error, step=step) * step > 100
 
 
@@ -227,7 +227,7 @@ def writes(first: int) -> list[pdu.WriteRegister]:
 
 def test_nothing_is_sent_of_many_requests_that_a_context_was_thrown_out_of() -> None:
     error, number, is_struck = MemoryError(), 0, True
-    with making("python") as world:
+    with making("blocking") as world:
         peer = world.peer("tcp", replying("tcp"))
         with world.connect(peer.url) as context:
             while is_struck:

@@ -25,7 +25,7 @@ from libmodbus_py import (
     pdu,
 )
 from tests.support.c_programs import SOURCES, compile_c
-from tests.support.clients import BLOCKING, EVERYWHERE, Connect, Simulated, World, asking
+from tests.support.clients import Connect, World, asking
 from tests.support.interop import program
 from tests.support.peers import OnRequest, TcpPeer, Write, echo, has_header, ignore, mbap
 from tests.support.reads import echoes, good, reads
@@ -44,7 +44,7 @@ class Gathered:
     """
 
     def __init__(
-        self, world: Simulated, play: Callable[[list[bytes], Write], object], quiet: float = 0.01
+        self, world: World, play: Callable[[list[bytes], Write], object], quiet: float = 0.01
     ) -> None:
         self._events = world.network.events
         self._play = play
@@ -163,14 +163,13 @@ def test_broadcast_of_a_read_is_refused_before_the_writes_go_out(world: World) -
 # --- no answer, and answers that come late ---------------------------------------------------
 
 
-@EVERYWHERE
 def test_request_without_an_answer_times_out_alone(world: World) -> None:
     def play(request: bytes, write: Write) -> None:
         if address_of(request) not in (3, 20):
             write(echo(request))
 
     peer = world.peer("tcp", play)
-    timeout = 60 if world.is_exact else 0.3
+    timeout = 60
     with world.connect(peer.url, timeout=timeout, unit=9, max_in_flight=16) as context:
         # The second is sent as soon as there is room for it, while the first waits.
         with world.lasting(timeout, more=0.01):
@@ -181,14 +180,13 @@ def test_request_without_an_answer_times_out_alone(world: World) -> None:
             assert (error.unit, error.function, error.received) == (9, 3, b"")
             assert error.asked == f"ReadHoldingRegisters(address={address}, count=1)"
             assert error.sent[6:] == bytes([9, 3, 0, address, 0, 1])
-        if world.is_exact:
-            found[3], found[20] = [3], [20]
-            assert found == echoes(40)
+        found[3], found[20] = [3], [20]
+        assert found == echoes(40)
         assert peer.connections == 1
 
 
 @pytest.mark.parametrize("again", ["one", "many"])
-def test_requests_left_behind_by_a_failure_poison_nothing(world: Simulated, again: str) -> None:
+def test_requests_left_behind_by_a_failure_poison_nothing(world: World, again: str) -> None:
     """The first is refused; the other fifteen are answered when something else is asked."""
     left: list[bytes] = []
 
@@ -223,7 +221,7 @@ def test_requests_left_behind_by_a_failure_poison_nothing(world: Simulated, agai
 # --- bad answers ---------------------------------------------------------------------------
 
 
-def test_first_failure_in_the_order_of_requests_is_raised_at_once(world: Simulated) -> None:
+def test_first_failure_in_the_order_of_requests_is_raised_at_once(world: World) -> None:
     """As soon as all before it are answered, whatever is not answered behind it."""
 
     def play(requests: list[bytes], write: Write) -> None:
@@ -292,7 +290,6 @@ def closing_after(count: int, connections: Callable[[], int]) -> OnRequest:
     return play
 
 
-@EVERYWHERE
 def test_lost_connection_raises_for_the_first_without_an_answer(world: World) -> None:
     peer = world.peer("tcp", closing_after(7, lambda: peer.connections))
     with world.connect(peer.url, max_in_flight=16) as context:
@@ -338,13 +335,12 @@ def test_threads_share_a_context_and_batches(connect: Connect) -> None:
         assert all(each.result() for each in batches + singles)
 
 
-@BLOCKING
-def test_ctrl_c_in_a_batch_leaves_a_usable_context(kind: str) -> None:
+def test_ctrl_c_in_a_batch_leaves_a_usable_context() -> None:
     def interrupt(request: bytes, write: Write) -> None:
         os.kill(os.getpid(), signal.SIGINT)
         server.on_request = good
 
-    with TcpPeer(interrupt) as server, asking(kind, server.url, timeout=600) as context:
+    with TcpPeer(interrupt) as server, asking("blocking", server.url, timeout=600) as context:
         with pytest.raises(KeyboardInterrupt):
             context.execute_many(reads(50))
         assert context.execute_many(reads(50)) == echoes(50)

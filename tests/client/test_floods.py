@@ -17,7 +17,7 @@ import pytest
 
 from libmodbus_py import ModbusError, framing
 from tests.simulation.network import Network
-from tests.support.clients import Simulated, asking, making, read
+from tests.support.clients import World, asking, making, read
 from tests.support.peers import FakeUnit, OnRequest, Write, peer_at
 
 # An answer whose id no request has.
@@ -61,7 +61,7 @@ def flooding(network: Network, data: bytes, pause: float) -> OnRequest:
 
 
 @pytest.mark.parametrize("flood", FLOODS)
-def test_a_flood_costs_neither_time_nor_memory(flood: str, world: Simulated) -> None:
+def test_a_flood_costs_neither_time_nor_memory(flood: str, world: World) -> None:
     scheme, data = FLOODS[flood]
     peer = world.peer(scheme, flooding(world.network, data, 0.005))
     # Where nothing tells an answer from the next one, the line must fall silent first: at most a
@@ -100,7 +100,7 @@ def pouring(scheme: str, data: bytes) -> Iterator[str]:
             over.set()
 
 
-@pytest.mark.parametrize("kind", ["native", "asyncio"])
+@pytest.mark.parametrize("kind", ["blocking", "asyncio"])
 @pytest.mark.parametrize(
     ("scheme", "data"),
     [
@@ -118,9 +118,7 @@ def test_a_flood_that_leaves_no_pause_ends(scheme: str, data: bytes, kind: str) 
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii"])
 @pytest.mark.parametrize("pause", [0.001, 0.02])
-def test_a_line_that_is_never_quiet_ends_the_wait(
-    pause: float, scheme: str, world: Simulated
-) -> None:
+def test_a_line_that_is_never_quiet_ends_the_wait(pause: float, scheme: str, world: World) -> None:
     """From the first request on, and while it waits for the silence that must come before."""
     noise = b"0123456789ABCDEF" if scheme == "ascii" else bytes(range(0x80, 0x90))
     with world.client_of(scheme, flooding(world.network, noise, pause), timeout=0.2) as client:
@@ -153,7 +151,7 @@ def noisy_line(noise: bytes) -> Iterator[str]:
                 process.kill()
 
 
-@pytest.mark.parametrize("kind", ["native", "asyncio"])
+@pytest.mark.parametrize("kind", ["blocking", "asyncio"])
 def test_a_real_line_that_is_never_quiet_ends_the_wait(kind: str) -> None:
     with (
         noisy_line(bytes(range(0x80, 0x90))) as url,
@@ -180,18 +178,19 @@ def test_an_idle_client_leaves_a_flood_unread(
     scheme: str, data: bytes, pause: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An event loop that is told of each byte would do nothing else."""
-    with making("asyncio") as world:
-        assert isinstance(world, Simulated)
-        with world.client_of(scheme, flooding(world.network, data, pause), timeout=0.1) as client:
-            failure(lambda: read(client, 1))
-            world.sleep(30.0)  # 64 KiB take 8 s
-            port, reads = client._driver._port, []
-            receive = port.receive
-            monkeypatch.setattr(port, "receive", lambda: reads.append(1) or receive())
-            world.sleep(30.0)
-            assert not reads
-            failure(lambda: read(client, 1))
-            assert reads
+    with (
+        making("asyncio") as world,
+        world.client_of(scheme, flooding(world.network, data, pause), timeout=0.1) as client,
+    ):
+        failure(lambda: read(client, 1))
+        world.sleep(30.0)  # 64 KiB take 8 s
+        port, reads = client._driver._port, []
+        receive = port.receive
+        monkeypatch.setattr(port, "receive", lambda: reads.append(1) or receive())
+        world.sleep(30.0)
+        assert not reads
+        failure(lambda: read(client, 1))
+        assert reads
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ from libmodbus_py import (
     Access,
     Acknowledge,
     Client,
-    Context,
     Device,
     ExceptionResponse,
     GatewayPathUnavailable,
@@ -63,7 +62,6 @@ def plc(connect: Connect, url: str) -> Iterator[Any]:
 
 
 def test_tables(plc: Any, mapping: Mapping) -> None:
-    """The first answer is checked here, the others come through libmodbus where C carries them."""
     for turn in range(3):
         coils = [True, False, True, True, False, False, True, True, True, False]
         assert plc.read_coils(10, 10) == coils
@@ -180,17 +178,17 @@ def test_codes_nobody_has_are_refused_and_can_be_sent(plc: Any, function: int) -
 
 def test_a_client_is_a_context_for_any_url(url: str) -> None:
     with Client(url, unit=UNIT, timeout=2) as client:
-        assert isinstance(client, Context)
+        assert isinstance(client, Client)
         assert client.read_holding_registers(100, 3) == [1000, 1001, 1002]
         assert (client.unit, client.timeout) == (UNIT, 2)
-        assert client.url == Context.from_url(url).url
+        assert client.url == Client(url).url
         assert repr(client) == f"<Client {client.url}, unit {UNIT}, connected>"
 
 
 @pytest.mark.parametrize("transport", ["rtu+tcp", "ascii+tcp", "rtu+udp", "rtu", "ascii"])
 def test_a_broadcast_reaches_every_unit_and_is_not_answered(transport: str) -> None:
     devices = {unit: Device(Mapping(holding_registers=8)) for unit in (1, 2)}
-    with serving(transport, Server(devices)) as url, Context.from_url(url, unit=0) as line:
+    with serving(transport, Server(devices)) as url, Client(url, unit=0) as line:
         assert line.write_register(3, 9) is None
         for unit in devices:
             assert line.for_unit(unit).read_holding_registers(2, 2) == [0, 9]
@@ -201,8 +199,8 @@ def test_a_broadcast_reaches_every_unit_and_is_not_answered(transport: str) -> N
 
 
 @contextmanager
-def talking_to(device: Device, transport: str, **options: Any) -> Iterator[Context]:
-    with serving(transport, Server(device)) as url, Context.from_url(url, **options) as made:
+def talking_to(device: Device, transport: str, **options: Any) -> Iterator[Client]:
+    with serving(transport, Server(device)) as url, Client(url, **options) as made:
         yield made
 
 
@@ -314,7 +312,7 @@ def test_hooks_are_told_who_asks_for_what(transport: str) -> None:
 )
 def test_pages_that_do_not_answer_are_invalid(asked: str | int, answer: str) -> None:
     page = bytes.fromhex(answer)
-    with making("python") as world:
+    with making("blocking") as world:
         peer = world.peer("tcp", answering(lambda request: [mbap(request, page)]))
         with world.connect(peer.url) as plc, pytest.raises(InvalidResponse):
             plc.read_device_identification(asked)

@@ -19,8 +19,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, ModbusConnectionError, ModbusError, State, TcpContext
-from tests.support.clients import ALL, BLOCKING, NATIVE, Awaited, Connect, asking, connecting
+from libmodbus_py import AsyncClient, Client, ModbusConnectionError, ModbusError, State
+from tests.support.clients import ALL, Awaited, Connect, asking, connecting
 from tests.support.peers import TcpPeer, dead, ignore, peer_at, until
 from tests.support.reads import good, good_at
 from tests.support.signals import on_alarm
@@ -46,8 +46,7 @@ def connecting_here(kind: str) -> Iterator[Connect]:
 @pytest.mark.parametrize(
     ("kind", "error"),
     [
-        ("native", Interruption),
-        ("python", Interruption),
+        ("blocking", Interruption),
         ("asyncio", ModbusConnectionError),
     ],
 )
@@ -97,11 +96,10 @@ def test_the_timeout_includes_the_look_up_of_the_name(kind: str, answers: thread
         pass
 
 
-@BLOCKING
 @pytest.mark.usefixtures("answers")
-def test_close_does_not_wait_for_the_look_up_of_a_name(kind: str) -> None:
+def test_close_does_not_wait_for_the_look_up_of_a_name() -> None:
     with ThreadPoolExecutor(1) as pool:
-        context = TcpContext("slow.invalid", timeout=600, native=kind == "native")
+        context = Client("tcp://slow.invalid", timeout=600)
         waiting = pool.submit(context.connect)
         until(lambda: context.state is State.CONNECTING)
         time.sleep(0.02)
@@ -114,7 +112,7 @@ def test_close_does_not_wait_for_the_look_up_of_a_name(kind: str) -> None:
 
 
 @contextlib.contextmanager
-def waiting_context(place: str, native: bool) -> Iterator[tuple[Context, Callable[[], object]]]:
+def waiting_context(place: str) -> Iterator[tuple[Client, Callable[[], object]]]:
     """A context, and a request on it that waits for long."""
     with contextlib.ExitStack() as stack:
         if place == "connecting":
@@ -122,7 +120,7 @@ def waiting_context(place: str, native: bool) -> Iterator[tuple[Context, Callabl
         else:
             peer = stack.enter_context(peer_at(place, good_at(place)))
             url = peer.url
-        context = Context.from_url(url, timeout=600, native=native)
+        context = Client(url, timeout=600)
         stack.callback(context.close)
         if place == "connecting":
             yield context, context.connect
@@ -136,20 +134,16 @@ def waiting_context(place: str, native: bool) -> Iterator[tuple[Context, Callabl
 PLACES = pytest.mark.parametrize("place", ["tcp", "rtu", "connecting"])
 
 
-@NATIVE
 @PLACES
-def test_close_in_a_signal_handler_ends_the_request_that_it_interrupts(
-    place: str, native: bool
-) -> None:
-    with waiting_context(place, native) as (context, request):
+def test_close_in_a_signal_handler_ends_the_request_that_it_interrupts(place: str) -> None:
+    with waiting_context(place) as (context, request):
         with on_alarm(context.close, 0.05), pytest.raises(ModbusConnectionError):
             request()
         assert context.closed
 
 
-@NATIVE
 @PLACES
-def test_a_request_in_a_signal_handler_is_refused(place: str, native: bool) -> None:
+def test_a_request_in_a_signal_handler_is_refused(place: str) -> None:
     refused: list[bool] = []
 
     def ask() -> None:
@@ -157,7 +151,7 @@ def test_a_request_in_a_signal_handler_is_refused(place: str, native: bool) -> N
             context.read_coils(0, 1)
         refused.append(True)
 
-    with waiting_context(place, native) as (context, request):
+    with waiting_context(place) as (context, request):
         context.timeout = 0.15
         start = time.monotonic()
         with on_alarm(ask, 0.05), pytest.raises(ModbusError):
@@ -189,10 +183,9 @@ def other_process(scheme: str = "tcp") -> Iterator[str]:
             process.kill()
 
 
-@NATIVE
-def test_close_and_requests_in_a_finalizer_during_a_request(native: bool) -> None:
+def test_close_and_requests_in_a_finalizer_during_a_request() -> None:
     """The collector runs whenever something is made, as in the middle of a request."""
-    with other_process() as url, Context.from_url(url, native=native) as context:
+    with other_process() as url, Client(url) as context:
         context.write_registers(0, list(range(100)))
         outcomes: list[object] = []
 
@@ -220,15 +213,14 @@ def test_close_and_requests_in_a_finalizer_during_a_request(native: bool) -> Non
         assert context.closed
 
 
-@NATIVE
 @pytest.mark.parametrize("place", ["tcp", "rtu", "rtu+tcp"])
 # A socket that was just being made is closed when it is collected.
 @pytest.mark.filterwarnings("ignore:.*unclosed <socket.*")
-def test_ctrl_c_at_any_moment_fails_no_later_request(place: str, native: bool) -> None:
+def test_ctrl_c_at_any_moment_fails_no_later_request(place: str) -> None:
     """Each request that is not interrupted is right; none meets what an interrupted one left."""
     with (
         peer_at(place, good_at(place)) as peer,
-        Context.from_url(peer.url, timeout=0.3, native=native) as context,
+        Client(peer.url, timeout=0.3) as context,
     ):
         interrupted = 0
         before = signal.signal(signal.SIGALRM, signal.default_int_handler)
@@ -266,13 +258,10 @@ class Interrupted:
         return self._method(*arguments, **options)
 
 
-@NATIVE
-def test_the_connection_is_left_by_the_next_request(
-    native: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPatch) -> None:
     with (
         TcpPeer(good) as peer,
-        Context.from_url(peer.url, native=native) as context,
+        Client(peer.url) as context,
     ):
         assert context.read_holding_registers(6, 1) == [6]
         driver = context._driver
@@ -285,12 +274,11 @@ def test_the_connection_is_left_by_the_next_request(
         assert context.statistics.connects == 2
 
 
-@NATIVE
 def test_a_client_that_was_closed_meanwhile_is_closed_by_the_next_request(
-    native: bool, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with TcpPeer(good) as peer:
-        context = Context.from_url(peer.url, native=native)
+        context = Client(peer.url)
         assert context.read_holding_registers(6, 1) == [6]
         Interrupted(monkeypatch, context._driver, "_shut")
         with pytest.raises(KeyboardInterrupt):

@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import IllegalDataAddress, InvalidResponse, ModbusError, ModbusTimeoutError, pdu
 from tests.support.cases import each_case
-from tests.support.clients import EVERYWHERE, World, read
+from tests.support.clients import World, read
 from tests.support.peers import OnRequest, Write, answer
 from tests.support.replies import exchange
 from tests.support.talk import ASCII, LINE, Talk, ascii_frame, kinds, rtu, value
@@ -77,7 +77,6 @@ def test_an_echo_is_told_once_and_harms_no_read(
     assert "echo=1" in told[0]
 
 
-@EVERYWHERE
 @pytest.mark.parametrize("setting", ["", "echo=1"])
 def test_no_echo_is_the_value_of_a_read(world: World, setting: str) -> None:
     """Nothing but the echo comes, of a request that is a possible answer."""

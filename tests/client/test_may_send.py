@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, ModbusConnectionError, TcpContext
+from libmodbus_py import AsyncClient, Client, ModbusConnectionError
 from libmodbus_py.client.connection import Transactions
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.tools.testing.wires import SerialWire
@@ -99,7 +99,7 @@ def test_false_is_no_mistake_and_all_but_true_and_false_is(
 
 def test_it_is_for_asyncio_alone() -> None:
     with pytest.raises(TypeError, match="may_send"):
-        TcpContext("127.0.0.1", may_send=Gate())  # type: ignore[call-arg]
+        Client("tcp://127.0.0.1", may_send=Gate())  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="may_send must be a function"):
         AsyncClient("tcp://127.0.0.1", may_send=1)  # type: ignore[typeddict-item]
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsciiContext, AsyncClient, Context, RtuContext, TcpContext, UdpContext, pdu
-from libmodbus_py.client.blocking import Client
+from libmodbus_py import Client, pdu
 from tests.support.cases import each_case
 from tests.support.clients import World
 from tests.support.reads import good
@@ -115,54 +114,31 @@ def test_nothing_is_sent_for_bad_arguments(world: World, ask: Any, named: str) -
         assert len(peer.requests) == 1
 
 
-def test_native_in_a_url_is_for_contexts_only() -> None:
-    url = "tcp://127.0.0.1?native=0"
-    Context.from_url(url).close()
-    with pytest.raises(TypeError, match="'native' must be one of unit, timeout"):
-        AsyncClient(url)
-    with pytest.raises(TypeError, match="'native' must be one of unit, timeout"):
-        AsyncClient("tcp://127.0.0.1", native=False)  # type: ignore[call-arg]
-
-
-@pytest.mark.parametrize("native", [None, 1, "yes"])
-def test_native_is_true_or_false(native: Any) -> None:
-    with pytest.raises(TypeError, match=f"native must be True or False, not {native!r}"):
-        Context.from_url("tcp://127.0.0.1", native=native)
-
-
 @each_case(
-    ("kind", "arguments", "options", "named"),
+    ("url", "options", "named"),
     [
-        (TcpContext, [""], {}, "host"),
-        (TcpContext, [None], {}, "host"),
-        (TcpContext, ["a\0b"], {}, "host"),
-        (TcpContext, ["127.0.0.1", 0], {}, "port"),
-        (TcpContext, ["127.0.0.1", 65536], {}, "port"),
-        (TcpContext, ["127.0.0.1", "502"], {}, "port"),
-        (TcpContext, ["127.0.0.1"], {"framing": "mbap"}, "framing"),
-        (UdpContext, [""], {}, "host"),
-        (UdpContext, ["127.0.0.1", 0], {}, "port"),
-        (UdpContext, ["127.0.0.1"], {"unit": 256}, "unit"),
-        (RtuContext, [""], {}, "device"),
-        (RtuContext, [3], {}, "device"),
-        (RtuContext, ["/dev/x", 0], {}, "baudrate"),
-        (RtuContext, ["/dev/x", 9600.5], {}, "baudrate"),
-        (RtuContext, ["/dev/x"], {"parity": "x"}, "parity"),
-        (RtuContext, ["/dev/x"], {"data_bits": 9}, "data_bits"),
-        (RtuContext, ["/dev/x"], {"stop_bits": 3}, "stop_bits"),
-        (RtuContext, ["/dev/x"], {"rs485": "yes"}, "rs485"),
-        (AsciiContext, ["/dev/x"], {"rts_delay": -1}, "rts_delay"),
-        (Client, ["http://192.0.2.1"], {}, "scheme"),
-        (Client, ["tcp://192.0.2.1"], {"unti": 1}, "unti"),
-        (Client, ["tcp://192.0.2.1"], {"parity": "N"}, "parity"),
-        (Client, [5], {}, "url"),
+        ("tcp://", {}, "a host is missing"),
+        ("tcp://192.0.2.1:0", {}, "port"),
+        ("tcp://192.0.2.1:65536", {}, "port"),
+        ("udp://192.0.2.1:0", {}, "port"),
+        ("udp://192.0.2.1", {"unit": 256}, "unit"),
+        ("rtu://", {}, "a path is missing"),
+        ("rtu:///dev/x", {"baudrate": 0}, "baudrate"),
+        ("rtu:///dev/x", {"baudrate": 9600.5}, "baudrate"),
+        ("rtu:///dev/x", {"parity": "x"}, "parity"),
+        ("rtu:///dev/x", {"data_bits": 9}, "data_bits"),
+        ("rtu:///dev/x", {"stop_bits": 3}, "stop_bits"),
+        ("rtu:///dev/x", {"rs485": "yes"}, "rs485"),
+        ("ascii:///dev/x", {"rts_delay": -1}, "rts_delay"),
+        ("http://192.0.2.1", {}, "scheme"),
+        ("tcp://192.0.2.1", {"unti": 1}, "unti"),
+        ("tcp://192.0.2.1", {"parity": "N"}, "parity"),
+        (5, {}, "url"),
     ],
 )
-def test_a_bad_argument_of_a_class_is_named(
-    kind: Any, arguments: list[Any], options: dict[str, Any], named: str
-) -> None:
+def test_a_bad_argument_of_a_client_is_named(url: Any, options: dict[str, Any], named: str) -> None:
     with pytest.raises((ValueError, TypeError), match=named):
-        kind(*arguments, **options)
+        Client(url, **options)
 
 
 @pytest.mark.parametrize(
@@ -177,4 +153,3 @@ def test_a_client_takes_the_settings_of_serial_ports(
 ) -> None:
     client = Client(url, **options)
     assert settings in client.url
-    assert client.url == Context.from_url(url, **options).url

@@ -4,26 +4,13 @@ Options by the names of other packages, and hosts that contain a port.
 
 from __future__ import annotations
 
+from contextlib import closing
 from functools import partial
 from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    AsciiContext,
-    AsyncClient,
-    Client,
-    Context,
-    Device,
-    Mapping,
-    Point,
-    RegisterMap,
-    Route,
-    RtuContext,
-    Server,
-    TcpContext,
-    UdpContext,
-)
+from libmodbus_py import AsyncClient, Client, Device, Mapping, Point, RegisterMap, Route, Server
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.schemes import SERIAL_OPTIONS
 from libmodbus_py.ports.serial import SerialPort
@@ -50,17 +37,19 @@ LINE, HOST = "/dev/ttyUSB0", "192.0.2.1"
 @each_case(
     ("place", "option", "meant", "makers"),
     [
-        (LINE, "stopbits", "stop_bits", [RtuContext, AsciiContext, SerialPort]),
-        (LINE, "bytesize", "data_bits", [RtuContext, Client, Context.from_url]),
-        (LINE, "stopbit", "stop_bits", [RtuContext, Client, SerialPort]),
+        (f"rtu://{LINE}", "stopbits", "stop_bits", [Client]),
+        (f"ascii://{LINE}", "stopbits", "stop_bits", [Client]),
+        (f"ascii://{LINE}", "bytesize", "data_bits", [Client]),
+        (LINE, "stopbit", "stop_bits", [Client, SerialPort]),
         (LINE, "baud", "baudrate", [SerialPort]),
         (LINE, "baud_rate", "baudrate", [Client]),
-        (LINE, "slave", "unit", [RtuContext]),
-        (LINE, "timout", "timeout", [RtuContext]),
-        (LINE, "handle_local_echo", "echo", [RtuContext]),
-        (HOST, "device_id", "unit", [TcpContext, UdpContext, Client, AsyncClient]),
-        (HOST, "retry", "retries", [TcpContext, AsyncClient, Context.from_url]),
-        (HOST, "time_out", "timeout", [TcpContext, Client, AsyncClient]),
+        (LINE, "slave", "unit", [Client]),
+        (LINE, "timout", "timeout", [Client]),
+        (LINE, "handle_local_echo", "echo", [Client]),
+        (HOST, "device_id", "unit", [Client, AsyncClient]),
+        (f"udp://{HOST}", "device_id", "unit", [Client, AsyncClient]),
+        (HOST, "retry", "retries", [Client, AsyncClient]),
+        (HOST, "time_out", "timeout", [Client, AsyncClient]),
     ],
 )
 def test_options_of_classes(place: str, option: str, meant: str, makers: list[Any]) -> None:
@@ -70,42 +59,22 @@ def test_options_of_classes(place: str, option: str, meant: str, makers: list[An
 
 
 def test_an_option_that_nothing_is_like() -> None:
-    with pytest.raises(TypeError, match=r"'colour' must be one of .*native$"):
-        TcpContext(HOST, colour=1)  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match=r"'colour' must be one of .*statistics$"):
+        Client(f"tcp://{HOST}", colour=1)  # type: ignore[call-arg]
 
 
 @each_case(
-    ("host", "port", "url"),
+    ("text", "url"),
     [
-        ("192.0.2.1:1502", None, "192.0.2.1:1502"),
-        ("plc.example:1502", 1502, "plc.example:1502"),
-        ("[::1]:1502", None, "[::1]:1502"),
-        ("[::1]", 1502, "[::1]:1502"),
-        ("::1", 1502, "[::1]:1502"),
-        ("fe80::1", 7, "[fe80::1]:7"),
-        ("plc", 7, "plc:7"),
+        ("192.0.2.1:1502", "192.0.2.1:1502"),
+        ("plc.example:1502", "plc.example:1502"),
+        ("[::1]:1502", "[::1]:1502"),
+        ("plc:7", "plc:7"),
     ],
 )
-def test_a_host_may_contain_its_port(host: str, port: int | None, url: str) -> None:
-    for kind, scheme in ((TcpContext, "tcp"), (UdpContext, "udp")):
-        made: Any = kind(host) if port is None else kind(host, port)
-        assert made.url == f"{scheme}://{url}"
-        made.close()
-
-
-@each_case(
-    ("host", "port", "message"),
-    [
-        ("192.0.2.1:1502", 1503, "host '192.0.2.1:1502' contains another port than 1503"),
-        ("tcp://192.0.2.1", 502, "host must be a name or an address, .*; Client takes URLs"),
-        ("/dev/ttyUSB0", 502, "host must be a name or an address"),
-        ("192.0.2.1:99999", 502, "port must be in"),
-    ],
-)
-def test_hosts_that_cannot_be(host: str, port: int, message: str) -> None:
-    for kind in (TcpContext, UdpContext):
-        with pytest.raises(ValueError, match=message):
-            kind(host, port)
+def test_a_host_may_stand_for_a_url(text: str, url: str) -> None:
+    with closing(Client(text)) as client:
+        assert client.url == f"tcp://{url}"
 
 
 @each_case(
@@ -113,11 +82,11 @@ def test_hosts_that_cannot_be(host: str, port: int, message: str) -> None:
     [
         *(
             (make, "rtu", "stopbits", "stop_bits")
-            for make in (AsyncClient, Client, Context.from_url, listening, routed, polled)
+            for make in (AsyncClient, Client, listening, routed, polled)
         ),
         (AsyncClient, "ascii", "bytesize", "data_bits"),
         (AsyncClient, "tcp", "slave", "unit"),
-        (Context.from_url, "udp", "timout", "timeout"),
+        (Client, "udp", "timout", "timeout"),
     ],
 )
 def test_options_in_urls(make: Any, scheme: str, option: str, meant: str) -> None:

@@ -19,7 +19,7 @@ from libmodbus_py import (
     RegisterMap,
 )
 from tests.simulation.scripted import Scripted
-from tests.support.clients import EVERYWHERE, Simulated, World
+from tests.support.clients import World
 from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import Write, mbap
 
@@ -64,7 +64,6 @@ def good(found: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in found.items() if not isinstance(value, Exception)}
 
 
-@EVERYWHERE
 def test_a_hole_costs_ten_requests_once(world: World) -> None:
     device = Meter(7)
     with world.client_of("tcp", device) as plc:
@@ -91,7 +90,6 @@ def test_a_plan_of_nothing_is_read_whatever_is_known(world: World) -> None:
         assert plc.read_many(Plan([])) == plc.read_many(Plan([]), return_exceptions=True) == []
 
 
-@EVERYWHERE
 def test_without_return_exceptions_the_point_is_named(world: World) -> None:
     device = Meter(7, 12)
     with world.client_of("tcp", device) as plc:
@@ -105,7 +103,6 @@ def test_without_return_exceptions_the_point_is_named(world: World) -> None:
         assert device.taken() == 1
 
 
-@EVERYWHERE
 def test_a_hole_is_found_although_another_request_succeeds(world: World) -> None:
     points = RegisterMap([Point("far", H, 900), *(Point(f"p{at}", H, at) for at in range(20))])
     device = Meter(7)
@@ -114,7 +111,6 @@ def test_a_hole_is_found_although_another_request_succeeds(world: World) -> None
         assert good(found) == {"far": 900, **values(7)}
 
 
-@EVERYWHERE
 def test_nothing_more_is_sent_after_the_first_failure(world: World) -> None:
     points = RegisterMap([Point("a", H, 0), Point("b", H, 10), Point("c", H, 20)])
     device = Meter(10)
@@ -124,7 +120,7 @@ def test_nothing_more_is_sent_after_the_first_failure(world: World) -> None:
         assert device.asked == [(0, 1), (10, 1)]
 
 
-def test_a_plan_learns_for_each_device_by_itself(world: Simulated) -> None:
+def test_a_plan_learns_for_each_device_by_itself(world: World) -> None:
     plan = Plan({f"p{at}": (H, at) for at in range(20)})
     one, other = Meter(7), Meter(11)
     with (
@@ -154,7 +150,6 @@ def test_a_plan_learns_for_each_device_by_itself(world: Simulated) -> None:
         ]
 
 
-@EVERYWHERE
 def test_another_client_knows_nothing(world: World) -> None:
     """A map and a plan are what they were, whatever one client was told."""
     device = Meter(7)

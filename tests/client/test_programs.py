@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from libmodbus_py import Device, Mapping, RtuContext, Server
+from libmodbus_py import Client, Device, Mapping, Server
 from tests.support.clients import ALL
 from tests.support.peers import LinePeer, peer_at
 from tests.support.reads import good_at
@@ -213,7 +213,7 @@ url, kind = sys.argv[1:]
 if kind == "asyncio":
     from libmodbus_py import AsyncClient
 else:
-    from libmodbus_py import Context
+    from libmodbus_py import Client
 soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
 
 def fail(*_):
@@ -234,7 +234,7 @@ def told(found):
         str(error)
 
 def blocking(options):
-    plc = Context.from_url(url, native=kind == "native", max_pause=0.001, **options)
+    plc = Client(url, max_pause=0.001, **options)
     resource.setrlimit(resource.RLIMIT_NOFILE, (3, hard))
     told([outcome(plc) for _ in range(3)])
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
@@ -268,9 +268,9 @@ def test_no_descriptor_left_is_a_connection_error_that_passes(scheme: str, kind:
 
 LEFT_OPEN = """
 import asyncio, sys
-from libmodbus_py import AsyncClient, Context
+from libmodbus_py import AsyncClient, Client
 url, how = sys.argv[1:]
-contexts = [Context.from_url(url, native=native) for native in (True, False)]
+contexts = [Client(url) for _ in range(2)]
 for context in contexts:
     context.read_coils(0, 1)
 if how == "circle":
@@ -306,12 +306,12 @@ def test_a_port_is_opened_that_a_killed_program_left_as_it_was() -> None:
     with LinePeer(good_at("rtu")) as unit:
         program = (
             "import os, sys, libmodbus_py as m\n"
-            "context = m.RtuContext(sys.argv[1], 115200)\n"
+            "context = m.Client(sys.argv[1], baudrate=115200)\n"
             "context.connect()\n"
             "os.kill(os.getpid(), 9)"
         )
         for times in range(3):
             ended("-c", program, unit.path)
             if times:
-                with RtuContext(unit.path, 115200) as context:
+                with Client(f"rtu://{unit.path}", baudrate=115200) as context:
                     assert context.read_holding_registers(times, 1) == [times]

@@ -16,12 +16,11 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
-    Context,
+    Client,
     Device,
     FrameError,
     Mapping,
     ModbusError,
-    RtuContext,
     Server,
     State,
     framing,
@@ -42,7 +41,7 @@ def test_a_server_answers_after_the_silence(device: Device) -> None:
     with (
         SerialWire() as wire,
         Server({17: device}).background(f"rtu://{wire.server}?silence=0.05"),
-        RtuContext(wire.client, unit=17) as context,
+        Client(f"rtu://{wire.client}", unit=17) as context,
     ):
         for _ in range(3):
             start = time.monotonic()
@@ -90,19 +89,15 @@ def step(line: str) -> str:
 @pytest.mark.parametrize(
     ("mode", "expected"), [("up", "set written cleared"), ("down", "cleared written set")]
 )
-@pytest.mark.parametrize("kind", ["native", "python", "ascii"])
+@pytest.mark.parametrize("kind", ["rtu", "ascii"])
 def test_rts_is_turned_while_a_request_goes_out(
     tmp_path: Path, mode: str, expected: str, kind: str
 ) -> None:
     """A pty has no RTS, so the system calls themselves are looked at."""
     answer = with_echo(b":")[1] if kind == "ascii" else ANSWER
     with FakeUnit(lambda request: [answer]) as unit:
-        options = f"{unit.path!r}, 115200, rs485='rts-{mode}'"
-        make = {
-            "native": f"RtuContext({options}, native=True)",
-            "python": f"RtuContext({options}, native=False)",
-            "ascii": f"AsciiContext({options})",
-        }[kind]
+        options = f"baudrate=115200, rs485='rts-{mode}'"
+        make = f"Client('{kind}://{unit.path}', {options})"
         trace = tmp_path / "trace"
         modem_lines = compile_c(SOURCES / "rts.c", tmp_path / "rts.so", "-shared", "-fPIC")
         watch = ["strace", "-f", "-e", "trace=ioctl,write", "-o", str(trace)]
@@ -125,7 +120,7 @@ def test_settings_in_the_url_reach_the_port(device: Device, query: str) -> None:
     with (
         SerialWire() as wire,
         Server({17: device}).background(f"rtu://{wire.server}?{query}"),
-        Context.from_url(f"rtu://{wire.client}?{query}", unit=17) as context,
+        Client(f"rtu://{wire.client}?{query}", unit=17) as context,
     ):
         for _ in range(3):
             assert context.read_holding_registers(100, 1) == [1000]

@@ -12,12 +12,12 @@ from unittest.mock import patch
 
 import pytest
 
-from libmodbus_py import AsyncClient, ModbusError, TcpContext, pdu
+from libmodbus_py import AsyncClient, Client, ModbusError, pdu
 from libmodbus_py.client.statistics import RESULTS, TIME_BOUNDS, Statistics
 from tests.simulation import network
 from tests.simulation.scripted import Scripted
 from tests.simulation.sockets import DELAY
-from tests.support.clients import BLOCKING, EVERYWHERE, Connect, Simulated, World, asking
+from tests.support.clients import Connect, World, asking
 from tests.support.in_loops import run_client
 from tests.support.peers import FakeServer, TcpPeer, answering, echo, mbap
 
@@ -53,10 +53,9 @@ def check(statistics: Statistics) -> None:
     assert refusals == statistics.exceptions
 
 
-@EVERYWHERE
 def test_each_request_has_one_result(world: World) -> None:
     peer = world.peer("tcp", answering(good, good, refused, good, silent, short, None, good))
-    with world.connect(peer.url, timeout=60 if world.is_exact else 1) as plc:
+    with world.connect(peer.url, timeout=60) as plc:
         for request in (REQUEST, WRITE, REQUEST, REQUEST, REQUEST, WRITE, REQUEST, REQUEST):
             with suppress(ModbusError):
                 plc.execute(request)
@@ -114,15 +113,14 @@ def test_a_cancelled_request_is_counted_so() -> None:
     run_client(answering(silent, good), use, timeout=5)
 
 
-@BLOCKING
-def test_an_interrupted_request_is_counted_so(kind: str) -> None:
+def test_an_interrupted_request_is_counted_so() -> None:
     def interrupt(request: bytes) -> list[bytes]:
         os.kill(os.getpid(), signal.SIGINT)
         return []
 
     with (
         TcpPeer(answering(interrupt, good)) as server,
-        asking(kind, server.url, timeout=60) as plc,
+        asking("blocking", server.url, timeout=60) as plc,
     ):
         with pytest.raises(KeyboardInterrupt):
             plc.execute(REQUEST)
@@ -155,7 +153,7 @@ def test_answer_times_are_those_that_passed(world: World, seconds: float) -> Non
         check(statistics)
 
 
-def test_connecting_is_no_time_of_an_answer(world: Simulated) -> None:
+def test_connecting_is_no_time_of_an_answer(world: World) -> None:
     """A request that waits for the connection has not been sent."""
     peer = world.peer("tcp", answering(good))
     plc = world.connect(peer.url, timeout=20)
@@ -204,4 +202,4 @@ def test_clients_one_after_the_other_count_in_the_same_place(connect: Connect) -
 
 def test_statistics_must_be_some() -> None:
     with pytest.raises(TypeError, match="statistics must be Statistics, not dict"):
-        TcpContext("127.0.0.1", statistics={})  # type: ignore[typeddict-item]
+        Client("tcp://127.0.0.1", statistics={})  # type: ignore[typeddict-item]

@@ -21,8 +21,8 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, ModbusConnectionError, RtuContext, TcpContext, pdu
-from tests.support.clients import ALL, BLOCKING, NATIVE, asking, read
+from libmodbus_py import AsyncClient, Client, ModbusConnectionError, pdu
+from tests.support.clients import ALL, asking, read
 from tests.support.peers import LinePeer, TcpPeer, Write, peer_at, until
 from tests.support.reads import good, good_at
 from tests.support.scripted import run as run_watched
@@ -37,8 +37,7 @@ def assert_read(client: Any, address: int) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
-@BLOCKING
-def test_a_child_sends_nothing_of_what_its_parent_asks(kind: str) -> None:
+def test_a_child_sends_nothing_of_what_its_parent_asks() -> None:
     """The fork comes while another thread writes many things one after the other."""
     written: list[bytes] = []
     halfway = threading.Event()
@@ -52,7 +51,7 @@ def test_a_child_sends_nothing_of_what_its_parent_asks(kind: str) -> None:
         else:
             good(request, write)
 
-    with TcpPeer(slowly) as peer, asking(kind, peer.url) as context:
+    with TcpPeer(slowly) as peer, asking("blocking", peer.url) as context:
         requests = [pdu.WriteRegister(address, 1) for address in range(40)]
         writer = threading.Thread(target=context.execute_many, args=(requests,))
         writer.start()
@@ -65,8 +64,7 @@ def test_a_child_sends_nothing_of_what_its_parent_asks(kind: str) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
-@BLOCKING
-def test_a_fork_in_a_hook_leaves_both_with_contexts_that_work(kind: str) -> None:
+def test_a_fork_in_a_hook_leaves_both_with_contexts_that_work() -> None:
     statuses: list[int] = []
 
     def fork(traced: Any) -> None:
@@ -78,7 +76,7 @@ def test_a_fork_in_a_hook_leaves_both_with_contexts_that_work(kind: str) -> None
             statuses[0] = child
 
     with TcpPeer(good) as peer:
-        context = Context.from_url(peer.url, native=kind == "native", trace=fork, timeout=2)
+        context = Client(peer.url, trace=fork, timeout=2)
         parent = os.getpid()
         try:
             with contextlib.suppress(ModbusConnectionError):
@@ -92,14 +90,13 @@ def test_a_fork_in_a_hook_leaves_both_with_contexts_that_work(kind: str) -> None
         context.close()
 
 
-@NATIVE
-def test_a_child_that_asks_and_closes_leaves_its_parent_alone(native: bool) -> None:
+def test_a_child_that_asks_and_closes_leaves_its_parent_alone() -> None:
     """Both ask at the same time; neither connection nor settings of the port are the child's."""
     with (
         LinePeer(good_at("rtu")) as unit,
-        RtuContext(unit.path, 9600, native=native) as line,
+        Client(f"rtu://{unit.path}", baudrate=9600) as line,
         TcpPeer(good) as peer,
-        Context.from_url(peer.url, native=native) as context,
+        Client(peer.url) as context,
     ):
         assert_read(context, 1)
         assert_read(line, 1)
@@ -124,18 +121,17 @@ def test_a_child_that_asks_and_closes_leaves_its_parent_alone(native: bool) -> N
 # --- threads and tasks --------------------------------------------------------------------------
 
 
-@BLOCKING
-def test_a_hundred_threads_and_a_close(kind: str) -> None:
+def test_a_hundred_threads_and_a_close() -> None:
     """Each gets its own values until it is told that the client is closed."""
 
-    def ask(context: Context, number: int) -> None:
+    def ask(context: Client, number: int) -> None:
         with contextlib.suppress(ModbusConnectionError):
             for address in range(number, number + 50):
                 assert_read(context, address)
 
     with TcpPeer(good) as peer, ThreadPoolExecutor(100) as pool:
         for pause in (0.0, 0.002, 0.03):
-            context = Context.from_url(peer.url, native=kind == "native")
+            context = Client(peer.url)
             asked = [pool.submit(ask, context, number) for number in range(100)]
             time.sleep(pause)
             context.close()
@@ -167,18 +163,17 @@ def test_descriptors_beyond_1023(scheme: str, kind: str) -> None:
                 os.close(descriptor)
 
 
-@NATIVE
-def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate(native: bool) -> None:
+def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate() -> None:
     """What is left fails the test: see tests.support.leaks."""
     with TcpPeer(good) as server, LinePeer(good_at("rtu")) as unit:
-        TcpContext("127.0.0.1", server.port, native=native)  # never used
-        forgotten = TcpContext("127.0.0.1", server.port, native=native)
+        Client(f"tcp://127.0.0.1:{server.port}")  # never used
+        forgotten = Client(f"tcp://127.0.0.1:{server.port}")
         assert_read(forgotten, 1)
-        forgotten_line = RtuContext(unit.path, 115200, native=native)
+        forgotten_line = Client(f"rtu://{unit.path}", baudrate=115200)
         assert_read(forgotten_line, 1)
         for unreachable in (
-            TcpContext("127.0.0.1", 1, native=native),
-            RtuContext("/dev/null", native=native),
+            Client("tcp://127.0.0.1:1"),
+            Client("rtu:///dev/null"),
         ):
             with pytest.raises(ModbusConnectionError):
                 unreachable.connect()
@@ -215,7 +210,7 @@ def test_a_forgotten_client_says_so_and_frees_its_port() -> None:
         for times in range(2):
             with pytest.warns(ResourceWarning, match=unit.path):
                 forget(unit.url)
-            with Context.from_url(unit.url) as context:
+            with Client(unit.url) as context:
                 assert_read(context, times)
 
 
@@ -224,7 +219,7 @@ def test_a_forgotten_client_says_so_and_frees_its_port() -> None:
 def test_a_forgotten_client_frees_its_port_where_warnings_are_errors() -> None:
     with LinePeer(good_at("rtu")) as unit:
         forget(unit.url)
-        with Context.from_url(unit.url) as context:
+        with Client(unit.url) as context:
             assert_read(context, 1)
 
 

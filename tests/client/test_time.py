@@ -14,6 +14,7 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
+    Client,
     Device,
     Mapping,
     ModbusConnectionError,
@@ -21,12 +22,11 @@ from libmodbus_py import (
     Server,
     ServerDeviceBusy,
     State,
-    TcpContext,
     pdu,
 )
 from libmodbus_py.ports.schemes import SCHEMES
 from tests.simulation.scripted import Scripted
-from tests.support.clients import ALL, BLOCKING, EVERYWHERE, World, asking, read
+from tests.support.clients import ALL, World, asking, read
 from tests.support.in_loops import run_client
 from tests.support.peers import Write, answering, dead, echo, ignore, peer_at, until
 from tests.support.reads import good
@@ -45,7 +45,6 @@ def silent(request: bytes) -> list[bytes]:
     return []
 
 
-@EVERYWHERE
 def test_timeouts_of_the_client_the_handle_and_the_request(world: World) -> None:
     with world.client_of("tcp", answering(echoing, silent), timeout=30) as plc:
         assert plc.execute(REQUEST) == [5]
@@ -79,7 +78,6 @@ def test_an_answer_just_before_the_end_of_the_timeout_counts(world: World, secon
             read(plc, 6)
 
 
-@EVERYWHERE
 def test_handles_with_their_own_timeouts_share_a_connection(world: World) -> None:
     def two_units(request: bytes, write: Write) -> None:
         if request[6] == 1:
@@ -135,7 +133,7 @@ def test_a_busy_device_of_ours_is_asked_again() -> None:
     device = Device(Mapping(coils=8), before_read=refuse)
     with (
         Server(device).background("tcp://127.0.0.1:0") as running,
-        asking("native", running.urls[0], busy_retries=2) as plc,
+        asking("blocking", running.urls[0], busy_retries=2) as plc,
     ):
         assert plc.read_coils(0, 1) == [False]
 
@@ -143,7 +141,6 @@ def test_a_busy_device_of_ours_is_asked_again() -> None:
 # --- nobody answers -------------------------------------------------------------------------------
 
 
-@EVERYWHERE
 def test_broadcast_waits_for_no_answer_and_reads_are_refused(world: World) -> None:
     unit = world.peer("rtu", ignore)
     url = f"{unit.url}&timeout=10&turnaround=0.05&unit=0"
@@ -201,7 +198,6 @@ class Silent(pdu.WriteRegister):
     expects_response = False
 
 
-@EVERYWHERE
 def test_a_request_without_an_answer_is_not_waited_for(world: World) -> None:
     peer = world.peer("tcp", lambda request, write: request[7] != 6 and good(request, write))
     with world.connect(peer.url, timeout=600) as client:
@@ -211,12 +207,11 @@ def test_a_request_without_an_answer_is_not_waited_for(world: World) -> None:
         assert client.statistics.results[6, "silent"] == 1
 
 
-@BLOCKING
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_a_shorter_timeout_of_another_thread_ends_the_wait(kind: str, scheme: str) -> None:
+def test_a_shorter_timeout_of_another_thread_ends_the_wait(scheme: str) -> None:
     with (
         peer_at(scheme, ignore) as peer,
-        asking(kind, peer.url, timeout=600) as client,
+        asking("blocking", peer.url, timeout=600) as client,
         ThreadPoolExecutor(1) as pool,
     ):
         waiting = pool.submit(client.read_holding_registers, 1, 1)
@@ -226,10 +221,9 @@ def test_a_shorter_timeout_of_another_thread_ends_the_wait(kind: str, scheme: st
             waiting.result()
 
 
-@BLOCKING
-def test_a_shorter_timeout_of_another_thread_ends_an_attempt_to_connect(kind: str) -> None:
+def test_a_shorter_timeout_of_another_thread_ends_an_attempt_to_connect() -> None:
     with dead() as port, ThreadPoolExecutor(1) as pool:
-        client = TcpContext("127.0.0.1", port, timeout=600, native=kind == "native")
+        client = Client(f"tcp://127.0.0.1:{port}", timeout=600)
         waiting = pool.submit(client.connect)
         until(lambda: client.state is State.CONNECTING)
         client.timeout = 0.05
@@ -238,9 +232,8 @@ def test_a_shorter_timeout_of_another_thread_ends_an_attempt_to_connect(kind: st
         client.close()
 
 
-@BLOCKING
-def test_a_timeout_set_again_and_again_disturbs_no_request(kind: str) -> None:
-    with peer_at("tcp", good) as peer, asking(kind, peer.url, timeout=600) as client:
+def test_a_timeout_set_again_and_again_disturbs_no_request() -> None:
+    with peer_at("tcp", good) as peer, asking("blocking", peer.url, timeout=600) as client:
         over = threading.Event()
 
         def change() -> None:

@@ -22,7 +22,7 @@ from libmodbus_py import (
     Server,
 )
 from libmodbus_py.ports.endpoint import parse
-from tests.support.clients import ALL, EVERYWHERE, Connect, World, asking, read
+from tests.support.clients import ALL, Connect, World, asking, read
 from tests.support.names import NEEDS_IPV6
 from tests.support.peers import Answer, UdpPeer, Write, answer, answering, echo
 from tests.support.reads import echoes, good, reads
@@ -72,7 +72,6 @@ def doubled(request: bytes) -> list[bytes]:
     return [echo(request)] * 2
 
 
-@EVERYWHERE
 @pytest.mark.parametrize("beside", [damaged, doubled])
 def test_what_comes_beside_an_answer_reaches_nobody(world: World, beside: Answer) -> None:
     peer = world.peer("udp", answering(lambda request: [*beside(request), echo(request)]))
@@ -215,7 +214,6 @@ READ = bytes.fromhex("01 03 0000 0001 840a")
 ANSWER = bytes.fromhex("01 03 02 022b f93b")
 
 
-@EVERYWHERE
 def test_an_answer_in_two_datagrams_is_one(world: World) -> None:
     """Serial servers send on what has come so far."""
     peer = world.peer("rtu+udp", answering(lambda request: [ANSWER[:3], ANSWER[3:]]))

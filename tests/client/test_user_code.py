@@ -14,17 +14,17 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
+    Client,
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
     State,
-    TcpContext,
     pdu,
 )
 from libmodbus_py.ports.schemes import SCHEMES
 from tests.simulation.scripted import OnRequest, Scripted
 from tests.support.cases import each_case
-from tests.support.clients import ALL, BLOCKING, World, asking, making, read
+from tests.support.clients import ALL, KINDS, World, asking, making, read
 from tests.support.in_loops import run_client
 from tests.support.peers import FakeServer, Write, address_of, answer, has_header
 from tests.support.reads import good
@@ -79,7 +79,7 @@ METHODS = ["encode", "expects_response", "decode_response", "repeatable", "__str
 @each_scheme
 @each_case(("kind", "name", "outcome"), [
     (kind, name, outcome)
-    for kind in ("python", "asyncio")
+    for kind in KINDS
     for name in METHODS
     for outcome in ("answer", "silence", "damage", "close")
 ])  # fmt: skip
@@ -255,12 +255,11 @@ class Raised(BaseException):
     """Neither an Exception nor one that an event loop knows."""
 
 
-@BLOCKING
 @pytest.mark.parametrize("error", [KeyError, MemoryError, KeyboardInterrupt, Raised])
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
 @pytest.mark.parametrize("at", range(4))
 def test_a_hook_that_raises_leaves_a_context_that_works(
-    at: int, hook: str, error: type[BaseException], kind: str
+    at: int, hook: str, error: type[BaseException]
 ) -> None:
     """At its first call, or a later one: connecting, sending, receiving, being lost."""
     calls = iter(range(1000))
@@ -271,7 +270,7 @@ def test_a_hook_that_raises_leaves_a_context_that_works(
 
     options: dict[str, Any] = {hook: fail}
     with FakeServer(tcp, None, tcp) as server:
-        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        context = Client(f"tcp://127.0.0.1:{server.port}", **options)
         for address in range(6):
             with contextlib.suppress(error, ModbusConnectionError):
                 assert context.read_holding_registers(address, 1) == [address]
@@ -281,10 +280,9 @@ def test_a_hook_that_raises_leaves_a_context_that_works(
         context.close()
 
 
-@BLOCKING
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
 @pytest.mark.parametrize("at", range(3))
-def test_a_hook_that_closes_ends_the_request(at: int, hook: str, kind: str) -> None:
+def test_a_hook_that_closes_ends_the_request(at: int, hook: str) -> None:
     calls = iter(range(1000))
 
     def close(*_: object) -> None:
@@ -293,7 +291,7 @@ def test_a_hook_that_closes_ends_the_request(at: int, hook: str, kind: str) -> N
 
     options: dict[str, Any] = {hook: close}
     with FakeServer(tcp) as server:
-        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        context = Client(f"tcp://127.0.0.1:{server.port}", **options)
         with contextlib.suppress(ModbusConnectionError):
             for address in range(3):
                 assert context.read_holding_registers(address, 1) == [address]
@@ -303,9 +301,8 @@ def test_a_hook_that_closes_ends_the_request(at: int, hook: str, kind: str) -> N
     assert context.closed
 
 
-@BLOCKING
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
-def test_a_hook_that_asks_is_refused_and_harms_nobody(hook: str, kind: str) -> None:
+def test_a_hook_that_asks_is_refused_and_harms_nobody(hook: str) -> None:
     refused: list[BaseException] = []
 
     def ask(*_: object) -> None:
@@ -316,7 +313,7 @@ def test_a_hook_that_asks_is_refused_and_harms_nobody(hook: str, kind: str) -> N
 
     options: dict[str, Any] = {hook: ask}
     with FakeServer(tcp) as server:
-        context = TcpContext("127.0.0.1", server.port, native=kind == "native", **options)
+        context = Client(f"tcp://127.0.0.1:{server.port}", **options)
         assert context.read_holding_registers(1, 1) == [1]
         context.close()
     assert isinstance(refused[0], RuntimeError)

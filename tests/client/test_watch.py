@@ -26,7 +26,7 @@ from libmodbus_py import (
 )
 from tests.simulation.scripted import Scripted
 from tests.support.cases import each_case
-from tests.support.clients import Simulated
+from tests.support.clients import World
 from tests.support.in_loops import run_client
 from tests.support.peers import Write, mbap
 from tests.support.reads import good
@@ -54,7 +54,7 @@ class Wall:
         takes: how long an answer takes, in seconds.
     """
 
-    def __init__(self, world: Simulated) -> None:
+    def __init__(self, world: World) -> None:
         self.world = world
         self.registers: dict[int, list[int]] = {}
         self.refused: set[int] = set()
@@ -94,7 +94,7 @@ class Wall:
 
 
 @pytest.fixture
-def wall(world: Simulated) -> Wall:
+def wall(world: World) -> Wall:
     return Wall(world)
 
 

@@ -10,14 +10,12 @@ from typing import ClassVar
 import pytest
 
 from libmodbus_py import (
-    AsciiContext,
-    Context,
+    Client,
     Device,
     IllegalDataAddress,
     Mapping,
     ModbusTimeoutError,
     NegativeAcknowledge,
-    RtuContext,
     Server,
     ServerDeviceBusy,
     ServerDeviceFailure,
@@ -29,7 +27,6 @@ from libmodbus_py.protocol.pdu import SubFunction
 from tests.simulation.stage import LineEnd, Stage
 
 DEVICE = "/dev/ttyS0"
-CONTEXTS: dict[str, type[RtuContext | AsciiContext]] = {"rtu": RtuContext, "ascii": AsciiContext}
 
 COUNTERS = {
     "messages": SubFunction.BUS_MESSAGE_COUNT,
@@ -61,13 +58,15 @@ def devices() -> dict[int, Device]:
     }
 
 
-@pytest.fixture(params=list(CONTEXTS))
+@pytest.fixture(params=["rtu", "ascii"])
 def line(
     request: pytest.FixtureRequest, stage: Stage, devices: dict[int, Device]
-) -> Iterator[Context]:
+) -> Iterator[Client]:
     with (
         Server(devices).background(f"{request.param}://{DEVICE}?baudrate=115200"),
-        CONTEXTS[request.param](DEVICE, 115200, timeout=0.15, turnaround=0.01) as context,
+        Client(
+            f"{request.param}://{DEVICE}?baudrate=115200", timeout=0.15, turnaround=0.01
+        ) as context,
     ):
         yield context
 
@@ -75,28 +74,28 @@ def line(
 ascii_only = pytest.mark.parametrize("line", ["ascii"], indirect=True)
 
 
-def send(context: Context, data: bytes) -> None:
+def send(context: Client, data: bytes) -> None:
     """Write what no request is, and let the server take it."""
     context._driver._port._write(data)
 
 
-def counters(context: Context) -> dict[str, int]:
+def counters(context: Client) -> dict[str, int]:
     """Each question is a message of its own, and is counted as one."""
     return {name: context.diagnostics(counter) for name, counter in COUNTERS.items()}
 
 
-def frame(context: Context, unit: int, body: bytes) -> bytes:
+def frame(context: Client, unit: int, body: bytes) -> bytes:
     made = framing.make_framer(parse(context.url).framing, "client")
     return made.encode(framing.Frame(unit, body))
 
 
-def spoilt_frame(context: Context) -> bytes:
+def spoilt_frame(context: Client) -> bytes:
     spoilt = bytearray(frame(context, 1, pdu.ReadCoils(0, 1).encode()))
     spoilt[3] ^= 1
     return bytes(spoilt)
 
 
-def test_every_counter_counts_what_it_should(line: Context) -> None:
+def test_every_counter_counts_what_it_should(line: Client) -> None:
     line.diagnostics(SubFunction.CLEAR_COUNTERS)
     # A request and its answer are one message: the answer is this device's own.
     line.read_holding_registers(0, 1)
@@ -124,7 +123,7 @@ def test_every_counter_counts_what_it_should(line: Context) -> None:
     }
 
 
-def test_units_on_one_line_count_for_themselves(line: Context) -> None:
+def test_units_on_one_line_count_for_themselves(line: Client) -> None:
     other = line.for_unit(2)
     for context in (line, other):
         context.diagnostics(SubFunction.CLEAR_COUNTERS)
@@ -136,7 +135,7 @@ def test_units_on_one_line_count_for_themselves(line: Context) -> None:
     assert line.diagnostics(SubFunction.BUS_MESSAGE_COUNT) == 9
 
 
-def test_event_log_has_the_last_64_events_newest_first(line: Context) -> None:
+def test_event_log_has_the_last_64_events_newest_first(line: Client) -> None:
     line.diagnostics(SubFunction.RESTART_COMMUNICATIONS, 0xFF00)
     line.read_coils(0, 1)
     with pytest.raises(IllegalDataAddress):
@@ -155,7 +154,7 @@ def test_event_log_has_the_last_64_events_newest_first(line: Context) -> None:
     assert line.read_comm_event_log().events == bytes.fromhex("80" + "4080" * 31 + "40")
 
 
-def test_listen_only_is_silent_until_restarted(line: Context, devices: dict[int, Device]) -> None:
+def test_listen_only_is_silent_until_restarted(line: Client, devices: dict[int, Device]) -> None:
     line.diagnostics(SubFunction.RESTART_COMMUNICATIONS, 0xFF00)
     assert line.diagnostics(SubFunction.FORCE_LISTEN_ONLY) == 0
     for ask in (
@@ -177,7 +176,7 @@ def test_listen_only_is_silent_until_restarted(line: Context, devices: dict[int,
 
 
 def test_broadcasts_are_not_executed_in_listen_only(
-    line: Context, devices: dict[int, Device]
+    line: Client, devices: dict[int, Device]
 ) -> None:
     line.diagnostics(SubFunction.FORCE_LISTEN_ONLY)
     line.for_unit(0).write_register(0, 77)
@@ -185,7 +184,7 @@ def test_broadcasts_are_not_executed_in_listen_only(
     assert [device.mapping.holding_registers[0] for device in devices.values()] == [0, 77]
 
 
-def test_broadcasts_of_what_is_no_write_do_nothing_but_count(stage: Stage, line: Context) -> None:
+def test_broadcasts_of_what_is_no_write_do_nothing_but_count(stage: Stage, line: Client) -> None:
     line.diagnostics(SubFunction.CLEAR_COUNTERS)
     for body in (b"\x03\0\0\0\1", b"\x08\0\4\0\0", b"\x08\0\1\0\0", b"\x41", b"\x18\0\0"):
         send(line, frame(line, 0, body))
@@ -197,7 +196,7 @@ def test_broadcasts_of_what_is_no_write_do_nothing_but_count(stage: Stage, line:
 
 
 @ascii_only
-def test_clearing_the_overrun_counter_leaves_the_others(line: Context) -> None:
+def test_clearing_the_overrun_counter_leaves_the_others(line: Client) -> None:
     send(line, b":" + b"00" * 300)
     assert line.diagnostics(SubFunction.BUS_CHARACTER_OVERRUN_COUNT) == 1
     assert line.diagnostics(SubFunction.CLEAR_OVERRUN) == 0
@@ -206,7 +205,7 @@ def test_clearing_the_overrun_counter_leaves_the_others(line: Context) -> None:
 
 
 @ascii_only
-def test_ascii_delimiter_changes_after_the_echo_both_ways(stage: Stage, line: Context) -> None:
+def test_ascii_delimiter_changes_after_the_echo_both_ways(stage: Stage, line: Client) -> None:
     listener = LineEnd(stage.line(DEVICE))
     assert line.diagnostics(SubFunction.CHANGE_ASCII_DELIMITER, 0x2400) == 0x2400
     assert listener.heard.endswith(b"\r\n")

@@ -28,7 +28,7 @@ import serial
 from pymodbus.client.mixin import ModbusClientMixin
 from sybil import Document
 
-from libmodbus_py import Device, Mapping, ModbusError, Server, TcpContext, errors, values
+from libmodbus_py import Client, Device, Mapping, ModbusError, Server, errors, values
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.docs.documents import ROOT, blocks
 from tests.docs.home import Home
@@ -183,7 +183,7 @@ def ask_as_pymodbustcp(port: int, timeout: float) -> str:
 
 def ask_as_libmodbus_py(port: int, timeout: float) -> str:
     try:
-        with TcpContext("127.0.0.1", port, timeout=timeout) as plc:
+        with Client(f"tcp://127.0.0.1:{port}", timeout=timeout) as plc:
             plc.read_holding_registers(100, 1)
     except ModbusError as error:
         return type(error).__name__

@@ -14,16 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    AsciiContext,
-    AsyncClient,
-    Client,
-    Point,
-    RtuContext,
-    TcpContext,
-    TlsContext,
-    UdpContext,
-)
+from libmodbus_py import AsyncClient, Client, Point
 from libmodbus_py.client.asynchronous import MAX_PAUSE
 from libmodbus_py.client.options import AsyncOptions, CheckedOptions, ContextOptions, Options
 from libmodbus_py.ports.serial import SERIAL_DEFAULTS
@@ -82,9 +73,7 @@ LISTED = re.compile(r"^ +\| +(\w+)=(\S+) +\S", re.MULTILINE)
 """An option and its default, as help shows it among the methods of a class."""
 
 
-@pytest.mark.parametrize(
-    "client", [TcpContext, TlsContext, UdpContext, RtuContext, AsciiContext, Client, AsyncClient]
-)
+@pytest.mark.parametrize("client", [Client, AsyncClient])
 def test_help_lists_every_option_with_its_default(client: type[Any]) -> None:
     listed = LISTED.findall(pydoc.plaintext.document(client))
     expected = [*CLIENTS.items(), ("max_pause", MAX_PAUSE)]
@@ -95,7 +84,7 @@ def _as_listed(value: Any) -> str:
     return repr(value).replace("'", '"')
 
 
-@pytest.mark.parametrize("client", [TcpContext, AsyncClient])
+@pytest.mark.parametrize("client", [Client, AsyncClient])
 @pytest.mark.parametrize("method", ["execute", "read_many", "watch"])
 def test_help_tells_what_methods_of_many_types_do(client: type[Any], method: str) -> None:
     text = pydoc.plaintext.document(getattr(client, method))

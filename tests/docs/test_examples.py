@@ -52,18 +52,18 @@ hidden = home.at_end.enter_context(open("plant.toml"))
 
 ```python
 import asyncio
-from libmodbus_py import RtuContext, TcpContext
+from libmodbus_py import Client
 
 text = hidden.read()
 print(text)  # url = "tcp://127.0.0.1:1502"...
 asyncio.run(asyncio.sleep(0, 0.5))  # 0.5
-with TcpContext("192.0.2.10") as plc:
+with Client("tcp://192.0.2.10") as plc:
     plc.write_registers(100, [555, 0])
     plc.read_holding_registers(100, 2)  # [555, 0]
     plc.statistics  # Statistics(requests=2, ...)
-with RtuContext("/dev/ttyUSB0", unit=3) as line:
+with Client("rtu:///dev/ttyUSB0", unit=3) as line:
     line.read_holding_registers(100, 2)  # [555, 0]
-with TcpContext("192.0.2.10") as other:
+with Client("tcp://192.0.2.10") as other:
     other.read_coils(0, 2)  # [False, False]
 ```
 
@@ -89,7 +89,7 @@ def test_a_document_runs(tmp_path: Path, run: Run) -> None:
         ("```python\n[1, 2]  # [..., 3]\n```", "is not"),
         ("```python\nfor i in range(2):\n    i  # 0\n```", "1 is not 0"),
         ("```python\nnobody\n```", "not defined"),
-        ("```python\nTcpContext\n```", "not defined"),
+        ("```python\nClient\n```", "not defined"),
         ("```python\nawait nobody\n```", "outside function"),
         ("```console\n$ echo 1\n2\n```", "and not:\n2"),
         ("```console\n$ echo 1\n```", "and not"),

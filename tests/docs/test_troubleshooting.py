@@ -14,7 +14,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from libmodbus_py import Context, ModbusError
+from libmodbus_py import Client, ModbusError
 from tests.docs.documents import ROOT
 from tests.docs.python_blocks import matches
 from tests.support.peers import FakeServer, FakeUnit, dead, mbap, refusing, url_of
@@ -93,7 +93,7 @@ OTHERS = {
 def said(url: str, address: int = 107, count: int = 3) -> str:
     with (
         pytest.raises((ModbusError, ValueError)) as caught,
-        Context.from_url(url, unit=17, timeout=0.3) as plc,
+        Client(url, unit=17, timeout=0.3) as plc,
     ):
         plc.read_holding_registers(address, count)
     return str(caught.value)
@@ -128,8 +128,8 @@ def test_on_a_network(scheme: str, message: str, came: Came | None) -> None:
 
 
 HOLD = """
-from libmodbus_py import Context
-plc = Context.from_url({!r})
+from libmodbus_py import Client
+plc = Client({!r})
 plc.connect()
 print("held", flush=True)
 input()
@@ -155,7 +155,7 @@ def test_ports_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
             assert other.stdout.readline() == b"held\n"
             assert ends_so(port(unit.path, 2), said(url))
             other.stdin.write(b"\n")
-        with Context.from_url(url):
+        with Client(url):
             assert ends_so(port(unit.path, 3), said(url))
 
         def refuse(*_: object) -> int:

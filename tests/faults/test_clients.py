@@ -11,12 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import (
-    AsyncClient,
-    Context,
-    ModbusError,
-    ModbusTimeoutError,
-)
+from libmodbus_py import AsyncClient, Client, ModbusError, ModbusTimeoutError
 from libmodbus_py.protocol import framing
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_servers import server
@@ -96,7 +91,7 @@ PLACES: dict[str, Place] = {
 }
 
 
-def is_answered(client: Context) -> bool:
+def is_answered(client: Client) -> bool:
     with contextlib.suppress(ModbusError):
         return client.read_holding_registers(ADDRESS, 1) == [ADDRESS]
     return False
@@ -106,11 +101,11 @@ def patience(url: str) -> float:
     return PATIENT if url.startswith(("tcp", "tls")) else TIMEOUT
 
 
-def blocking(url: str, native: bool) -> Scenario:
+def blocking(url: str) -> Scenario:
     def scenario(trial: Trial) -> None:
-        client: Context | None = None
+        client: Client | None = None
         with trial.faults(ModbusTimeoutError):
-            client = Context.from_url(url, native=native, timeout=patience(url))
+            client = Client(url, timeout=patience(url))
             client.read_holding_registers(ADDRESS, 1)
             client.read_holding_registers(ADDRESS, 1)
         if client is None:
@@ -146,8 +141,8 @@ def unblocked(url: str) -> Scenario:
 
 
 @pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("kind", ["native", "python", "asyncio"])
+@pytest.mark.parametrize("kind", ["blocking", "asyncio"])
 def test_a_client_says_what_failed_and_goes_on(kind: str, place: str, tmp_path: Path) -> None:
     with PLACES[place](tmp_path) as url:
-        scenario = unblocked(url) if kind == "asyncio" else blocking(url, kind == "native")
+        scenario = unblocked(url) if kind == "asyncio" else blocking(url)
         tried(scenario, *PART)

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Mapping, ModbusError, Server, TlsContext
+from libmodbus_py import Client, Device, Mapping, ModbusError, Server
 from libmodbus_py.protocol import framing
 from libmodbus_py.tools.testing.wires import open_line
 from tests.faults.injecting import Scenario, Trial, eventually, tried
@@ -78,7 +78,7 @@ def secured(papers: Papers) -> Ask:
     def ask(url: str) -> bytes:
         with (
             contextlib.suppress(ModbusError),
-            TlsContext(*port_of(url), security=papers.client(), timeout=1) as client,
+            Client(url, security=papers.client(), timeout=1) as client,
         ):
             return TCP_ANSWER if client.read_holding_registers(5, 1) == [5] else b"wrong"
         return b""

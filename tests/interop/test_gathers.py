@@ -12,13 +12,12 @@ import contextlib
 import struct
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any, NamedTuple
 
 import pytest
 from pymodbus.pdu import ModbusPDU
 
-from libmodbus_py import AsyncClient, Context, Gateway, Route, pdu
+from libmodbus_py import AsyncClient, Client, Gateway, Route, pdu
 from tests.support.interop import HOLDING_REGISTERS, UNIT, holding_register
 from tests.support.peers import FakeServer, mbap
 from tests.support.pymodbus_peers import pymodbus_serving
@@ -116,9 +115,9 @@ def gather(url: str, requests: list[Any]) -> tuple[list[Any], Any]:
     return asyncio.run(ask())
 
 
-def execute_many(url: str, requests: list[Any], *, native: bool) -> tuple[list[Any], Any]:
+def execute_many(url: str, requests: list[Any]) -> tuple[list[Any], Any]:
     """Return the results of a blocking client, and its statistics."""
-    with Context.from_url(url, unit=UNIT, native=native) as plc:
+    with Client(url, unit=UNIT) as plc:
         return plc.execute_many(requests, return_exceptions=True), plc.statistics
 
 
@@ -126,8 +125,7 @@ Ask = Callable[[str, list[Any]], tuple[list[Any], Any]]
 
 CLIENTS: dict[str, Ask] = {
     "asyncio": gather,
-    "native": partial(execute_many, native=True),
-    "python": partial(execute_many, native=False),
+    "blocking": execute_many,
 }
 
 
@@ -153,7 +151,7 @@ def test_writes_of_four_clients_of_a_gateway_are_carried_out(served: Served) -> 
     """Each client writes a register of its own."""
 
     def ask(client: int) -> list[Any]:
-        with Context.from_url(front, unit=UNIT, timeout=30) as plc:
+        with Client(front, unit=UNIT, timeout=30) as plc:
             requests = [pdu.WriteRegister(REGISTER + client, value) for value in VALUES]
             return plc.execute_many(requests, return_exceptions=True)
 

@@ -14,20 +14,10 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    Context,
-    Device,
-    IllegalFunction,
-    Mapping,
-    ModbusTimeoutError,
-    pdu,
-)
-from libmodbus_py.client import blocking_driver
-from libmodbus_py.low_level import lib, loaded_version
+from libmodbus_py import Client, Device, IllegalFunction, Mapping, ModbusTimeoutError, pdu
+from libmodbus_py.low_level import loaded_version
 from libmodbus_py.ports.endpoint import Endpoint
 from tests.support.c_programs import compile_c
-from tests.support.cases import each
-from tests.support.clients import NATIVE
 from tests.support.interop import (
     BAUDRATE,
     TIMEOUT,
@@ -42,10 +32,10 @@ from tests.support.interop import (
     check_refusals,
     coil,
     connected,
-    each_way,
     exchanges,
     holding_register,
     make_device,
+    of_a_client,
     our_server,
     program,
     tried,
@@ -61,7 +51,7 @@ each_transport = pytest.mark.parametrize("transport", TRANSPORTS)
 
 
 @contextlib.contextmanager
-def c_server(server: Path, transport: str, **options: Any) -> Iterator[Context]:
+def c_server(server: Path, transport: str, **options: Any) -> Iterator[Client]:
     """Yield a context of ours that is connected to the C server."""
     with c_serving(server, transport) as url, connected(url, **options) as context:
         yield context
@@ -89,7 +79,7 @@ def test_context_raises_what_c_server_refuses(
         check_refusals(url, "libmodbus", record_property)
 
 
-LACKING: dict[int, Callable[[Context], object]] = {
+LACKING: dict[int, Callable[[Client], object]] = {
     7: call("read_exception_status"),
     8: call("diagnostics", 0, 0xA537),
     11: call("read_comm_event_counter"),
@@ -126,10 +116,10 @@ def what_it_lacks(transport: str) -> Iterator[Exchange]:
 def test_what_libmodbus_lacks_is_refused_or_not_answered(
     compiled: Callable[[str], Path], transport: str, record_property: Record
 ) -> None:
-    cases = each_way("libmodbus", transport, what_it_lacks(transport))
-    for check, (exchange, options) in tried(record_property, cases):
+    cases = of_a_client("libmodbus", transport, what_it_lacks(transport))
+    for check, exchange in tried(record_property, cases):
         patience = PATIENCE[exchange.name]
-        with check, c_server(compiled("server"), transport, timeout=patience, **options) as context:
+        with check, c_server(compiled("server"), transport, timeout=patience) as context:
             errors: Any = exchange.answer
             with pytest.raises(errors) as caught:
                 exchange.ask(context)
@@ -137,11 +127,8 @@ def test_what_libmodbus_lacks_is_refused_or_not_answered(
             assert exchange.look(context) == exchange.seen
 
 
-@NATIVE
-def test_c_server_obeys_a_broadcast_in_silence(
-    compiled: Callable[[str], Path], native: bool
-) -> None:
-    with c_server(compiled("server"), "rtu", native=native, turnaround=0.05) as context:
+def test_c_server_obeys_a_broadcast_in_silence(compiled: Callable[[str], Path]) -> None:
+    with c_server(compiled("server"), "rtu", turnaround=0.05) as context:
         context.for_unit(0).write_registers(100, [1, 2])
         assert context.read_holding_registers(100, 3) == [1, 2, 1102]
 
@@ -211,34 +198,7 @@ def test_c_client_leaves_its_writes_in_our_mapping(
     assert registers[391:400] == [*cells(holding_register, 391, 8), 65535]
 
 
-# --- through libmodbus's own calls ------------------------------------------------------------
-
-
-@each_transport
-def test_c_carries_every_function_of_a_native_context(
-    monkeypatch: pytest.MonkeyPatch, transport: str
-) -> None:
-    carried: list[int] = []
-
-    class Counting:
-        @staticmethod
-        def exchange(*arguments: Any) -> int:
-            carried.append(arguments[4])
-            return lib.exchange(*arguments)
-
-    monkeypatch.setattr(blocking_driver, "lib", Counting)
-    asks = {each.function: each.ask for each in (*exchanges(), *who_it_is())}
-    with our_server(transport, {UNIT: make_device()}) as place:
-        for check, (function, ask) in each((asks | LACKING).items()):
-            for native in (True, False):
-                with check, connected(str(place.end), native=native) as context:
-                    carried.clear()
-                    ask(context)
-                    assert bool(carried) == native, f"{function}, native={native}"
-
-
 @pytest.mark.parametrize("transport", TRANSPORTS)
-@NATIVE
 @pytest.mark.parametrize(
     "server_id",
     [
@@ -247,14 +207,12 @@ def test_c_carries_every_function_of_a_native_context(
     ],
     ids=["least", "most"],
 )
-def test_identifier_is_the_same_on_every_way(
-    transport: str, native: bool, server_id: pdu.ServerId
-) -> None:
+def test_identifier_is_the_same_on_every_transport(transport: str, server_id: pdu.ServerId) -> None:
     device = make_device()
     device.server_id = server_id
     with (
         our_server(transport, {UNIT: device}) as place,
-        connected(str(place.end), native=native) as context,
+        connected(str(place.end)) as context,
     ):
         assert context.report_server_id() == server_id
 

@@ -17,7 +17,7 @@ from pymodbus.pdu.device import ModbusControlBlock
 from pymodbus.server.requesthandler import ServerRequestHandler
 
 from libmodbus_py import (
-    Context,
+    Client,
     IllegalDataAddress,
     IllegalFunction,
     InvalidResponse,
@@ -58,7 +58,7 @@ from tests.support.pymodbus_peers import pymodbus_serving
 
 
 @contextlib.contextmanager
-def pymodbus_server(transport: str, **options: Any) -> Iterator[Context]:
+def pymodbus_server(transport: str, **options: Any) -> Iterator[Client]:
     """Yield a context of ours that is connected to a server of pymodbus."""
     with pymodbus_serving(transport) as url, connected(url, **options) as context:
         yield context

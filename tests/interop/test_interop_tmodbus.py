@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, IllegalFunction, ModbusConnectionError
+from libmodbus_py import AsyncClient, Client, IllegalFunction, ModbusConnectionError
 from tests.support import certificates
 from tests.support.certificates import Papers
 from tests.support.interop import (
@@ -146,14 +146,14 @@ def test_our_context_and_its_server_agree(papers: Papers) -> None:
     with its_server(papers, seen) as port:
         url = f"tls://127.0.0.1:{port}?unit={UNIT}&timeout={TIMEOUT}"
         for _ in range(2):
-            with Context.from_url(url, security=papers.client()) as plc:
+            with Client(url, security=papers.client()) as plc:
                 assert plc.read_holding_registers(100, 125) == list(range(100, 225))
                 plc.write_registers(7, [1, 2, 3])
         guest = papers.client("Guest")
-        with Context.from_url(url, security=guest) as plc, pytest.raises(IllegalFunction):
+        with Client(url, security=guest) as plc, pytest.raises(IllegalFunction):
             plc.read_holding_registers(100, 1)
         stranger = papers.security(certificates.client(issuer=certificates.foreign_authority()))
-        with Context.from_url(url, security=stranger) as plc, pytest.raises(ModbusConnectionError):
+        with Client(url, security=stranger) as plc, pytest.raises(ModbusConnectionError):
             plc.read_holding_registers(100, 1)
     assert seen == ["Operator"] * 4 + ["Guest"]
 

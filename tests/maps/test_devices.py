@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from libmodbus_py import Device, Mapping, TcpContext, load_map
+from libmodbus_py import Client, Device, Mapping, load_map
 from libmodbus_py.tools.files.map_file import contents_of
 from libmodbus_py.tools.simulator import example_files
 from libmodbus_py.tools.testing.recording import ServerMaker
@@ -47,7 +47,7 @@ def test_answers_mean_what_the_file_says(path: Path) -> None:
     points = load_map(example_files.map_file(path.stem))
     with ServerMaker() as maker:
         server = maker(devices=Device(Mapping(**tables)))  # type: ignore[arg-type]
-        with TcpContext.from_url(server.url) as plc:
+        with Client(server.url) as plc:
             found = plc.read_map(points)
     assert found == expected
     assert set(expected) == {name for name, point in points.items() if point.is_readable}

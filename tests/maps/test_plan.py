@@ -13,11 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py import (
-    Context,
+    Client,
     IllegalDataAddress,
     InvalidResponse,
     ModbusTimeoutError,
-    TcpContext,
     pdu,
     values,
 )
@@ -316,12 +315,12 @@ def decoded(read: Read, registers: list[Any]) -> list[Any]:
 
 
 @pytest.fixture
-def context(url: str) -> Iterator[Context]:
-    with Context.from_url(url, unit=UNIT) as made:
+def context(url: str) -> Iterator[Client]:
+    with Client(url, unit=UNIT) as made:
         yield made
 
 
-def test_read_many_is_refused_as_a_whole_or_in_part(context: Context) -> None:
+def test_read_many_is_refused_as_a_whole_or_in_part(context: Client) -> None:
     items = [("coils", 10, 2), ("holding_registers", 99), ("holding_registers", 102)]
     with pytest.raises(IllegalDataAddress, match=r"address=99, count=4"):
         context.read_many(items, gap=2)
@@ -336,7 +335,7 @@ def test_gaps_are_on_the_wire() -> None:
     def three(request: bytes) -> list[bytes]:
         return [mbap(request, bytes.fromhex("03 06 0001 0002 0003"))]
 
-    with FakeServer(three) as server, TcpContext("127.0.0.1", server.port) as context:
+    with FakeServer(three) as server, Client(f"tcp://127.0.0.1:{server.port}") as context:
         items = [("holding_registers", 7), ("holding_registers", 9)]
         assert context.read_many(items, gap=1) == [[1], [3]]
         assert [request[7:] for request in server.requests] == [bytes.fromhex("03 0007 0003")]

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -13,17 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from libmodbus_py import (
-    AsyncClient,
-    Client,
-    Context,
-    Device,
-    Mapping,
-    Point,
-    RegisterMap,
-    RtuContext,
-    Server,
-)
+from libmodbus_py import AsyncClient, Client, Device, Mapping, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.schemes import (
@@ -98,8 +89,6 @@ CLIENT_QUERIES: list[tuple[str, Any]] = [
     ("keepalive=30", 30.0),
     ("keepalive=none", None),
     ("max_pause=1.5", 1.5),
-    ("native=0", False),
-    ("native=TRUE", True),
     ("accept_unit=any", "any"),
     ("delimiter=10", 10),
     ("delimiter=0x0D", 13),
@@ -202,7 +191,7 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
         ("rtu:///dev/x?parity=E&parity=N", "parity is given twice"),
         ("rtu:///dev/x?baudrate=fast", "baudrate must be a number, not 'fast'"),
         ("rtu:///dev/x?echo=yes", "echo must be 0 or 1, not 'yes'"),
-        ("tcp://h?native=", "native must be 0 or 1, not ''"),
+        ("rtu:///dev/x?echo=", "echo must be 0 or 1, not ''"),
         ("tcp://h?unit=0x1", "unit must be a number, not '0x1'"),
         ("tcp://h?timeout=1y", "timeout must be a number of seconds, or such as 500ms"),
         (
@@ -262,7 +251,7 @@ NUMBERS, SECONDS = st.integers(0, 10**9), st.floats(0, 1e300)
 VALUES: dict[str, st.SearchStrategy[Any]] = {
     **dict.fromkeys(SECURITY_OPTIONS, NAMES),
     **dict.fromkeys(("rs485", "accept_unit"), NAMES),
-    **dict.fromkeys(("echo", "native"), st.booleans()),
+    **dict.fromkeys(("echo",), st.booleans()),
     **dict.fromkeys(("rts_delay", "silence", "timeout", "turnaround"), SECONDS),
     **dict.fromkeys(("request_spacing", "connect_delay", "max_pause"), SECONDS),
     "keepalive": st.none() | SECONDS,
@@ -370,10 +359,8 @@ def test_the_endpoint_of_what_was_typed(text: str, url: str) -> None:
 def test_all_that_take_a_url_take_it() -> None:
     points = RegisterMap([Point("a", "coils", 0)])
     assert AsyncClient("192.0.2.10:1502").url == "tcp://192.0.2.10:1502"
-    for make in (Context.from_url, Client):
-        client = make("192.0.2.10:1502")
+    with closing(Client("192.0.2.10:1502")) as client:
         assert client.url == "tcp://192.0.2.10:1502"
-        client.close()
     assert Route("192.0.2.10").endpoint.host == "192.0.2.10"
     assert DeviceConfig("a", "192.0.2.10:1502", points).endpoint.port == 1502
     with Server(Device(Mapping(coils=8))).background("127.0.0.1:0") as running:
@@ -385,17 +372,15 @@ def test_parities_are_words_or_letters(word: Any) -> None:
     port = SerialPort("/dev/ttyUSB0", parity=word)
     assert port.parity == "N"
     assert port.character == SerialPort("/dev/ttyUSB0", parity="N").character
-    context = RtuContext("/dev/ttyUSB0", parity=word)
-    assert context.url == RtuContext("/dev/ttyUSB0", parity="N").url
+    context = Client("rtu:///dev/ttyUSB0", parity=word)
+    assert context.url == Client("rtu:///dev/ttyUSB0", parity="N").url
     assert scan("/dev/ttyUSB0", parities=[word, "N"], units=[1], baudrates=[9600]).total == 1
-    assert (
-        Context.from_url(f"rtu:///dev/ttyUSB0?parity={word}").url == "rtu:///dev/ttyUSB0?parity=N"
-    )
+    assert Client(f"rtu:///dev/ttyUSB0?parity={word}").url == "rtu:///dev/ttyUSB0?parity=N"
 
 
 @each_case("word", ["mark", "", 5, None])
 def test_other_parities_are_refused(word: Any) -> None:
-    for make in (SerialPort, RtuContext):
+    for make in (SerialPort, Client):
         with pytest.raises(ValueError, match='parity must be "N", "E" or "O"'):
             make("/dev/ttyUSB0", parity=word)
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.listen import listen
 from libmodbus_py.page import live_page
 from libmodbus_py.ports.hosts import listen_on
@@ -94,7 +94,7 @@ def test_an_address_with_a_zone_can_be_listened_at(scheme: str) -> None:
     url = f"{scheme}://[{local_addresses()[0]}]:0"
     with (
         Server(Device(Mapping(1))).background(url) as running,
-        Context.from_url(running.urls[0], timeout=20) as client,
+        Client(running.urls[0], timeout=20) as client,
     ):
         assert client.read_coils(0, 1) == [False]
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Gateway, ModbusConnectionError, ModbusError, Route
+from libmodbus_py import Client, Gateway, ModbusConnectionError, ModbusError, Route
 from libmodbus_py.listen import listen
 from libmodbus_py.ports import serial
 from libmodbus_py.ports.serial import ReadOnlySerialPort, SerialPort, set_odd_baudrate
@@ -426,7 +426,7 @@ def test_the_line_of_a_gateway(
     gateway = Gateway([Route(f"{scheme}://127.0.0.1:{dead_port}")])
     with (
         gateway.background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0]) as client,
+        Client(running.urls[0]) as client,
         pytest.raises(ModbusError),
     ):
         client.read_coils(0, 1)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, Security, TlsContext
+from libmodbus_py import AsyncClient, Client, Security
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.tls import security_of
 from tests.support import certificates
@@ -18,7 +18,7 @@ from tests.support.certificates import Papers
 SECRET = "open sesame"
 
 
-@pytest.mark.parametrize("make", [Context.from_url, AsyncClient])
+@pytest.mark.parametrize("make", [Client, AsyncClient])
 def test_security_goes_with_tls_and_tls_with_security(make: Any, papers: Papers) -> None:
     security = papers.client()
     url = papers.url("tls://h", certificates.client())
@@ -45,12 +45,11 @@ def test_security_goes_with_tls_and_tls_with_security(make: Any, papers: Papers)
     assert make(url).url == make("tls://h", security=security).url == "tls://h:802"
 
 
-def test_a_context_of_its_own(papers: Papers) -> None:
+def test_a_client_of_its_own(papers: Papers) -> None:
     security = papers.client()
-    assert TlsContext("h", security=security).url == "tls://h:802"
-    assert isinstance(Context.from_url("tls://h", security=security), TlsContext)
+    assert Client("tls://h", security=security).url == "tls://h:802"
     with pytest.raises(ValueError, match="tls://h:802 needs security"):
-        TlsContext("h")
+        Client("tls://h")
 
 
 def test_each_option_of_a_url(papers: Papers, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,6 +106,6 @@ def test_the_password_is_nowhere_to_be_seen(
     security = Security(files.cert, files.key, trust=papers.ca, password=SECRET)
     monkeypatch.setenv("KEY_PASSWORD", SECRET)
     url = f"tls://h?cert={files.cert}&key={files.key}&ca={papers.ca}&password_env=KEY_PASSWORD"
-    for plc in (Context.from_url("tls://h", security=security), Context.from_url(url)):
+    for plc in (Client("tls://h", security=security), Client(url)):
         for each in (security, plc, plc.url, plc.statistics, vars(plc), plc._driver):
             assert SECRET not in repr(each)

@@ -10,16 +10,8 @@ from typing import get_args
 
 import pytest
 
-from libmodbus_py import Context
+from libmodbus_py import Client
 from libmodbus_py.cli.arguments import SCHEMES_OF_URLS, URLS
-from libmodbus_py.client.blocking import (
-    AsciiContext,
-    Client,
-    RtuContext,
-    TcpContext,
-    TlsContext,
-    UdpContext,
-)
 from libmodbus_py.client.options import AsyncOptions, CheckedOptions, ContextOptions
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.schemes import (
@@ -33,18 +25,18 @@ from libmodbus_py.ports.schemes import (
 from tests.support.certificates import Papers
 from tests.support.urls import rules_of, url_for
 
-KNOWN: dict[Scheme, tuple[type[Context], set[str]]] = {
-    "tcp": (TcpContext, {"has_transactions"}),
-    "rtu+tcp": (TcpContext, set()),
-    "ascii+tcp": (TcpContext, set()),
-    "udp": (UdpContext, {"has_transactions", "is_datagram"}),
-    "rtu+udp": (UdpContext, {"is_datagram"}),
-    "tls": (TlsContext, {"has_transactions", "is_secure"}),
-    "rtu": (RtuContext, {"has_path", "is_serial"}),
-    "ascii": (AsciiContext, {"has_path", "is_serial"}),
+KNOWN: dict[Scheme, set[str]] = {
+    "tcp": {"has_transactions"},
+    "rtu+tcp": set(),
+    "ascii+tcp": set(),
+    "udp": {"has_transactions", "is_datagram"},
+    "rtu+udp": {"is_datagram"},
+    "tls": {"has_transactions", "is_secure"},
+    "rtu": {"has_path", "is_serial"},
+    "ascii": {"has_path", "is_serial"},
 }
 """
-Scheme -> the class of its contexts, and which of `PROPERTIES` its endpoints have.
+Scheme -> which of `PROPERTIES` its endpoints have.
 
 These may not change; of other schemes their own tests tell it.
 """
@@ -61,18 +53,15 @@ def test_each_transport_has_a_port_an_endpoint_and_a_scheme() -> None:
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_each_scheme_has_a_context_and_a_port(scheme: Scheme, tmp_path: Path) -> None:
+def test_each_scheme_has_a_port(scheme: Scheme, tmp_path: Path) -> None:
     rules = rules_of(scheme)
     url = url_for(scheme, "h", line="/dev/null")
     security = {"security": Papers(tmp_path).client()} if rules.is_secure else {}
-    context = Context.from_url(url, **security)
-    assert type(context) not in (Context, Client)
+    client = Client(url, **security)
     if scheme in KNOWN:
-        kind, has = KNOWN[scheme]
-        assert type(context) is kind
-        assert {name for name in PROPERTIES if getattr(parse(url), name)} == has
+        assert {name for name in PROPERTIES if getattr(parse(url), name)} == KNOWN[scheme]
     module, name = rules.port_class.split(".")
-    port = context._driver._port
+    port = client._driver._port
     assert (type(port).__module__, type(port).__name__) == (f"libmodbus_py.ports.{module}", name)
 
 
@@ -87,14 +76,6 @@ def test_help_texts_name_every_scheme(scheme: Scheme) -> None:
     assert f" {scheme}://" in SCHEMES_OF_URLS
     assert f" {shape_of(scheme)}" in URLS
     assert max(map(len, f"{SCHEMES_OF_URLS}\n{URLS}".splitlines())) <= 79
-
-
-def test_a_class_of_a_program_does_not_take_a_scheme() -> None:
-    class Own(TcpContext):
-        pass
-
-    assert type(Context.from_url("tcp://h")) is TcpContext
-    assert type(Own("h")) is Own
 
 
 def test_every_option_of_clients_is_typed_checked_and_has_a_default() -> None:

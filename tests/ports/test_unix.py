@@ -24,7 +24,7 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
-    Context,
+    Client,
     Device,
     Gateway,
     Limits,
@@ -32,7 +32,6 @@ from libmodbus_py import (
     ModbusConnectionError,
     Route,
     Server,
-    TcpContext,
 )
 from libmodbus_py.ports import unix
 from libmodbus_py.ports.hosts import host_of_peer
@@ -56,14 +55,12 @@ def stale(path: str) -> None:
         made.bind(path)
 
 
-@pytest.mark.parametrize("native", [True, False])
-def test_a_blocking_client_reads_and_writes(path: str, native: bool) -> None:
+def test_a_blocking_client_reads_and_writes(path: str) -> None:
     with (
         server().background(f"unix://{path}") as running,
-        Context.from_url(f"unix://{path}", native=native) as client,
+        Client(f"unix://{path}") as client,
     ):
         assert running.urls == [f"unix://{path}"]
-        assert type(client) is TcpContext
         client.write_register(1, 7)
         assert client.read_holding_registers(0, 3) == [1, 7, 3]
 
@@ -85,7 +82,7 @@ def test_a_gateway_listens_and_asks_over_paths(path: str) -> None:
     with (
         server().background(f"unix://{path}"),
         Gateway([Route(f"unix://{path}", "1-3")]).background(f"unix://{front}"),
-        Context.from_url(f"unix://{front}", unit=2) as client,
+        Client(f"unix://{front}", unit=2) as client,
     ):
         client.write_register(0, 9)
         assert client.read_holding_registers(0, 3) == [9, 2, 3]
@@ -156,7 +153,7 @@ def test_who_is_neither_owner_nor_of_the_group_may_not_connect(open_folder: str)
 
     def connect() -> None:
         with pytest.raises(ModbusConnectionError, match="Permission denied") as caught:
-            Context.from_url(url).connect()
+            Client(url).connect()
         assert caught.value.errno == errno.EACCES
 
     with server().background(url):
@@ -172,10 +169,10 @@ def test_a_server_ends_although_its_folder_is_gone(path: str) -> None:
 def test_who_is_connected_stays_with_its_server_when_the_path_gets_another(path: str) -> None:
     with (
         server().background(f"unix://{path}"),
-        Context.from_url(f"unix://{path}") as first,
+        Client(f"unix://{path}") as first,
     ):
         os.unlink(path)
-        with server().background(f"unix://{path}"), Context.from_url(f"unix://{path}") as second:
+        with server().background(f"unix://{path}"), Client(f"unix://{path}") as second:
             second.write_register(0, 9)
             assert first.read_holding_registers(0, 1) == [1]
             assert second.read_holding_registers(0, 1) == [9]
@@ -213,7 +210,7 @@ def test_a_path_in_use_is_refused_however_it_is_written_and_its_server_goes_on(p
     with server().background(f"unix://{path}"):
         for other in (path, f"/{path}", f"{folder}/./{name}", f"{folder}/link/{name}"):
             refused(other, errno.EADDRINUSE, "in use")
-            with Context.from_url(f"unix://{other}") as client:
+            with Client(f"unix://{other}") as client:
                 assert client.read_holding_registers(0, 1) == [1]
 
 
@@ -242,7 +239,7 @@ def test_a_path_of_a_server_that_is_busy_is_in_use(path: str) -> None:
         client.connect(path)
         refused(path, errno.EADDRINUSE, "in use")
         with pytest.raises(ModbusConnectionError, match="unavailable"):
-            Context.from_url(f"unix://{path}").connect()
+            Client(f"unix://{path}").connect()
 
 
 def test_a_socket_for_datagrams_is_in_use(path: str) -> None:
@@ -282,7 +279,7 @@ def test_a_folder_that_is_read_only_is_an_error(open_folder: str) -> None:
 def test_the_longest_path_can_be_used_and_no_longer_one(path: str) -> None:
     longest = os.path.dirname(path) + "/"
     longest += "x" * (MAX_PATH - len(longest))
-    with server().background(f"unix://{longest}"), Context.from_url(f"unix://{longest}") as client:
+    with server().background(f"unix://{longest}"), Client(f"unix://{longest}") as client:
         assert client.read_holding_registers(0, 1) == [1]
     for make in (UnixPort, UnixListener):
         with pytest.raises(ValueError, match=r"path must have 1\.\.10"):
@@ -292,12 +289,12 @@ def test_the_longest_path_can_be_used_and_no_longer_one(path: str) -> None:
         with pytest.raises(ValueError, match="path must have"):
             make("/" + "ä" * (MAX_PATH // 2 + 1))
     with pytest.raises(ValueError, match="path must have"):
-        Context.from_url(f"unix://{longest}x")
+        Client(f"unix://{longest}x")
 
 
 def test_odd_names_work(path: str) -> None:
     url = f"unix://{path}%23%20%3F%C3%A4%25"
-    with server().background(url) as running, Context.from_url(running.urls[0]) as client:
+    with server().background(url) as running, Client(running.urls[0]) as client:
         assert running.urls == [url]
         assert os.path.exists(f"{path}# ?ä%")
         assert client.read_holding_registers(0, 1) == [1]
@@ -310,7 +307,7 @@ def test_a_forked_child_neither_removes_the_file_nor_keeps_the_port(path: str) -
             os._exit(0)
         os.waitpid(child, 0)
         assert os.path.exists(path)
-        with Context.from_url(f"unix://{path}") as client:
+        with Client(f"unix://{path}") as client:
             assert client.read_holding_registers(0, 1) == [1]
 
 
@@ -387,11 +384,11 @@ def test_a_locked_folder_holds_up_only_its_own_server(path: str) -> None:
 
 def test_no_server_is_a_connection_error(path: str) -> None:
     with pytest.raises(ModbusConnectionError, match=f"cannot connect to {path}: No such") as caught:
-        Context.from_url(f"unix://{path}").connect()
+        Client(f"unix://{path}").connect()
     assert caught.value.errno == errno.ENOENT
     stale(path)
     with pytest.raises(ModbusConnectionError, match="refused"):
-        Context.from_url(f"unix://{path}").connect()
+        Client(f"unix://{path}").connect()
 
 
 @each_case("kind", ["file", "folder", "datagrams"])
@@ -409,7 +406,7 @@ def test_what_is_no_server_is_a_connection_error_of_both_clients(kind: str) -> N
             async with AsyncClient(f"unix://{path}"):
                 pass
 
-        for attempt in (Context.from_url(f"unix://{path}").connect, lambda: asyncio.run(connect())):
+        for attempt in (Client(f"unix://{path}").connect, lambda: asyncio.run(connect())):
             with pytest.raises(ModbusConnectionError, match=f"cannot connect to {path}") as caught:
                 attempt()
             assert caught.value.errno in (errno.ECONNREFUSED, errno.EPROTOTYPE)
@@ -419,7 +416,7 @@ def test_a_client_is_named_by_the_path_its_user_and_its_process(path: str) -> No
     audited: list[Any] = []
     traced: list[Any] = []
     made = server(audit=audited.append, trace=traced.append)
-    with made.background(f"unix://{path}"), Context.from_url(f"unix://{path}") as client:
+    with made.background(f"unix://{path}"), Client(f"unix://{path}") as client:
         client.write_register(0, 5)
     name = f"{path} uid {os.getuid()} pid {os.getpid()}"
     assert {each.peer for each in audited} == {"", name}
@@ -430,9 +427,9 @@ def test_a_client_is_named_by_the_path_its_user_and_its_process(path: str) -> No
 def test_networks_do_not_concern_paths_but_the_limits_of_one_address_do(path: str) -> None:
     limits = Limits(allow=["192.0.2.0/24"], connections_per_address=1, when_full="refuse")
     made = server(limits=limits)
-    with made.background(f"unix://{path}"), Context.from_url(f"unix://{path}") as client:
+    with made.background(f"unix://{path}"), Client(f"unix://{path}") as client:
         assert client.read_holding_registers(0, 1) == [1]
-        with Context.from_url(f"unix://{path}") as other, pytest.raises(ModbusConnectionError):
+        with Client(f"unix://{path}") as other, pytest.raises(ModbusConnectionError):
             other.read_holding_registers(0, 1)
         assert made.statistics.refused_address >= 1
 

@@ -19,7 +19,6 @@ from typing import Any
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from libmodbus_py.client import blocking_driver
 from libmodbus_py.ports.hosts import Resolve
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.ports.waiting import (
@@ -342,26 +341,6 @@ def test_the_system_waits_a_second_at_a_time(
         assert seconds <= counted.now - before <= seconds + 0.0011
     assert max(counted.waits) <= 1000
     waker.close()
-
-
-@pytest.mark.parametrize(("timeout", "waited"), [(0.5, 0.5), (600.0, 1.0), (-0.1, 0.0)])
-def test_c_waits_a_second_at_most_and_not_for_ever_if_the_time_is_over(
-    timeout: float, waited: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given: list[Any] = []
-
-    class Library:
-        NOT_SENT = -1
-
-        @staticmethod
-        def exchange(*args: Any) -> int:
-            given.append(args)
-            return Library.NOT_SENT
-
-    monkeypatch.setattr(blocking_driver, "lib", Library)
-    carrier = blocking_driver.Carrier(TcpPort("127.0.0.1", 502, None))
-    assert carrier.carry(b"\3\0\0\0\1", timeout, -1) is None
-    assert given[0][-1] == waited
 
 
 # --- alarms -------------------------------------------------------------------------------

@@ -14,18 +14,7 @@ from unittest.mock import AsyncMock, Mock
 import pytest
 
 import libmodbus_py
-from libmodbus_py import (
-    AsyncClient,
-    Client,
-    Device,
-    Gateway,
-    Hook,
-    Mapping,
-    Route,
-    Server,
-    TcpContext,
-    pdu,
-)
+from libmodbus_py import AsyncClient, Client, Device, Gateway, Hook, Mapping, Route, Server, pdu
 from libmodbus_py.device.authorization import Authorization
 from libmodbus_py.listen import Separator
 from libmodbus_py.protocol.checks import checked_callback, finished, log_failure
@@ -102,7 +91,6 @@ TAKING: dict[str, Callable[[Any], object]] = {
     "AsyncClient on_state": lambda call: AsyncClient(URL, on_state=call),
     "Client trace": lambda call: Client(URL, trace=call),
     "Client on_state": lambda call: Client(URL, on_state=call),
-    "TcpContext trace": lambda call: TcpContext("127.0.0.1", trace=call),
     "scan": lambda call: scan(URL, on_progress=call),
     "search": lambda call: search(URL, on_progress=call),
     "Separator": lambda call: Separator("rtu", call),

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
-    Context,
+    Client,
     Device,
     Gateway,
     IllegalDataValue,
@@ -115,7 +115,7 @@ def test_a_client_on_a_line_goes_on(stage: Stage) -> None:
     with (
         registered(_fails) as own,
         Server({1: device}).background(LINE),
-        Context.from_url(LINE, unit=1, timeout=0.5) as context,
+        Client(LINE, unit=1, timeout=0.5) as context,
     ):
         with pytest.raises(ModbusError):
             context.execute(own(0x6D, b"\1\2"))

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import pytest
 
-from libmodbus_py import Context, Device, Mapping, Point, Server, pdu
+from libmodbus_py import Client, Device, Mapping, Point, Server, pdu
 from libmodbus_py.maps.plan import Plan, Read
 from libmodbus_py.protocol.tables import TABLE_SIZE, TABLES, RegisterTable, Table
 from libmodbus_py.protocol.values import value_type
@@ -81,7 +81,7 @@ def test_words_that_nobody_uses(make: Any, message: str) -> None:
 def test_clients_take_them() -> None:
     mapping = Mapping(holding_registers=8, input_registers=8)
     with Server(Device(mapping)).background("tcp://127.0.0.1:0") as running:
-        client: Any = Context.from_url(running.urls[0])
+        client: Any = Client(running.urls[0])
         with client:
             client.write_values("hr", 2, [1.5], "FLOAT", order="word swapped")
             assert mapping.holding_registers[2:4] == [0, 0x3FC0]

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import pytest
 
 from libmodbus_py import Device, Fault, Gateway, Route, Server
-from libmodbus_py.client.blocking import Context
+from libmodbus_py.client.blocking import Client
 from libmodbus_py.server.serving import Serving
 from tests.support.clients import ALL, asking
 from tests.support.names import NEEDS_IPV6
@@ -32,7 +32,7 @@ def served(serving: Serving, scheme: str, host: str = "0.0.0.0") -> Iterator[int
 
 
 def values_of(scheme: str, host: str, port: int) -> list[int]:
-    with Context.from_url(f"{scheme}://{host}:{port}", unit=UNIT, timeout=10) as client:
+    with Client(f"{scheme}://{host}:{port}", unit=UNIT, timeout=10) as client:
         return client.read_holding_registers(100, 2)
 
 

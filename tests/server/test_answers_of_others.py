@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from libmodbus_py import Context, Gateway, Route
+from libmodbus_py import Client, Gateway, Route
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.framing import NO_REQUESTS
@@ -194,7 +194,7 @@ def test_a_frame_in_a_request_is_not_written_through_a_gateway(stage: Stage, hea
     with (
         unit_one(LINE) as (server, writes),
         Gateway([route]).background("tcp://10.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=2, timeout=5) as context,
+        Client(running.urls[0], unit=2, timeout=5) as context,
     ):
         for unit in (1, 2):
             # Where the CRC fits for the first time, a write begins.

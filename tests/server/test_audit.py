@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
-    Context,
+    Client,
     Device,
     Gateway,
     IllegalDataAddress,
@@ -31,7 +31,6 @@ from libmodbus_py import (
     Rules,
     Server,
     ServerDeviceFailure,
-    TlsContext,
     pdu,
 )
 from libmodbus_py.ports.endpoint import parse
@@ -55,7 +54,7 @@ def device(**options: Any) -> Device:
 def asking(server: Server | Gateway, transport: str = "tcp") -> Iterator[Any]:
     with (
         server.background(f"{transport}://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=5, native=False, timeout=20) as client,
+        Client(running.urls[0], unit=5, timeout=20) as client,
     ):
         yield client
 
@@ -77,10 +76,10 @@ def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
     closed = Server(device(), None, Limits(allow=["192.0.2.0/24"]), audit=events.append)
     url = f"{transport}://[::1]:0"
     with served.background(url) as one, closed.background(url) as other:
-        with Context.from_url(one.urls[0], unit=5, timeout=20) as client:
+        with Client(one.urls[0], unit=5, timeout=20) as client:
             client.write_register(0, 1)
         with (
-            Context.from_url(other.urls[0], unit=5, timeout=0.1) as client,
+            Client(other.urls[0], unit=5, timeout=0.1) as client,
             pytest.raises(ModbusError),
         ):
             client.write_register(0, 1)
@@ -186,7 +185,7 @@ def test_the_life_of_a_server_and_of_a_client_with_a_certificate_are_recorded(
     )
     with server.background("tls://127.0.0.1:0") as running:
         (url,) = running.urls
-        with TlsContext("127.0.0.1", parse(url).port, security=papers.client()) as plc:
+        with Client(f"tls://127.0.0.1:{parse(url).port}", security=papers.client()) as plc:
             plc.write_register(0, 9)
             crl.write_bytes(certificates.revocation_list(operator))
             renewed = certificates.server(days=29)
@@ -223,7 +222,7 @@ def test_a_peer_from_another_network_is_recorded_once_a_minute(
     with server.background(f"{transport}://127.0.0.1:0") as running:
         for _ in range(3):
             with (
-                Context.from_url(running.urls[0], timeout=0.05, retries=0) as plc,
+                Client(running.urls[0], timeout=0.05, retries=0) as plc,
                 pytest.raises(Exception, match=r"."),
             ):
                 plc.read_coils(0, 1)

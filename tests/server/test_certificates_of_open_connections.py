@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
+    Client,
     Device,
     Gateway,
     Limits,
@@ -23,7 +24,6 @@ from libmodbus_py import (
     ModbusConnectionError,
     Route,
     Server,
-    TlsContext,
 )
 from libmodbus_py.ports import tls
 from libmodbus_py.ports.endpoint import parse
@@ -33,7 +33,7 @@ from libmodbus_py.server.tls import Handshakes
 from tests.simulation.network import Network
 from tests.support import certificates
 from tests.support.certificates import Papers
-from tests.support.clients import Connect, connecting
+from tests.support.clients import Connect
 from tests.support.peers import until
 from tests.support.tls import serving
 
@@ -49,12 +49,6 @@ def crl(tmp_path: Path) -> Path:
     file = tmp_path / "crl.pem"
     file.write_bytes(certificates.revocation_list())
     return file
-
-
-@pytest.fixture(params=["python", "asyncio"])
-def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
-    with connecting(request.param) as connect:
-        yield connect
 
 
 @contextmanager
@@ -73,8 +67,8 @@ def test_a_client_whose_certificate_is_revoked_is_closed(
     security = papers.server(crl=crl)
     with (
         served(papers, security=security, limits=QUICK) as (server, port),
-        TlsContext("127.0.0.1", port, security=papers.client()) as thief,
-        TlsContext("127.0.0.1", port, security=papers.client("Viewer")) as other,
+        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as thief,
+        Client(f"tls://127.0.0.1:{port}", security=papers.client("Viewer")) as other,
     ):
         assert thief.read_holding_registers(0, 1) == other.read_holding_registers(0, 1) == [0]
         crl.write_bytes(certificates.revocation_list(OPERATOR()))
@@ -91,7 +85,7 @@ def test_a_client_whose_certificate_has_expired_is_closed(
 ) -> None:
     with (
         serving(papers, limits=QUICK) as (server, port),
-        TlsContext("127.0.0.1", port, security=papers.client()) as plc,
+        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
         end = certificates.end(OPERATOR().certificate).timestamp()
@@ -105,7 +99,7 @@ def test_a_client_whose_pin_was_removed_is_closed(papers: Papers, tmp_path: Path
     security = papers.server(pin=pin)
     with (
         serving(papers, security=security, limits=QUICK) as (server, port),
-        TlsContext("127.0.0.1", port, security=papers.client()) as plc,
+        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
         security.reload()
@@ -119,7 +113,7 @@ def test_other_certificates_can_be_set_while_the_server_runs(papers: Papers) -> 
     """Who is trusted by both stays; who signed the others does not matter."""
     with (
         serving(papers, limits=QUICK) as (server, port),
-        TlsContext("127.0.0.1", port, security=papers.client()) as plc,
+        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
         with pytest.raises(TypeError, match="security must be Security, not str"):

@@ -149,8 +149,8 @@ with SerialWire() as wire:
         child = forked()
         assert settings() == before
         assert is_taken()
-        from libmodbus_py import RtuContext
-        with RtuContext(wire.client, timeout=PATIENCE) as plc:
+        from libmodbus_py import Client
+        with Client(wire.client, timeout=PATIENCE) as plc:
             assert plc.read_holding_registers(0, 1) == [0]
     assert not is_taken()
     end(child)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context
+from libmodbus_py import Client
 from libmodbus_py.low_level import ffi, lib
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.testing.wires import SerialWire
@@ -111,7 +111,7 @@ def test_a_heartbeat_on_a_real_port(scheme: str, query: str) -> None:
     with (
         SerialWire() as wire,
         unit_one(f"{scheme}://{wire.server}?{query}") as (server, written),
-        Context.from_url(f"{scheme}://{wire.client}?{query}&unit=1&timeout=3&retries=0") as plc,
+        Client(f"{scheme}://{wire.client}?{query}&unit=1&timeout=3&retries=0") as plc,
     ):
         for _ in range(COUNT):
             plc.write_register(1, 3)

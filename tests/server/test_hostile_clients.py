@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py import Context, Device, Server, TcpContext, framing
+from libmodbus_py import Client, Device, Server, framing
 from tests.simulation.stage import Stage
 from tests.support.attacks import adu, ask, connect
 
@@ -43,7 +43,7 @@ def test_a_lying_request_changes_nothing_and_hurts_nobody(
     port: int, device: Device, body: bytes
 ) -> None:
     before = contents(device)
-    with connect(port) as liar, TcpContext("127.0.0.1", port, unit=17) as innocent:
+    with connect(port) as liar, Client(f"tcp://127.0.0.1:{port}", unit=17) as innocent:
         liar.sendall(adu(body) + adu(READ, 2))
         expected_last = adu(READ_ANSWER, 2)
         received = b""
@@ -61,7 +61,7 @@ def contents(device: Device) -> tuple[list[int], list[bool]]:
 
 @pytest.mark.parametrize("length", [0, 1, 255, 65535])
 def test_a_length_that_cannot_be_closes_the_connection(port: int, length: int) -> None:
-    with connect(port) as liar, TcpContext("127.0.0.1", port, unit=17) as innocent:
+    with connect(port) as liar, Client(f"tcp://127.0.0.1:{port}", unit=17) as innocent:
         innocent.connect()
         ask(liar, adu(READ, 1) + adu(READ, 2, length=length), adu(READ_ANSWER, 1))
         assert liar.recv(1) == b""
@@ -85,7 +85,7 @@ def test_random_bytes_change_nothing(stage: Stage, scheme: str, device: Device) 
     urls = f"{scheme}://10.0.0.1:0", "tcp://10.0.0.1:0"
     with (
         Server({17: device}).background(*urls) as running,
-        Context.from_url(running.urls[1], unit=17, timeout=2) as innocent,
+        Client(running.urls[1], unit=17, timeout=2) as innocent,
     ):
         for _ in range(60):
             flood = stage.talk(running.urls[0])

@@ -13,14 +13,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    Context,
-    Device,
-    Fault,
-    Mapping,
-    Server,
-    pdu,
-)
+from libmodbus_py import Client, Device, Fault, Mapping, Server, pdu
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.framing import Frame, TcpFramer
 from libmodbus_py.tools.faults.server import Faults
@@ -120,7 +113,7 @@ def test_lines_know_no_such_units() -> None:
     """Unit 0 is a broadcast there, and 255 reserved."""
     with (
         Server({1: holding(7)}, own_unit=1).background("rtu+tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=255, timeout=0.2) as plc,
+        Client(running.urls[0], unit=255, timeout=0.2) as plc,
     ):
         with pytest.raises(errors.ModbusTimeoutError):
             plc.read_holding_registers(0, 1)
@@ -146,7 +139,7 @@ def test_faults_happen_to_whom_the_server_is(
     server = Server({1: holding(7)}, given)
     with (
         server.background(f"{scheme}://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], timeout=20) as plc,
+        Client(running.urls[0], timeout=20) as plc,
     ):
         found: list[int | None] = []
         for unit in (0, 255):
@@ -162,17 +155,17 @@ def test_faults_happen_to_whom_the_server_is(
 
 
 @pytest.fixture(params=["tcp", "udp", "rtu+tcp"])
-def plc(request: pytest.FixtureRequest) -> Iterator[Context]:
+def plc(request: pytest.FixtureRequest) -> Iterator[Client]:
     devices = {1: holding(7), 2: holding(8, before_read=lambda access: None)}
     with (
         Server(devices).background(f"{request.param}://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1, timeout=20) as made,
+        Client(running.urls[0], unit=1, timeout=20) as made,
     ):
         yield made
 
 
 @pytest.mark.parametrize("unit", [1, 2], ids=["c", "python"])
-def test_every_message_is_counted(plc: Context, unit: int) -> None:
+def test_every_message_is_counted(plc: Client, unit: int) -> None:
     """Whoever answered it, the one that asks included; as on a serial line."""
     asked = plc.for_unit(unit)
     assert asked.diagnostics(MESSAGES) == 1
@@ -195,7 +188,7 @@ def test_messages_of_other_units_are_not_heard(scheme: str) -> None:
     devices = {1: holding(7), 2: holding(8)}
     with (
         Server(devices).background(f"{scheme}://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1, timeout=20) as plc,
+        Client(running.urls[0], unit=1, timeout=20) as plc,
     ):
         for _ in range(3):
             plc.for_unit(2).read_holding_registers(0, 1)

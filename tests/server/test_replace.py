@@ -16,7 +16,7 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
-    Context,
+    Client,
     Device,
     Fault,
     GatewayTargetFailedToRespond,
@@ -39,11 +39,11 @@ def holding(value: int) -> Device:
 
 
 @contextmanager
-def connected(transport: str, server: Server) -> Iterator[Context]:
+def connected(transport: str, server: Server) -> Iterator[Client]:
     """A client of unit 1."""
     with (
         serving(transport, server) as url,
-        Context.from_url(url, unit=1, native=False, timeout=2) as client,
+        Client(url, unit=1, timeout=2) as client,
     ):
         yield client
 
@@ -67,7 +67,7 @@ def test_a_connection_sees_other_devices_and_faults_come_and_go(transport: str) 
             assert server.statistics.accepted == 1
 
 
-def refuses(client: Context) -> bool:
+def refuses(client: Client) -> bool:
     try:
         client.read_holding_registers(0, 1)
     except ServerDeviceBusy:
@@ -88,7 +88,7 @@ def test_an_endpoint_that_is_still_looked_up_opens_with_the_new_devices(
     monkeypatch.setattr(udp, "bound", slowly)
     with (
         server.background("udp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1, timeout=20) as client,
+        Client(running.urls[0], unit=1, timeout=20) as client,
     ):
         assert client.read_holding_registers(0, 1) == [2]
 
@@ -125,7 +125,7 @@ def test_what_cannot_be_changes_nothing(devices: Any, faults: Any, message: str)
         with pytest.raises((TypeError, ValueError), match=message):
             server.replace(devices, faults)
         assert server.devices is before
-        with Context.from_url(running.urls[0], unit=1) as client:
+        with Client(running.urls[0], unit=1) as client:
             assert client.read_holding_registers(0, 1) == [1]
             assert refuses(client)
 
@@ -134,7 +134,7 @@ def test_the_servers_own_unit_is_that_of_the_new_devices() -> None:
     server = Server({1: holding(1), 2: holding(2)}, own_unit=2)
     with (
         server.background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=255) as client,
+        Client(running.urls[0], unit=255) as client,
     ):
         assert client.read_holding_registers(0, 1) == [2]
         server.replace({2: holding(3), 4: holding(4)})
@@ -146,7 +146,7 @@ def test_the_servers_own_unit_is_that_of_the_new_devices() -> None:
 def test_a_broadcast_goes_to_the_new_devices(stage: Stage) -> None:
     server = Server({1: holding(1), 2: holding(1)})
     line = "rtu:///dev/line"
-    with server.background(line), Context.from_url(line, unit=1, timeout=50) as client:
+    with server.background(line), Client(line, unit=1, timeout=50) as client:
         assert client.read_holding_registers(0, 1) == [1]
         server.replace({1: holding(0), 3: holding(0)})
         assert client.read_holding_registers(0, 1) == [0]
@@ -181,7 +181,7 @@ def test_a_hook_may_replace_what_calls_it() -> None:
         server.replace({1: Device(mapping, before_read=Hook(swap, holding_registers=range(1, 2)))})
         with server.background(f"{scheme}://127.0.0.1:0") as running:
             url = running.urls[0]
-            with Context.from_url(url, unit=1, timeout=5) as client:
+            with Client(url, unit=1, timeout=5) as client:
                 assert client.read_holding_registers(0, 1) == [1]
                 assert client.read_holding_registers(1, 1) == [2]
                 assert client.read_holding_registers(0, 1) == [9]
@@ -257,7 +257,7 @@ def test_a_traced_connection_sees_faults_and_is_closed_by_one() -> None:
     server = Server(holding(1), trace=lambda each: traced.append(each.direction))
     with (
         server.background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1, timeout=5) as client,
+        Client(running.urls[0], unit=1, timeout=5) as client,
     ):
         assert client.read_holding_registers(0, 1) == [1]
         server.replace(holding(2), {1: [Fault("disconnect")]})

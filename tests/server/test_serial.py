@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsciiContext, Device, Mapping, ModbusTimeoutError, RtuContext, Server
+from libmodbus_py import Client, Device, Mapping, ModbusTimeoutError, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server.limits import ServerStatistics
@@ -31,18 +31,17 @@ from tests.support.talk import rtu
 @pytest.mark.parametrize("kind", ["rtu", "ascii"])
 def test_serial_server_answers_the_next_request_after_noise(kind: str, noise: bytes) -> None:
     device = Device(Mapping(holding_registers=2))
-    make = RtuContext if kind == "rtu" else AsciiContext
     with (
         SerialWire() as wire,
         Server({1: device}).background(f"{kind}://{wire.server}?baudrate=115200"),
-        make(wire.client, 115200, timeout=0.5) as context,
+        Client(f"{kind}://{wire.client}?baudrate=115200", timeout=0.5) as context,
     ):
         for _ in range(3):
             os.write(context._driver._port.descriptor, noise)
             assert context.read_holding_registers(0, 2) == [0, 0]
 
 
-def is_answered(context: RtuContext) -> bool:
+def is_answered(context: Client) -> bool:
     try:
         return context.read_holding_registers(100, 1) == [1000]
     except ModbusTimeoutError:
@@ -58,12 +57,12 @@ def test_an_unplugged_port_is_opened_again(
     with SerialWire() as first, SerialWire() as second:
         path.symlink_to(first.server)
         with Server({17: device}).background(f"rtu://{path}"):
-            with RtuContext(first.client, unit=17, timeout=0.5) as context:
+            with Client(f"rtu://{first.client}", unit=17, timeout=0.5) as context:
                 assert context.read_holding_registers(100, 1) == [1000]
             first.unplug()
             path.unlink()
             path.symlink_to(second.server)
-            with RtuContext(second.client, unit=17, timeout=0.1) as context:
+            with Client(f"rtu://{second.client}", unit=17, timeout=0.1) as context:
                 until(lambda: is_answered(context))
 
 

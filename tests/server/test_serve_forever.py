@@ -17,7 +17,7 @@ from types import FrameType
 
 import pytest
 
-from libmodbus_py import Device, Mapping, Server, TcpContext
+from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.serve import Running
 from libmodbus_py.server.running import signal_handlers
@@ -86,7 +86,7 @@ def end(process: subprocess.Popen[str], number: signal.Signals) -> tuple[str, st
 
 
 def read(url: str) -> list[int]:
-    with TcpContext("127.0.0.1", parse(url).port) as plc:
+    with Client(f"tcp://127.0.0.1:{parse(url).port}") as plc:
         return plc.read_holding_registers(7, 1)
 
 

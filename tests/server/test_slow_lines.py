@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, listen
+from libmodbus_py import AsyncClient, Client, listen
 from libmodbus_py.pdu import Diagnostics
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.framing import make_framer
@@ -96,7 +96,7 @@ def test_a_client_takes_a_slow_answer_whole(stage: Stage, is_async: bool) -> Non
 
         assert stage.wait(ask()) == data
     else:
-        with Context.from_url(line, unit=1, timeout=10) as plc:
+        with Client(line, unit=1, timeout=10) as plc:
             assert plc.execute(Diagnostics(0, data)) == data
     assert unit.heard == whole
 

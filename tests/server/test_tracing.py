@@ -20,7 +20,6 @@ import pytest
 
 from libmodbus_py import (
     Client,
-    Context,
     Device,
     Fault,
     Gateway,
@@ -104,7 +103,7 @@ def test_a_serial_port_is_traced_with_its_name(scheme: str) -> None:
     told: list[Traced] = []
     with SerialWire() as wire:
         url = f"{scheme}://{wire.server}?baudrate=115200"
-        client = Context.from_url(f"{scheme}://{wire.client}?baudrate=115200", unit=17)
+        client = Client(f"{scheme}://{wire.client}?baudrate=115200", unit=17)
         with Server({17: made_device()}, trace=told.append).background(url), client as plc:
             assert plc.read_holding_registers(0, 2) == [7, 8]
     assert [(each.direction, each.peer) for each in told] == [
@@ -116,7 +115,7 @@ def test_a_serial_port_is_traced_with_its_name(scheme: str) -> None:
 def test_of_tls_it_shows_what_is_inside(papers: Papers) -> None:
     told: list[Traced] = []
     server = Server({17: made_device()}, trace=told.append)
-    with secured(server, papers) as url, Context.from_url(url, unit=17) as plc:
+    with secured(server, papers) as url, Client(url, unit=17) as plc:
         assert plc.read_holding_registers(0, 2) == [7, 8]
     assert [each.adu[6:] for each in told] == [READ[6:], ANSWER[6:]]
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from fuzz.checks import REQUEST_OBJECTS, examples
-from libmodbus_py import Allow, Context, Device, Fault, IllegalFunction, Mapping, Rules, Server, pdu
+from libmodbus_py import Allow, Client, Device, Fault, IllegalFunction, Mapping, Rules, Server, pdu
 from libmodbus_py.serve import Asked
 from tests.support import transports
 from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, adu, connect, receive
@@ -42,7 +42,7 @@ def test_nothing_is_executed(transport: str) -> None:
 
     device = guarded(authorize)
     server = Server({17: device})
-    with transports.serving(transport, server) as url, Context.from_url(url, unit=17) as plc:
+    with transports.serving(transport, server) as url, Client(url, unit=17) as plc:
         for request in REQUEST_OBJECTS:
             with pytest.raises(IllegalFunction):
                 plc.execute(request)
@@ -84,7 +84,7 @@ def test_faults_refuse_without_asking() -> None:
     server = Server({1: guarded(seen.append)}, {1: [Fault("exception", code=6)]})
     with (
         server.background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0]) as plc,
+        Client(running.urls[0]) as plc,
         pytest.raises(Exception, match="exception 6"),
     ):
         plc.execute(pdu.WriteCoil(0, True))
@@ -137,7 +137,7 @@ def test_rules_go_by_the_role_of_the_certificate(
     server = Server(device, security=papers.server())
     with (
         server.background("tls://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], security=papers.client(role)) as plc,
+        Client(running.urls[0], security=papers.client(role)) as plc,
     ):
         assert allowed(plc.execute) == expected
     assert server.statistics.unauthorized == expected.count(False)
@@ -156,8 +156,8 @@ def test_a_refusal_over_tls_names_the_role(papers: Papers, role: str | None, sai
     server = Server(device, security=papers.server())
     with (
         server.background("tls://127.0.0.1:0", "tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], security=papers.client(role)) as plc,
-        Context.from_url(running.urls[1]) as without,
+        Client(running.urls[0], security=papers.client(role)) as plc,
+        Client(running.urls[1]) as without,
     ):
         for client, end in ((plc, f"; {said}"), (without, "")):
             with pytest.raises(IllegalFunction) as caught:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from libmodbus_py import Context, Gateway, Route
+from libmodbus_py import Client, Gateway, Route
 from tests.services.workers import simulated as workers_simulated
 
 from .fleets import fleet, plant
@@ -208,7 +208,7 @@ def _blocking(world: World) -> None:
     # poll counts milliseconds, for each attempt anew.
     limit = ((timeout if kind == "tcp" else 5 * timeout) + 0.001) * (1 + retries)
     witness, until = world.witness, world.events.now + world.options.seconds
-    context = Context.from_url(url, native=False, timeout=timeout, retries=retries)
+    context = Client(url, timeout=timeout, retries=retries)
     with contextlib.closing(context):
         sleep = world.network.waker().sleep
         while world.events.now < until:

@@ -17,7 +17,6 @@ from types import SimpleNamespace
 from typing import Any, TypeVar
 from unittest.mock import patch
 
-from libmodbus_py.client.blocking_driver import BlockingDriver
 from libmodbus_py.ports import port, tls
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
@@ -194,7 +193,6 @@ class Network:
             patch.object(serial_server, "SerialPort", self._serial),
             patch.object(gateway, "check_line", _any_line),
             # C knows no sockets in memory.
-            patch.object(BlockingDriver, "__init__", _in_python(BlockingDriver.__init__)),
             # The phases of polls come of the time of day.
             patch.object(fleet, "time", SimpleNamespace(time=self.time_of_day)),
             patch.object(tls, "time", SimpleNamespace(monotonic=lambda: self.events.now)),
@@ -282,12 +280,3 @@ def _seeded(seed: int) -> Iterator[None]:
 
 def _any_line(*_: object) -> None:
     """Take it that the device of each route exists, which the system is asked about otherwise."""
-
-
-def _in_python(make: Callable[..., None]) -> Callable[..., None]:
-    """Return the constructor of `BlockingDriver` for clients that are all of Python."""
-
-    def made(self: BlockingDriver, port: Port, connection: Any, *, native: bool) -> None:
-        make(self, port, connection, native=False)
-
-    return made

@@ -43,7 +43,7 @@ class Stage(Network):
     A network, and the event loop of all that serves there; blocking clients wait in it, too.
 
     Used as a context manager. Within it ``Server.background`` and ``Gateway.background`` serve in
-    that loop, and `Context` is not carried in C.
+    that loop.
     """
 
     def __init__(self, seed: int = 0) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from libmodbus_py import (
     AsyncClient,
-    Context,
+    Client,
     Device,
     Fault,
     Mapping,
@@ -49,7 +49,7 @@ def test_waiting_for_an_answer_takes_simulated_seconds_only() -> None:
     before = network.events.now
     with (
         network.installed(),
-        Context.from_url(peer.url, native=False, timeout=86_400) as context,
+        Client(peer.url, timeout=86_400) as context,
         pytest.raises(ModbusTimeoutError, match="within 86400 s"),
     ):
         context.read_holding_registers(0, 1)
@@ -82,7 +82,7 @@ def test_on_a_stage_time_passes_only_while_the_test_waits() -> None:
             assert client.recv(100)[-2:] == struct.pack(">H", 502)
             assert stage.now - before == pytest.approx(500, abs=0.001)
         with (
-            Context.from_url(running.urls[0], unit=17, timeout=100) as plc,
+            Client(running.urls[0], unit=17, timeout=100) as plc,
             pytest.raises(ModbusTimeoutError),
         ):
             plc.read_holding_registers(2, 1)

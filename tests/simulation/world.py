@@ -11,7 +11,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from libmodbus_py import AsyncClient, Context, Gateway, ModbusError
+from libmodbus_py import AsyncClient, Client, Gateway, ModbusError
 
 from .devices import COUNT, Behaviour, Bus, Host, Unit
 from .network import Network
@@ -174,7 +174,7 @@ class World:
             return None
         return self.random.uniform(0, 0.5)
 
-    def ask_blocking(self, context: Context, call: Call) -> None:
+    def ask_blocking(self, context: Client, call: Call) -> None:
         """Ask with a blocking client."""
         try:
             values = _requested(context, call)
@@ -208,7 +208,7 @@ async def asking_gateway(
         yield [world.asking(plc, timeout, age=age, is_direct=False) for plc in plcs]
 
 
-def _requested(plc: AsyncClient | Context, call: Call) -> Any:
+def _requested(plc: AsyncClient | Client, call: Call) -> Any:
     """Return what the client returns: the values, or with asyncio what is awaited for them."""
     unit, pdu = call.key
     address, number = (int.from_bytes(pdu[at : at + 2], "big") for at in (1, 3))

@@ -2,8 +2,7 @@
 Every kind of client behind the same calls, on the real system or on a network in memory.
 
 `connecting` makes clients of one kind on the real system. A `World` makes clients and the peers
-that they talk to, in one of two places: `Real` has sockets, threads and seconds; `Simulated` has a
-`Network` whose clock jumps, where times are exact.
+that they talk to on a `Network` whose clock jumps, where times are exact.
 """
 
 from __future__ import annotations
@@ -12,31 +11,25 @@ import asyncio
 import contextlib
 import inspect
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any, Self
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context
+from libmodbus_py import AsyncClient, Client
 from tests.simulation.loop import VirtualLoop, complaints_of
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
-from tests.support.peers import OnRequest, Peer, peer_at
+from tests.support.peers import OnRequest
 from tests.support.urls import url_for
 
-KINDS = ["native", "python", "asyncio"]
-"""A context whose requests C carries where it can, one without C, and `AsyncClient`."""
+KINDS = ["blocking", "asyncio"]
+"""`Client` and `AsyncClient`."""
 
 ALL = pytest.mark.parametrize("kind", KINDS)
-BLOCKING = pytest.mark.parametrize("kind", KINDS[:2])
-NATIVE = pytest.mark.parametrize("native", [True, False])
-EVERYWHERE = pytest.mark.parametrize("world", KINDS, indirect=True)
-"""In simulated time without C, and in real time with it: see the fixture `world`."""
 
-# A URL and options -> a client, to be used as a `Context` is.
+# A URL and options -> a client, to be used as a `Client` is.
 Connect = Callable[..., Any]
 
 
@@ -49,7 +42,7 @@ def read(client: Any, address: int) -> int:
 
 class Awaited:
     """
-    An `AsyncClient` with the calls of a `Context`.
+    An `AsyncClient` with the calls of a `Client`.
 
     Args:
         run: returns what an awaitable returns.
@@ -104,12 +97,12 @@ class Awaited:
 
 @contextmanager
 def connecting(kind: str) -> Iterator[Connect]:
-    """Yield what makes clients: contexts with or without libmodbus, or an AsyncClient."""
+    """Yield what makes clients: of one kind."""
     if kind == "asyncio":
         with running_loop() as loop:
             yield lambda url, **options: Awaited(threadsafe(loop), AsyncClient(url, **options))
     else:
-        yield partial(Context.from_url, native=kind == "native")
+        yield Client
 
 
 @contextmanager
@@ -146,28 +139,33 @@ def running_loop() -> Iterator[asyncio.AbstractEventLoop]:
     assert not left
 
 
-# --- either -----------------------------------------------------------------------------------
+# --- on a network in memory -------------------------------------------------------------------
 
 
 class World:
     """
-    Clients of one kind, and peers for them.
+    Clients of one kind, and peers for them, on a network in memory: waiting takes no time, and
+    times are exact.
 
     Attributes:
         kind: one of `KINDS`.
-        is_exact: whether nothing takes longer than it must.
     """
 
-    kind: str
-    is_exact: bool
+    def __init__(self, kind: str, network: Network, loop: VirtualLoop) -> None:
+        self.kind = kind
+        self.network = network
+        self._loop = loop
 
     def connect(self, url: str, **options: Any) -> Any:
-        """Return a client, to be used as a `Context` is."""
-        raise NotImplementedError
+        """Return a client, to be used as a `Client` is."""
+        if self.kind == "asyncio":
+            return Awaited(self._loop.run_until_complete, AsyncClient(url, **options))
+        return Client(url, **options)
 
-    def peer(self, scheme: str, on_request: OnRequest) -> Any:
-        """Return a `Peer` or a `Scripted` that runs until the world ends."""
-        raise NotImplementedError
+    def peer(self, scheme: str, on_request: OnRequest) -> Scripted:
+        """Return a peer that runs until the world ends."""
+        url = url_for(scheme, line="/dev/line?baudrate=115200")
+        return Scripted(self.network, url, on_request)
 
     def client_of(self, scheme: str, on_request: OnRequest, **options: Any) -> Any:
         """Return a client of a peer that runs until the world ends."""
@@ -176,76 +174,10 @@ class World:
     @property
     def now(self) -> float:
         """The time in seconds."""
-        raise NotImplementedError
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass."""
-        raise NotImplementedError
-
-    @contextmanager
-    def lasting(self, seconds: float, more: float = 0.002) -> Iterator[None]:
-        """
-        Demand that what is done within takes so many seconds.
-
-        Args:
-            more: how much longer it may take, where time is exact: the way of a request, and the
-                millisecond that `poll` counts. On the real system it may take any time longer.
-        """
-        start = self.now
-        yield
-        # A timer may ring a nanosecond early.
-        least, most = seconds - 1e-6, seconds + more if self.is_exact else float("inf")
-        assert least <= self.now - start <= most, f"it took {self.now - start} s, not {seconds} s"
-
-
-class Real(World):
-    """The real system: peers have threads, and waiting takes its time."""
-
-    is_exact = False
-
-    def __init__(self, kind: str, connect: Connect, stack: contextlib.ExitStack) -> None:
-        self.kind = kind
-        self._connect = connect
-        self._stack = stack
-
-    def connect(self, url: str, **options: Any) -> Any:
-        return self._connect(url, **options)
-
-    def peer(self, scheme: str, on_request: OnRequest) -> Peer:
-        return self._stack.enter_context(peer_at(scheme, on_request))
-
-    @property
-    def now(self) -> float:
-        return time.monotonic()
-
-    def sleep(self, seconds: float) -> None:
-        time.sleep(seconds)
-
-
-class Simulated(World):
-    """A network in memory: waiting takes no time, and times are exact."""
-
-    is_exact = True
-
-    def __init__(self, kind: str, network: Network, loop: VirtualLoop) -> None:
-        self.kind = kind
-        self.network = network
-        self._loop = loop
-
-    def connect(self, url: str, **options: Any) -> Any:
-        if self.kind == "asyncio":
-            return Awaited(self._loop.run_until_complete, AsyncClient(url, **options))
-        return Context.from_url(url, native=False, **options)
-
-    def peer(self, scheme: str, on_request: OnRequest) -> Scripted:
-        url = url_for(scheme, line="/dev/line?baudrate=115200")
-        return Scripted(self.network, url, on_request)
-
-    @property
-    def now(self) -> float:
         return self.network.events.now
 
     def sleep(self, seconds: float) -> None:
+        """Let time pass."""
         self._loop.run_until_complete(asyncio.sleep(seconds))
 
     def compute(self, seconds: float) -> None:
@@ -254,19 +186,28 @@ class Simulated(World):
         while self.now < until:
             self.network.events.advance(until)
 
+    @contextmanager
+    def lasting(self, seconds: float, more: float = 0.002) -> Iterator[None]:
+        """
+        Demand that what is done within takes so many seconds.
+
+        Args:
+            more: how much longer it may take: the way of a request, and the millisecond that
+                `poll` counts.
+        """
+        start = self.now
+        yield
+        # A timer may ring a nanosecond early.
+        assert seconds - 1e-6 <= self.now - start <= seconds + more
+
 
 @contextmanager
 def making(kind: str) -> Iterator[World]:
-    """Yield a world for clients of a kind: real for those that C carries, else simulated."""
-    if kind == "native":
-        with contextlib.ExitStack() as stack:
-            connect = stack.enter_context(connecting(kind))
-            yield Real(kind, connect, stack)
-        return
+    """Yield a world for clients of a kind."""
     network = Network()
     loop = network.loop()
     with contextlib.closing(loop), network.installed(), complaints_of(loop) as complaints:
-        yield Simulated(kind, network, loop)
+        yield World(kind, network, loop)
         left = [repr(task.get_coro()) for task in asyncio.all_tasks(loop)]
     assert not complaints, complaints
     assert not left, left

@@ -48,14 +48,13 @@ sys.platform = "darwin"
 
 from libmodbus_py import (  # noqa: E402
     AsyncClient,
-    Context,
+    Client,
     Device,
     Gateway,
     Mapping,
     ModbusConnectionError,
     Route,
     Server,
-    TcpContext,
 )
 from libmodbus_py.listen import listen  # noqa: E402
 from libmodbus_py.page import live_page  # noqa: E402
@@ -70,7 +69,7 @@ def device() -> Device:
 
 
 def check_blocking(url: str) -> None:
-    with Context.from_url(f"{url}?keepalive=5", unit=1) as plc:
+    with Client(f"{url}?keepalive=5", unit=1) as plc:
         assert plc.read_holding_registers(0, 3) == WORDS
 
 
@@ -124,7 +123,7 @@ def check_page() -> None:
 def check_closing() -> None:
     """A client that waits is woken from another thread, through the flag."""
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        plc = TcpContext("127.0.0.1", silent.getsockname()[1], unit=1, timeout=60)
+        plc = Client(f"tcp://127.0.0.1:{silent.getsockname()[1]}", unit=1, timeout=60)
         plc.connect()
         timer = threading.Timer(0.05, plc.close)
         timer.start()
@@ -137,7 +136,7 @@ def check_children() -> None:
     """A forked child closes its copies, and asks over a connection of its own."""
     with (
         Server({1: device()}).background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1) as plc,
+        Client(running.urls[0], unit=1) as plc,
     ):
         assert plc.read_holding_registers(0, 3) == WORDS
         child = os.fork()
@@ -153,12 +152,12 @@ def check_serial() -> None:
     with SerialWire() as wire, Server({1: device()}).background(f"rtu://{wire.server}"):
         check_blocking(f"rtu://{wire.client}")
         with pytest.raises(ModbusConnectionError, match="baudrate 12345 refused"):
-            Context.from_url(f"rtu://{wire.client}?baudrate=12345", unit=1).connect()
+            Client(f"rtu://{wire.client}?baudrate=12345", unit=1).connect()
 
 
 def check_no_serial() -> None:
     with pytest.raises(ImportError, match="halted"):
-        Context.from_url("rtu:///dev/ttyS0", unit=1)
+        Client("rtu:///dev/ttyS0", unit=1)
 
 
 def check_commands() -> None:

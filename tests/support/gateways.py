@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from libmodbus_py import Context, Device, Fault, Gateway, Route, Server
+from libmodbus_py import Client, Device, Fault, Gateway, Route, Server
 from tests.simulation.stage import Stage
 from tests.support.interop import BAUDRATE, UNIT, make_device
 from tests.support.transports import serving
@@ -25,8 +25,8 @@ class Passage(NamedTuple):
     gateway: Gateway
     url: str
 
-    def context(self, unit: int = UNIT, **options: Any) -> Context:
-        return Context.from_url(self.url, unit=unit, **{"timeout": 5.0, **options})
+    def context(self, unit: int = UNIT, **options: Any) -> Client:
+        return Client(self.url, unit=unit, **{"timeout": 5.0, **options})
 
 
 @contextmanager

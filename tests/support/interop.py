@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import pytest
 
-from libmodbus_py import Context, Device, IllegalDataAddress, Mapping, Server
+from libmodbus_py import Client, Device, IllegalDataAddress, Mapping, Server
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.protocol.pdu import ServerId
 from libmodbus_py.tools.testing.wires import SerialWire, TcpWire
@@ -101,7 +101,7 @@ def restore(device: Device) -> None:
     device.files[3].write(9, (0x33CD, 0x0040))
 
 
-def restore_through(context: Context, function: int) -> None:
+def restore_through(context: Client, function: int) -> None:
     """The same for the tables of another server, after a function that writes."""
     if function in (5, 15):
         for first in (10, 1060):
@@ -231,9 +231,9 @@ def c_serving(server: Path, transport: str) -> Iterator[str]:
 # --- what our contexts ask -----------------------------------------------------------------
 
 
-def connected(url: str, **options: Any) -> Context:
+def connected(url: str, **options: Any) -> Client:
     """Return a context of ours for the unit there."""
-    return Context.from_url(url, **{"unit": UNIT, "timeout": TIMEOUT, **options})
+    return Client(url, **{"unit": UNIT, "timeout": TIMEOUT, **options})
 
 
 class Exchange(NamedTuple):
@@ -241,13 +241,13 @@ class Exchange(NamedTuple):
 
     function: int
     name: str
-    ask: Callable[[Context], object]
+    ask: Callable[[Client], object]
     answer: object = None
-    look: Callable[[Context], object] = lambda context: None
+    look: Callable[[Client], object] = lambda context: None
     seen: object = None
 
 
-def call(method: str, *arguments: Any) -> Callable[[Context], Any]:
+def call(method: str, *arguments: Any) -> Callable[[Client], Any]:
     """Return what calls a method of a context."""
     return methodcaller(method, *arguments)
 
@@ -306,7 +306,7 @@ def refusals() -> Iterator[Exchange]:
         yield Exchange(function, "refused", ask)
 
 
-def check_all(context: Context) -> None:
+def check_all(context: Client) -> None:
     """Assert that a context gets the answers and the refusals of the standard functions."""
     for check, exchange in each(exchanges(), lambda case: f"{case.function}-{case.name}"):
         with check:
@@ -321,24 +321,19 @@ def check_all(context: Context) -> None:
 # --- our contexts and a server of others -----------------------------------------------------
 
 
-def each_way(
+def of_a_client(
     peer: str, transport: str, cases: Iterable[Exchange]
-) -> Iterator[tuple[str, tuple[Exchange, dict[str, Any]]]]:
-    """Yield each case with its id, and with the options of each way that a context has there."""
-    ways: dict[str, dict[str, Any]] = {"python": {"native": False}}
-    if transport in ("tcp", "rtu"):
-        ways["native"] = {"native": True}
-    for exchange in cases:
-        for way, options in ways.items():
-            name = case_id(peer, "client", transport, exchange.function, exchange.name, way)
-            yield name, (exchange, options)
+) -> Iterator[tuple[str, Exchange]]:
+    """Yield each case of a client of ours with its id."""
+    for case in cases:
+        yield case_id(peer, "client", transport, case.function, case.name), case
 
 
 def check_answers(url: str, peer: str, cases: Iterable[Exchange], record: Record) -> None:
     """Assert that contexts get each answer of a server, and that it does what it is asked."""
-    for check, (exchange, options) in tried(record, each_way(peer, parse(url).scheme, cases)):
-        with check, connected(url, **options) as context:
-            for _ in range(2):  # on a line the second goes the short way
+    for check, exchange in tried(record, of_a_client(peer, parse(url).scheme, cases)):
+        with check, connected(url) as context:
+            for _ in range(2):
                 assert exchange.ask(context) == exchange.answer
                 assert exchange.look(context) == exchange.seen
             restore_through(context, exchange.function)
@@ -346,9 +341,9 @@ def check_answers(url: str, peer: str, cases: Iterable[Exchange], record: Record
 
 def check_refusals(url: str, peer: str, record: Record) -> None:
     """Assert that contexts raise what a server refuses, and go on."""
-    for check, (exchange, options) in tried(record, each_way(peer, parse(url).scheme, refusals())):
+    for check, exchange in tried(record, of_a_client(peer, parse(url).scheme, refusals())):
         # A line is silent for a timeout where an answer could be that of the request before.
-        with check, connected(url, timeout=2.0, **options) as context:
+        with check, connected(url, timeout=2.0) as context:
             for _ in range(2):
                 with pytest.raises(IllegalDataAddress) as caught:
                     exchange.ask(context)

@@ -21,9 +21,9 @@ from libmodbus_py import Point, RegisterMap
 from libmodbus_py.bound import MapBinding
 
 if TYPE_CHECKING:
-    from libmodbus_py import AsyncClient, Context
+    from libmodbus_py import AsyncClient, Client
 
-ClientT = TypeVar("ClientT", "Context", "AsyncClient")
+ClientT = TypeVar("ClientT", "Client", "AsyncClient")
 
 MeterName = Literal[
     'voltage',
@@ -102,7 +102,7 @@ class _MeterRequests(MapBinding, Generic[ClientT]):
 
     @overload
     def read(
-        self: _MeterRequests[Context], *attributes: MeterName
+        self: _MeterRequests[Client], *attributes: MeterName
     ) -> None: ...
     @overload
     def read(
@@ -114,7 +114,7 @@ class _MeterRequests(MapBinding, Generic[ClientT]):
 
     @overload
     def write(
-        self: _MeterRequests[Context], **values: Unpack[MeterValues]
+        self: _MeterRequests[Client], **values: Unpack[MeterValues]
     ) -> None: ...
     @overload
     def write(

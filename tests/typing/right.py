@@ -13,10 +13,8 @@ from meter import Meter
 
 from libmodbus_py import (
     Access,
-    AsciiContext,
     AsyncClient,
     Client,
-    Context,
     Device,
     Gateway,
     Hook,
@@ -27,14 +25,10 @@ from libmodbus_py import (
     Read,
     RegisterMap,
     Route,
-    RtuContext,
     Security,
     Server,
     State,
-    TcpContext,
-    TlsContext,
     Traced,
-    UdpContext,
     load_map,
     pdu,
 )
@@ -44,20 +38,20 @@ from libmodbus_py.maps.watched import PolledValues
 from libmodbus_py.protocol.words import TypeName, string_type
 
 ALL = [
-    TcpContext("192.0.2.10", unit=17, timeout=1.0, framing="rtu", native=False),
-    UdpContext("192.0.2.10", 502, unit=17),
-    RtuContext("/dev/ttyUSB0", 19200, parity="E", stop_bits=1, rs485="kernel", silence=0.01),
-    AsciiContext("/dev/ttyUSB0", 9600, parity="N", data_bits=7),
+    Client("rtu+tcp://192.0.2.10", unit=17, timeout=1.0),
+    Client("udp://192.0.2.10:502", unit=17),
+    Client(
+        "rtu:///dev/ttyUSB0", baudrate=19200, parity="E", stop_bits=1, rs485="kernel", silence=0.01
+    ),
+    Client("ascii:///dev/ttyUSB0", baudrate=9600, parity="N", data_bits=7),
 ]
-TcpContext("192.0.2.10", retries=2, trace=print)
-TcpContext("192.0.2.10", request_spacing=0.01, connect_delay=0.5, keepalive=None)
-TcpContext("192.0.2.10", accept_unit="any", max_pause=5, timeouts_before_reconnect=1)
-AsciiContext("/dev/ttyUSB0", delimiter=0x0A)
-RtuContext("/dev/ttyUSB0", rs485=None, rts_delay=None, echo=True, busy_retries=3, turnaround=0.2)
-Context.from_url("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)
-Context.from_url("rtu:///dev/ttyUSB0", baudrate=9600, parity="N", native=False)
+Client("tcp://192.0.2.10", retries=2, trace=print)
+Client("tcp://192.0.2.10", request_spacing=0.01, connect_delay=0.5, keepalive=None)
+Client("tcp://192.0.2.10", accept_unit="any", max_pause=5, timeouts_before_reconnect=1)
+Client("ascii:///dev/ttyUSB0", delimiter=0x0A)
+Client("rtu:///dev/ttyUSB0", rs485=None, rts_delay=None, echo=True, busy_retries=3, turnaround=0.2)
 Client("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)
-Client("rtu:///dev/ttyUSB0", baudrate=9600, parity="N", native=False)
+Client("rtu:///dev/ttyUSB0", baudrate=9600, parity="N")
 AsyncClient("tcp://192.0.2.10", unit=17, max_in_flight=4, on_state=print)
 AsyncClient("tcp://192.0.2.10", may_send=lambda: True)
 AsyncClient("tcp://192.0.2.10", retries=2, trace=print)
@@ -65,8 +59,8 @@ AsyncClient("tcp://192.0.2.10", statistics=AsyncClient("tcp://192.0.2.11").stati
 OWN = Security("own.pem", "own-key.pem", trust="ca.pem", server_name="plc.example", password="x")
 Security(cert="own.pem", key="own-key.pem", ca="ca.pem")
 Security(Path("own.pem"), pin=["device.pem", Path("other.pem"), "ab" * 32])
-TlsContext("192.0.2.10", security=OWN, unit=17, timeout=1.0)
-Context.from_url("tls://192.0.2.10", security=OWN)
+Client("tls://192.0.2.10", security=OWN, unit=17, timeout=1.0)
+Client("tls://192.0.2.10", security=OWN)
 AsyncClient("tls://192.0.2.10", security=OWN)
 
 
@@ -79,10 +73,10 @@ def traced(each: Traced) -> None:
     assert_type(each.unit, int | None)
 
 
-UdpContext("192.0.2.10", on_state=told, trace=traced)
+Client("udp://192.0.2.10", on_state=told, trace=traced)
 
 
-def blocking(plc: TcpContext) -> None:
+def blocking(plc: Client) -> None:
     assert_type(plc.read_coils(0, 8), list[bool])
     assert_type(plc.read_holding_registers(address=0, count=8), list[int])
     assert_type(plc.read_file_records([(4, 1, 2)]), list[list[int]])
@@ -94,19 +88,19 @@ def blocking(plc: TcpContext) -> None:
     plc.write_registers(0, (number for number in range(8)))
 
 
-def handles(plc: TcpContext) -> None:
-    assert_type(plc.for_unit(3), TcpContext)
+def handles(plc: Client) -> None:
+    assert_type(plc.for_unit(3), Client)
     assert_type(plc.for_unit(3, timeout=0.3, retries=1).read_coils(0, 8), list[bool])
     assert_type(plc.execute(pdu.ReadCoils(0, 8), timeout=0.1, retries=2), list[bool])
     assert_type(plc.statistics.late_answers, int)
     assert_type(plc.statistics.last_success, float | None)
     assert_type(plc.state, State)
     with plc as same:
-        assert_type(same, TcpContext)
+        assert_type(same, Client)
     plc.timeout = 0.5
 
 
-def values(plc: TcpContext) -> None:
+def values(plc: Client) -> None:
     plc.read_values("holding_registers", 100, "float32", 2, order="CDAB")
     plc.read_values("input_registers", 100, "string:16", encoding="latin-1", padding=" ")
     plc.write_value("holding_registers", 100, "pump", "string:8", padding=" ")
@@ -115,7 +109,7 @@ def values(plc: TcpContext) -> None:
     plc.write_values("holding_registers", 100, [3.14], "float64", order="DCBA")
 
 
-def typed(plc: TcpContext, type: TypeName) -> None:
+def typed(plc: Client, type: TypeName) -> None:
     assert_type(plc.read_value("holding_registers", 100, "float32", order="CDAB"), float)
     assert_type(plc.read_value("input_registers", 100, "uint16"), int)
     assert_type(plc.read_value("input_registers", 100, "bcd32"), int)
@@ -141,7 +135,7 @@ def named_values() -> None:
     device.load(Path("meter.state"))
 
 
-def classes(plc: TcpContext) -> None:
+def classes(plc: Client) -> None:
     meter = Meter(plc, gap=4)
     assert_type(meter.read(), None)
     meter.read("voltage", "energy_total")
@@ -167,7 +161,7 @@ async def awaited_classes(plc: AsyncClient) -> None:
     await bound.read()
 
 
-def many(plc: TcpContext) -> None:
+def many(plc: Client) -> None:
     for key, read in plc.read_many({"level": ("coils", 0, 8)}).items():
         assert_type(key, str)
         assert_type(read, list[Any])
@@ -186,7 +180,7 @@ def many(plc: TcpContext) -> None:
         assert_type(values, dict[str, list[Any] | ModbusError])
 
 
-def named(plc: TcpContext) -> None:
+def named(plc: Client) -> None:
     meter = load_map(Path("meter.csv"))
     assert_type(meter["level"], Point)
     assert_type(plc.read_map(meter), dict[str, Any])

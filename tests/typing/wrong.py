@@ -10,9 +10,8 @@ from __future__ import annotations
 from meter import Meter
 
 from libmodbus_py import (
-    AsciiContext,
     AsyncClient,
-    Context,
+    Client,
     Device,
     Gateway,
     Hook,
@@ -20,41 +19,36 @@ from libmodbus_py import (
     Point,
     Read,
     Route,
-    RtuContext,
     Security,
     Server,
-    TcpContext,
-    TlsContext,
     load_map,
     pdu,
 )
 from libmodbus_py.listen import Separator, listen
 
-TcpContext("192.0.2.10", timout=1.0)  # wrong
-TcpContext("192.0.2.10", framing="tpc")  # wrong
-TcpContext("192.0.2.10", unit="17")  # wrong
-TcpContext("192.0.2.10", native=None)  # wrong
-TcpContext("192.0.2.10", accept_unit="all")  # wrong
-TcpContext("192.0.2.10", baudrate=9600)  # wrong
-TcpContext("192.0.2.10", trace="wire.log")  # wrong
-RtuContext("/dev/ttyUSB0", parity="mark")  # wrong
-RtuContext("/dev/ttyUSB0", rs485="rts")  # wrong
-AsciiContext("/dev/ttyUSB0", delimiter="\n")  # wrong
-Context.from_url("tcp://192.0.2.10", unti=3)  # wrong
-Context.from_url("tcp://192.0.2.10", timeout="1")  # wrong
+Client("tcp://192.0.2.10", timout=1.0)  # wrong
+Client("tcp://192.0.2.10", unit="17")  # wrong
+Client("tcp://192.0.2.10", accept_unit="all")  # wrong
+Client("tcp://192.0.2.10", 502)  # wrong
+Client("tcp://192.0.2.10", trace="wire.log")  # wrong
+Client("rtu:///dev/ttyUSB0", parity="mark")  # wrong
+Client("rtu:///dev/ttyUSB0", rs485="rts")  # wrong
+Client("ascii:///dev/ttyUSB0", delimiter="\n")  # wrong
+Client("tcp://192.0.2.10", unti=3)  # wrong
+Client("tcp://192.0.2.10", timeout="1")  # wrong
 AsyncClient("tcp://192.0.2.10", retires=2)  # wrong
 AsyncClient("tcp://192.0.2.10", unti=2)  # wrong
-AsyncClient("tcp://192.0.2.10", native=False)  # wrong
+Client("tcp://192.0.2.10", may_send=print)  # wrong
 AsyncClient("tcp://192.0.2.10", statistics={})  # wrong
 Security("own.pem", trust=5)  # wrong
 Security("own.pem", trust="ca.pem", password=b"x")  # wrong
 Security("own.pem", ca=5)  # wrong
-TlsContext("192.0.2.10", security="own.pem")  # wrong
-TlsContext("192.0.2.10", framing="rtu")  # wrong
+Client("tls://192.0.2.10", security="own.pem")  # wrong
+Client("tls://192.0.2.10", framing="rtu")  # wrong
 Read("coil", 0)  # wrong
 
 
-def blocking(plc: TcpContext) -> None:
+def blocking(plc: Client) -> None:
     plc.read_values("holding_regs", 0, "float32")  # wrong
     plc.read_values("holding_registers", 0, "flaot32")  # wrong
     plc.read_values("holding_registers", 0, "float32", order="ABDC")  # wrong
@@ -80,7 +74,7 @@ def blocking(plc: TcpContext) -> None:
     print(plc.statistics.late_answer)  # wrong
 
 
-def confused(plc: TcpContext) -> list[bool]:
+def confused(plc: Client) -> list[bool]:
     return plc.read_holding_registers(0, 8)  # wrong
 
 
@@ -119,7 +113,7 @@ def hearing(separator: Separator) -> None:
     separator.feed(b"", 0.0, "master")  # wrong
 
 
-def misspelt(plc: TcpContext) -> None:
+def misspelt(plc: Client) -> None:
     meter = Meter(plc)
     print(meter.volttage)  # wrong
     meter.read("volttage")  # wrong
@@ -145,8 +139,8 @@ async def misspelt_and_awaited(plc: AsyncClient) -> None:
     await meter.read("volttage")  # wrong
     values: list[str] = await plc.read_values("holding_registers", 0, "float32")  # wrong
     print(values)
-    await Meter(TcpContext("192.0.2.10")).read()  # wrong
+    await Meter(Client("tcp://192.0.2.10")).read()  # wrong
     for polled in plc.watch({"level": ("coils", 0, 8)}, every=1):  # wrong
         print(polled)
-    async for awaited in TcpContext("192.0.2.10").watch("meter.toml", every=1):  # wrong
+    async for awaited in Client("tcp://192.0.2.10").watch("meter.toml", every=1):  # wrong
         print(awaited)

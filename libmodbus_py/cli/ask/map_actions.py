@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path, PurePath
 from typing import Any
 
-from ...client.blocking import Context
+from ...client.blocking import Client
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap
 from ...ports.endpoint import parse
@@ -51,7 +51,7 @@ def check(options: argparse.Namespace) -> int:
         return max([_check_file(file, columns, context) for file in options.files])
 
 
-def _check_file(file: str, columns: dict[str, str], context: Context | None = None) -> int:
+def _check_file(file: str, columns: dict[str, str], context: Client | None = None) -> int:
     try:
         contents = contents_of(map_file(file), MOST_MISTAKES, columns)
     except ValueError as error:
@@ -85,7 +85,7 @@ def _tables(points: RegisterMap) -> Iterator[str]:
                 yield f"  read {each.address} {each.count}"
 
 
-def _check_device(points: RegisterMap, context: Context) -> int:
+def _check_device(points: RegisterMap, context: Client) -> int:
     """Print the points that a device refuses; return 1 if there are any."""
     context.connect()
     values = context.read_map(points, return_exceptions=True)

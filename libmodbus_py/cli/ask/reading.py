@@ -17,7 +17,7 @@ from contextlib import ExitStack, closing
 from functools import partial
 from typing import Any, TextIO
 
-from ...client.blocking import Context
+from ...client.blocking import Client
 from ...maps.holes import Holes, carried_out, reading
 from ...maps.plan import Plan
 from ...maps.watched import PointIntervals, Totals
@@ -106,7 +106,7 @@ class Reader:
         self._results: dict[int, ReadResult] = {}
         self._holes = Holes()
 
-    def ask(self, context: Context, at: float = 0.0) -> list[ReadResult]:
+    def ask(self, context: Client, at: float = 0.0) -> list[ReadResult]:
         """
         Ask for all items that are due; if the device refuses one, the others are still read.
 
@@ -132,7 +132,7 @@ class Reader:
             raise CommandError(results[0].failure)
         return results
 
-    def _read(self, context: Context, due: tuple[int, ...] | None) -> dict[int, ReadResult]:
+    def _read(self, context: Client, due: tuple[int, ...] | None) -> dict[int, ReadResult]:
         """Read the items with some indexes, None for all, and the points that scale them."""
         indexes = tuple(range(len(self.items))) if due is None else due
         items = [*self._sources, *(self.items[at] for at in indexes)]
@@ -157,7 +157,7 @@ class Reader:
         indexes = range(len(self.items))
         return [found[at].fields.get("value") if at in found else None for at in indexes]
 
-    def _answers(self, context: Context, status: Status, requests: Sequence[Any]) -> list[Any]:
+    def _answers(self, context: Client, status: Status, requests: Sequence[Any]) -> list[Any]:
         """Send requests up to the first failure that ends the read, which is raised."""
         answers: list[Any] = []
         while len(answers) < len(requests):
@@ -178,7 +178,7 @@ def read(options: argparse.Namespace) -> int:
     items = next(iter(readers.values())).items
     printer = printer_of(options, items, several=len(readers) > 1, are_polls=False)
 
-    def ask(client: Context) -> int:
+    def ask(client: Client) -> int:
         results = readers[client.unit].ask(client)
         printer(client.unit, results, "")
         sys.stdout.flush()
@@ -232,7 +232,7 @@ def _times(interval: float, count: int | None, lasts: float) -> Iterator[float]:
         due = begun + ((time.monotonic() - begun) // interval + 1) * interval
 
 
-def _poll(reader: Reader, context: Context, due: float, printers: Sequence[Printer]) -> bool:
+def _poll(reader: Reader, context: Client, due: float, printers: Sequence[Printer]) -> bool:
     """Print the results of a unit, or why there are none; return True if there are results."""
     results, reason = list[ReadResult](), ""
     try:

@@ -19,7 +19,7 @@ from ..arguments import declare
 from ..output import print_json
 
 if TYPE_CHECKING:
-    from ...client.blocking import Context
+    from ...client.blocking import Client
     from .units import Named
 
 __all__ = ["add_command"]
@@ -106,14 +106,14 @@ def _identify(options: argparse.Namespace) -> int:
     level = options.level
     wanted: Any = number_of("level", level) if level[:1].isdigit() else level
 
-    def identification(context: Context) -> Named:
+    def identification(context: Client) -> Named:
         found = context.read_device_identification(wanted).objects
         if wanted in ("regular", "extended") and MANDATORY - found.keys():
             with suppress(ModbusError):  # some devices leave out what the basic level has
                 found = {**context.read_device_identification("basic").objects, **found}
         return [(OBJECT_NAMES.get(at, f"object {at}"), found[at]) for at in sorted(found)]
 
-    def server_id(context: Context) -> Named:
+    def server_id(context: Client) -> Named:
         found = context.report_server_id()
         is_told = found.running is not None
         return [("server id", found.data), *[("running", found.running)] * is_told]
@@ -133,7 +133,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     sub, data = _sub_function(options.sub_function), number_of("data", options.data)
     several = len(units_of(options)) > 1
 
-    def ask(client: Context) -> None:
+    def ask(client: Client) -> None:
         answer = _answer(client, sub, data)
         if options.json:
             print_json({"unit": client.unit, _name(sub): answer})
@@ -143,7 +143,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     return ask_units(options, ask, partial(fail, as_json=options.json, lacks="answer"))
 
 
-def _answer(context: Context, sub: int, data: int) -> int:
+def _answer(context: Client, sub: int, data: int) -> int:
     """Return the data of the answer, or `data` if a device that shall listen only is silent."""
     from ...protocol.errors import ModbusTimeoutError
     from ...protocol.pdu import RawRequest, SubFunction
@@ -157,14 +157,14 @@ def _answer(context: Context, sub: int, data: int) -> int:
     return data
 
 
-def _questions() -> dict[str, Callable[[Context], Named]]:
+def _questions() -> dict[str, Callable[[Client], Named]]:
     """Return the requests that change nothing in the device."""
     from ...protocol.pdu import SubFunction
 
-    def status(context: Context) -> Named:
+    def status(context: Client) -> Named:
         return [("exception status", f"{context.read_exception_status():08b}")]
 
-    def counter(sub: int, context: Context) -> Named:
+    def counter(sub: int, context: Client) -> Named:
         return [(_name(sub), context.diagnostics(sub))]
 
     counters = range(SubFunction.BUS_MESSAGE_COUNT, SubFunction.BUS_CHARACTER_OVERRUN_COUNT + 1)

@@ -11,7 +11,7 @@ from contextlib import closing
 from functools import partial
 from typing import Any
 
-from ...client.blocking import Context
+from ...client.blocking import Client
 from ...protocol.errors import (
     ExceptionResponse,
     InvalidResponse,
@@ -41,14 +41,14 @@ def units_of(options: argparse.Namespace) -> list[int]:
     return options.units or [endpoint_of(options).client_options.get("unit", 1)]
 
 
-def client_of(context: Context, unit: int) -> Context:
+def client_of(context: Client, unit: int) -> Client:
     """Return a client for a unit that shares the connection of another."""
     return context if context.unit == unit else context.for_unit(unit)
 
 
 def ask_units(
     options: argparse.Namespace,
-    ask: Callable[[Context], int | None],
+    ask: Callable[[Client], int | None],
     fail: Callable[[int, str], None],
 ) -> int:
     """
@@ -83,7 +83,7 @@ def fail(unit: int, reason: str, *, as_json: bool, lacks: str) -> None:
 
 
 def report_units(
-    options: argparse.Namespace, questions: Mapping[str, Callable[[Context], Named]]
+    options: argparse.Namespace, questions: Mapping[str, Callable[[Client], Named]]
 ) -> int:
     """Print the answers of each unit that was typed, and return the highest exit code."""
     as_json, several = options.json, len(units_of(options)) > 1
@@ -92,8 +92,8 @@ def report_units(
 
 
 def print_report(
-    context: Context,
-    questions: Mapping[str, Callable[[Context], Named]],
+    context: Client,
+    questions: Mapping[str, Callable[[Client], Named]],
     *,
     as_json: bool,
     several: bool = False,

@@ -10,7 +10,7 @@ from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ...client.blocking import Context
+from ...client.blocking import Client
 from ...maps.typed import typed_register, typed_value
 from ...protocol import pdu
 from ...protocol.errors import ModbusError
@@ -84,7 +84,7 @@ def _show(options: argparse.Namespace, requests: list[Request]) -> None:
         print(f"> {text}  unit {unit}, {request}")
 
 
-def _say(context: Context, map: RegisterMap | None, write: Write, cells: list[int] | None) -> None:
+def _say(context: Client, map: RegisterMap | None, write: Write, cells: list[int] | None) -> None:
     """Print what was written, and the cells that --verify read; None without it."""
     item = write.item
     name = item.label() if item.point is None else item.point.name
@@ -189,7 +189,7 @@ def _register(text: str) -> int:
 # --- verifying -----------------------------------------------------------------------
 
 
-def _verified(context: Context, write: Write, differing: list[str]) -> list[int]:
+def _verified(context: Client, write: Write, differing: list[str]) -> list[int]:
     """Read what was written; return the cells, and add a line for each cell that differs."""
     from ...device.access import touched
 

@@ -8,7 +8,7 @@ import argparse
 from functools import partial
 from typing import Any
 
-from ...client.blocking import Context
+from ...client.blocking import Client
 from .. import arguments
 from ..arguments import declare
 from ..ask.units import ask_units, fail, units_of
@@ -44,7 +44,7 @@ def _sunspec(options: argparse.Namespace) -> int:
     several = len(units_of(options)) > 1
     rows: list[dict[str, Any]] = []
 
-    def report(client: Context) -> None:
+    def report(client: Client) -> None:
         found = _asked(client, options.base)
         if several:
             found = [{"unit": client.unit, **row} for row in found]
@@ -62,7 +62,7 @@ def _sunspec(options: argparse.Namespace) -> int:
     return code
 
 
-def _asked(context: Context, base: int | None) -> list[dict[str, Any]]:
+def _asked(context: Client, base: int | None) -> list[dict[str, Any]]:
     """Return a row for each point of each model of a unit."""
     from ...tools.sunspec import BASES, discover
 

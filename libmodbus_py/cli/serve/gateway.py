@@ -30,7 +30,7 @@ __all__ = ["add_command"]
 OPTIONS = ("own_units", "queue", "longest_wait", "writes_first")
 """Arguments of `Gateway` that a gateway file contains too."""
 
-OF_DEVICES = tuple(name for name in CLIENT_OPTIONS if name not in ("unit", "native"))
+OF_DEVICES = tuple(name for name in CLIENT_OPTIONS if name != "unit")
 """Options of clients that the URLs of --to take."""
 
 ROUTE = "[UNITS[:DEVICE_UNITS]=]URL"
@@ -87,7 +87,7 @@ def add_command(command: argparse.ArgumentParser) -> None:
     declare(group, OF_WAITING, lambda: defaults, writes_first={"default": None})
     arguments.add_client_options(
         command.add_argument_group("requests to the devices"),
-        without=("unit", "native"),
+        without=("unit",),
         usual=lambda: {"max_pause": f"{MAX_PAUSE:g}"},
     )
     add_limits(command)

@@ -104,9 +104,9 @@ from libmodbus_py import Point, RegisterMap
 from libmodbus_py.bound import MapBinding
 
 if TYPE_CHECKING:
-    from libmodbus_py import AsyncClient, Context
+    from libmodbus_py import AsyncClient, Client
 
-ClientT = TypeVar("ClientT", "Context", "AsyncClient")
+ClientT = TypeVar("ClientT", "Client", "AsyncClient")
 
 {name}Name = {attributes}
 
@@ -127,7 +127,7 @@ class _{name}Requests(MapBinding, Generic[ClientT]):
 
     @overload
     def read(
-        self: _{name}Requests[Context], *attributes: {name}Name
+        self: _{name}Requests[Client], *attributes: {name}Name
     ) -> None: ...
     @overload
     def read(
@@ -139,7 +139,7 @@ class _{name}Requests(MapBinding, Generic[ClientT]):
 
     @overload
     def write(
-        self: _{name}Requests[Context], **values: Unpack[{name}Values]
+        self: _{name}Requests[Client], **values: Unpack[{name}Values]
     ) -> None: ...
     @overload
     def write(

@@ -16,7 +16,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
-from ...client.blocking import Context
+from ...client.blocking import Client
 from ...ports.endpoint import Endpoint
 from ...ports.schemes import SERIAL_DEFAULTS, parity_of
 from ...ports.trace import Traced
@@ -111,7 +111,7 @@ class Place:
         characters = size * CHARACTERS[self.endpoint.framing]
         return self.timeout + characters * CHARACTER / float(self.settings["baudrate"])
 
-    def context(self, **options: Any) -> Context:
+    def context(self, **options: Any) -> Client:
         """Make a client that repeats no request and sends none by itself."""
         options |= {"retries": 0, "busy_retries": 0, "max_pause": 0}
         options["timeouts_before_reconnect"] = NEVER_DEAD
@@ -120,7 +120,7 @@ class Place:
             options["accept_unit"] = "any"
         if self.security is not None:
             options["security"] = self.security
-        return Context(self.endpoint, options)
+        return Client(self.endpoint.url, **options)
 
 
 def places(
@@ -200,7 +200,7 @@ class Answer(NamedTuple):
 class Prober:
     """Sends requests to the units of one place after the other; `waker` has the clock."""
 
-    context: Context
+    context: Client
     waker: Waker
 
     def __init__(self) -> None:

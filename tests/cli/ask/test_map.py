@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Client, Device, Fault, Mapping, Server, TcpContext, load_map, sunspec
+from libmodbus_py import Client, Device, Fault, Mapping, Server, load_map, sunspec
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case
 from tests.support.commands import Done, Started, run
@@ -43,7 +43,7 @@ def test_a_skeleton_reads_what_the_device_has(url: str, tmp_path: Path, suffix: 
     done = mapped("from-device", url.removeprefix("tcp://"), "-u", "3", "-o", file)
     assert done.out == ""
     assert done.err == f"{file}: 5 points; fill in names, types and units\n"
-    with TcpContext("127.0.0.1", int(url.rpartition(":")[2]), unit=3, timeout=5) as plc:
+    with Client(f"tcp://127.0.0.1:{int(url.rpartition(':')[2])}", unit=3, timeout=5) as plc:
         assert plc.read_map(load_map(file)) == {
             "coil_0": False,
             "coil_1": False,

@@ -16,13 +16,13 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
+    Client,
     ExceptionResponse,
     Fault,
     IllegalFunction,
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
-    TcpContext,
 )
 from libmodbus_py.cli.ask.units import print_report
 from libmodbus_py.cli.main import CommandError
@@ -95,11 +95,11 @@ def test_diagnose_takes_silence_for_consent_to_listen_only(maker: ServerMaker) -
 # --- identify and diagnose --------------------------------------------------------------------
 
 
-Question = Callable[[TcpContext], list[tuple[str, Any]]]
+Question = Callable[[Client], list[tuple[str, Any]]]
 
 
 def question(answer: ModbusError | list[tuple[str, Any]]) -> Question:
-    def ask(context: TcpContext) -> list[tuple[str, Any]]:
+    def ask(context: Client) -> list[tuple[str, Any]]:
         if isinstance(answer, ModbusError):
             raise answer
         return answer
@@ -111,7 +111,7 @@ def report(questions: dict[str, Question], *, as_json: bool = False) -> str:
     out = io.StringIO()
     with (
         ServerMaker() as maker,
-        TcpContext.from_url(maker().url, unit=7) as context,
+        Client(maker().url, unit=7) as context,
         contextlib.redirect_stdout(out),
     ):
         print_report(context, questions, as_json=as_json)
@@ -143,7 +143,7 @@ def test_a_device_that_says_nothing_is_not_asked_everything(error: ModbusError) 
     asked: list[str] = []
 
     def silent(name: str) -> Question:
-        def ask(context: TcpContext) -> list[tuple[str, Any]]:
+        def ask(context: Client) -> list[tuple[str, Any]]:
             asked.append(name)
             raise error
 

@@ -15,14 +15,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    Context,
-    Device,
-    IllegalDataAddress,
-    Mapping,
-    ModbusTimeoutError,
-    Server,
-)
+from libmodbus_py import Client, Device, IllegalDataAddress, Mapping, ModbusTimeoutError, Server
 from libmodbus_py.tools.listener.listener import Listener
 from libmodbus_py.tools.listener.transaction import Transaction
 from tests.support.commands import Done, Started, on_terminal, run
@@ -58,7 +51,7 @@ NOT_ANSWERED = bytes.fromhex("02 06 0000 0001")
 
 
 def ask(url: str) -> None:
-    with Context.from_url(url, unit=1, timeout=20) as client:
+    with Client(url, unit=1, timeout=20) as client:
         client.read_holding_registers(0, 3)
         with pytest.raises(IllegalDataAddress):
             client.read_holding_registers(3, 1)
@@ -187,7 +180,7 @@ def test_a_capture_on_a_full_disk_can_be_read(size: int, target: str, tmp_path: 
     with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--capture", path) as made:
         url = url_of(made)
         resource.prlimit(made.pid, resource.RLIMIT_FSIZE, (size, size))
-        with Context.from_url(url, unit=1) as client:
+        with Client(url, unit=1) as client:
             for _ in range(4):
                 assert client.read_holding_registers(0, 1) == [7]
                 assert "-> [7]" in made.stdout.readline()
@@ -217,7 +210,7 @@ def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:
         Server({1: device}).background("rtu+tcp://127.0.0.1:0") as running,
         listening("rtu+tcp://127.0.0.1:0", "--between", running.urls[0]) as made,
     ):
-        with Context.from_url(url_of(made), unit=1) as client:
+        with Client(url_of(made), unit=1) as client:
             client.read_device_identification()
         (line,) = lines_of(made, 1)
     assert "\x1b" not in line

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, ServerDeviceFailure
+from libmodbus_py import Client, ServerDeviceFailure
 from tests.cli.serving import serving
 from tests.support.peers import until
 
@@ -26,7 +26,7 @@ def new_values(path: Path) -> list[Any]:
 
 def test_a_rotated_file_is_left_on_hangup(command: list[str], tmp_path: Path) -> None:
     path, before = tmp_path / "audit.json", tmp_path / "audit.json.1"
-    with serving(*command, TCP, "--audit", path) as (process, url), Context.from_url(url) as plc:
+    with serving(*command, TCP, "--audit", path) as (process, url), Client(url) as plc:
         plc.write_register(0, 1)
         until(lambda: new_values(path) == [[1]])
         path.rename(before)
@@ -40,7 +40,7 @@ def test_a_rotated_file_is_left_on_hangup(command: list[str], tmp_path: Path) ->
 def test_writes_are_refused_while_the_disk_is_full(command: list[str]) -> None:
     """Nothing can be written to /dev/full, as the start of the server shows."""
     with serving(*command, TCP, "--audit", "/dev/full", "--audit-required") as (process, url):
-        with Context.from_url(url) as plc:
+        with Client(url) as plc:
             with pytest.raises(ServerDeviceFailure):
                 plc.write_register(0, 2)
             assert plc.read_holding_registers(0, 1) == [0]

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.protocol.plain import time_text
 from tests.cli.serving import serving
 from tests.support.commands import Started as Forked
@@ -183,7 +183,7 @@ def test_a_gateway_ends_with_the_newest_routes(tmp_path: Path) -> None:
 
         write("1")
         with serving("gateway", "--config", path) as (process, url):
-            with Context.from_url(url, unit=1, timeout=5) as context:
+            with Client(url, unit=1, timeout=5) as context:
                 for unit in range(2, 20):
                     write(f"1,{unit}")
                     for _ in range(2):  # the second perhaps before the first was answered

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Context
+from libmodbus_py import Client
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.commands import PROGRAM
 
@@ -124,7 +124,7 @@ def test_a_state_is_of_its_owner_alone(tmp_path: Path, umask: str) -> None:
         ) as process:
             assert process.stdout is not None
             url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
-            with Context.from_url(url) as plc:
+            with Client(url) as plc:
                 assert plc.read_holding_registers(0, 1) == [0 if value == 7 else 7]
                 plc.write_register(0, value)
             process.terminate()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import ModbusConnectionError, TlsContext
+from libmodbus_py import Client, ModbusConnectionError
 from tests.cli.serving import FLEET_OF_ONE, serving
 from tests.support import certificates
 from tests.support.certificates import Papers
@@ -27,7 +27,7 @@ def test_files_of_certificates_are_read_again_on_hangup(
     own = ["--cert", files.cert, "--key", files.key, "--ca", papers.ca, "--crl", crl]
     with serving(*command, "tls://127.0.0.1:0", *own) as (process, url):
         port = int(url.rpartition(":")[2])
-        with TlsContext("127.0.0.1", port, security=papers.client()) as plc:
+        with Client(f"tls://127.0.0.1:{port}", security=papers.client()) as plc:
             plc.read_holding_registers(0, 1)
 
         renewed = certificates.server(days=30)
@@ -42,8 +42,8 @@ def test_files_of_certificates_are_read_again_on_hangup(
         assert process.stderr.readline() == "certificates and passwords: read again\n"
         until(lambda: shown(port) == renewed.der)
         with pytest.raises(ModbusConnectionError, match="refused our certificate"):
-            TlsContext("127.0.0.1", port, security=papers.client()).read_holding_registers(0, 1)
-        with TlsContext("127.0.0.1", port, security=papers.client("Viewer")) as plc:
+            Client(f"tls://127.0.0.1:{port}", security=papers.client()).read_holding_registers(0, 1)
+        with Client(f"tls://127.0.0.1:{port}", security=papers.client("Viewer")) as plc:
             plc.read_holding_registers(0, 1)
 
 

@@ -12,13 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import (
-    Client,
-    Context,
-    Device,
-    Mapping,
-    Server,
-)
+from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.cli.serve.running import announce
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.cli.serving import serving
@@ -130,7 +124,7 @@ def test_sharing_a_device_takes_one_command(device: str) -> None:
         others = [process.stdout.readline().split()[-1] for _ in schemes[1:]]
         for url, scheme in zip([first, *others], schemes, strict=True):
             assert url.startswith(f"{scheme}://")
-            with Context.from_url(url, unit=1) as context:
+            with Client(url, unit=1) as context:
                 context.write_register(0, len(url))
                 assert context.read_holding_registers(0, 1) == [len(url)]
 
@@ -144,7 +138,7 @@ def test_the_gateway_is_shown() -> None:
             with Visitor(page_url(page)).watching() as visitor:
                 assert visitor.seen["head"]["kind"] == "gateway"
                 assert visitor.seen["head"]["title"] == "tcp://127.0.0.1:0"
-                with Context.from_url(listening.split()[-1], unit=5, timeout=10) as plc:
+                with Client(listening.split()[-1], unit=5, timeout=10) as plc:
                     plc.read_holding_registers(0, 2)
                 visitor.receive(lambda: visitor.seen["log"])
                 visitor.look_at(find="127.0.0.1 function")

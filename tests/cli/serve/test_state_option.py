@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Context
+from libmodbus_py import Client
 from tests.cli.serving import serving
 from tests.support.cases import each_case
 from tests.support.commands import run
@@ -39,12 +39,12 @@ def test_values_of_plain_tables_survive(end: signal.Signals, tmp_path: Path) -> 
     state = tmp_path / f"state-{end}"
     with (
         serving(*SERVE, "--state", state, end=end) as (_, url),
-        Context.from_url(url, unit=9) as plc,
+        Client(url, unit=9) as plc,
     ):
         plc.write_registers(65534, [7, 8])
         plc.write_coil(3, True)
         plc.write_file_records([(10, 9999, [42])])
-    with serving(*SERVE, "--state", state) as (_, url), Context.from_url(url) as plc:
+    with serving(*SERVE, "--state", state) as (_, url), Client(url) as plc:
         assert plc.read_holding_registers(65533, 3) == [0, 7, 8]
         assert plc.read_coils(2, 3) == [False, True, False]
         assert plc.read_file_records([(10, 9998, 2)]) == [[0, 42]]
@@ -53,7 +53,7 @@ def test_values_of_plain_tables_survive(end: signal.Signals, tmp_path: Path) -> 
 def test_values_of_a_device_file_survive_a_reading_again(plant: Path, tmp_path: Path) -> None:
     state = tmp_path / "state"
     arguments = ("--device", plant, "--state", state)
-    with serving(*SERVE, *arguments) as (process, url), Context.from_url(url, unit=1) as plc:
+    with serving(*SERVE, *arguments) as (process, url), Client(url, unit=1) as plc:
         plc.write_register(3, 33)
         plc.for_unit(2).write_coil(7, True)
         plant.write_text(PLANT + "[[unit.holding_registers]]\naddress = 5\nvalue = 9\n")
@@ -61,7 +61,7 @@ def test_values_of_a_device_file_survive_a_reading_again(plant: Path, tmp_path: 
         assert "read again, 2 units" in process.stderr.readline()
         plc.write_register(4, 44)
         assert plc.for_unit(2).read_holding_registers(5, 1) == [9]
-    with serving(*SERVE, *arguments) as (_, url), Context.from_url(url, unit=1) as plc:
+    with serving(*SERVE, *arguments) as (_, url), Client(url, unit=1) as plc:
         assert plc.read_holding_registers(3, 2) == [33, 44]
         assert plc.for_unit(2).read_coils(7, 1) == [True]
         assert plc.for_unit(2).read_holding_registers(5, 1) == [9]
@@ -71,7 +71,7 @@ def test_a_state_of_other_devices_is_refused_before_anything_is_served(
     plant: Path, tmp_path: Path
 ) -> None:
     state = tmp_path / "state"
-    with serving(*SERVE, "--state", state) as (_, url), Context.from_url(url) as plc:
+    with serving(*SERVE, "--state", state) as (_, url), Client(url) as plc:
         plc.write_register(0, 1)
     done = run(*SERVE, "--device", plant, "--state", state)
     assert done.code == 2
@@ -83,7 +83,7 @@ def test_a_state_of_other_devices_is_refused_before_anything_is_served(
 def test_a_file_that_cannot_be_made_is_told_once(plant: Path) -> None:
     with (
         serving(*SERVE, "--device", plant, "--state", "/sys/state") as (process, url),
-        Context.from_url(url, unit=1) as plc,
+        Client(url, unit=1) as plc,
     ):
         plc.write_register(3, 33)
         assert plc.read_holding_registers(3, 1) == [33]

@@ -13,17 +13,10 @@ import pytest
 from libmodbus_py.tools.certificates import Identity
 from tests.support import certificates
 from tests.support.certificates import Papers
-from tests.support.clients import Connect, connecting
+from tests.support.clients import Connect
 from tests.support.secured import context_of
 from tests.support.tls_clients import LONG, Serving, Talking
 from tests.support.tls_peers import Peer, Script, TlsServer
-
-
-@pytest.fixture(params=["python", "asyncio"])
-def connect(request: pytest.FixtureRequest) -> Iterator[Connect]:
-    """Makes clients of both kinds; C carries nothing over TLS."""
-    with connecting(request.param) as made:
-        yield made
 
 
 @pytest.fixture(params=["1.2", "1.3"])

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, ModbusError, State, pdu
+from libmodbus_py import Client, ModbusError, State, pdu
 from libmodbus_py.ports.tls import TlsPort
 from tests.support.certificates import Papers
 from tests.support.clients import Connect
@@ -91,7 +91,7 @@ def test_a_flood_while_nothing_is_asked(
         connect(server.url, security=papers.client(), timeout=LONG, max_pause=0) as plc,
     ):
         assert plc.read_holding_registers(1, 1) == [1]
-        if not isinstance(plc, Context):
+        if not isinstance(plc, Client):
             until(lambda: plc.state is State.DISCONNECTED)
         else:
             until(lambda: sent[0] > FULL)

@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from libmodbus_py import AsyncClient, Context, Device, Mapping, ModbusConnectionError, Server, State
+from libmodbus_py import AsyncClient, Client, Device, Mapping, ModbusConnectionError, Server, State
 from tests.support import certificates
 from tests.support.certificates import Papers, secured
 from tests.support.clients import Connect
@@ -109,7 +109,7 @@ def test_close_ends_a_handshake(connect: Connect, papers: Papers) -> None:
 
 def test_a_handler_that_closes_in_the_handshake(papers: Papers) -> None:
     with raw(stalls) as url:
-        plc = Context.from_url(url, security=papers.client(), timeout=60)
+        plc = Client(url, security=papers.client(), timeout=60)
         before = descriptors()
         with on_alarm(plc.close, 0.3), pytest.raises(ModbusConnectionError):
             plc.connect()
@@ -121,9 +121,7 @@ def test_a_client_goes_on_after_ctrl_c_in_the_handshake(papers: Papers, serving:
     with (
         serving() as server,
         Relay(server.port, lambda data: [] if is_silent else [data]) as relay,
-        contextlib.closing(
-            Context.from_url(relay.url, security=papers.client(), timeout=LONG)
-        ) as plc,
+        contextlib.closing(Client(relay.url, security=papers.client(), timeout=LONG)) as plc,
     ):
         with on_alarm(interrupt, 0.3), pytest.raises(KeyboardInterrupt):
             plc.connect()
@@ -185,7 +183,7 @@ def _serve(papers: Papers, sock: socket.socket, cut: Callable[[bytes], Iterator[
 def test_a_forked_child_leaves_the_connection_alone(papers: Papers) -> None:
     """It connects anew, and says no goodbye in the parent's name."""
     server = Server(Device(Mapping(holding_registers=10)))
-    with secured(server, papers) as url, Context.from_url(url, timeout=LONG) as plc:
+    with secured(server, papers) as url, Client(url, timeout=LONG) as plc:
         plc.write_register(0, 7)
 
         def ask_and_close() -> None:

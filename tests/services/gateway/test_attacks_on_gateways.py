@@ -10,7 +10,7 @@ from collections.abc import Callable
 import pytest
 
 from libmodbus_py import (
-    Context,
+    Client,
     Device,
     Gateway,
     GatewayTargetFailedToRespond,
@@ -72,7 +72,7 @@ def test_a_device_that_says_anything_has_nothing_of_it_passed_on(stage: Stage, w
     made = Gateway([Route(f"{device.url}?timeout=3&max_pause=1")])
     with (
         made.background("tcp://10.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1, timeout=50) as context,
+        Client(running.urls[0], unit=1, timeout=50) as context,
     ):
         assert context.read_holding_registers(0, 1) == [7]
         asked = stage.now

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import (
-    Context,
+    Client,
     Gateway,
     GatewayPathUnavailable,
     GatewayTargetFailedToRespond,
@@ -37,7 +37,7 @@ def test_a_broadcast_reaches_every_unit_of_every_line(stage: Stage, front: str) 
             made,
             url,
         ),
-        Context.from_url(url, unit=0, timeout=5) as context,
+        Client(url, unit=0, timeout=5) as context,
     ):
         context.write_registers(2, [8, 9])
         stage.pass_time(0.1)
@@ -56,7 +56,7 @@ def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done(
         stage.unreachable.add("10.0.0.9")
     with (
         gateway([Route("rtu+tcp://10.0.0.9:5020?timeout=300", "1")]) as (_, url),
-        Context.from_url(url, unit=0, timeout=5000) as context,
+        Client(url, unit=0, timeout=5000) as context,
         pytest.raises(GatewayTargetFailedToRespond),
     ):
         context.write_register(0, 1)
@@ -70,7 +70,7 @@ def test_a_broadcast_is_done_when_all_lines_have_sent_it(stage: Stage) -> None:
     with (
         Server({1: device}).background(LINE),
         gateway([Route(LINE, "1"), Route(f"{mute.url}?timeout=500", "2")]) as (_, url),
-        Context.from_url(url, unit=0, timeout=5000) as context,
+        Client(url, unit=0, timeout=5000) as context,
     ):
         asked = stage.now
         with pytest.raises(GatewayTargetFailedToRespond):
@@ -107,7 +107,7 @@ def test_the_rules_of_all_routes_of_a_line_hold_for_a_broadcast(stage: Stage) ->
         with (
             Server({1: devices[0], 2: devices[1]}).background(LINE),
             gateway(order) as (made, url),
-            Context.from_url(url, unit=0, timeout=5) as context,
+            Client(url, unit=0, timeout=5) as context,
         ):
             with pytest.raises(IllegalFunction):
                 context.write_register(0, 7)
@@ -153,7 +153,7 @@ def test_nothing_goes_round_between_gateways_that_lead_to_each_other(
     with (
         Server({1: device}).background(LINE),
         circle(LINE, start, start) as (first, second, url),
-        Context.from_url(url, unit=2, timeout=20) as context,
+        Client(url, unit=2, timeout=20) as context,
     ):
         for value in (7, 8, 7):
             with contextlib.suppress(GatewayTargetFailedToRespond):  # the other did not pass it on
@@ -181,7 +181,7 @@ def test_a_broadcast_does_not_go_round_between_gateways_of_one_process_on_unix_s
     with (
         Server({1: device}).background(ends[0]),
         circle(*ends) as (first, second, url),
-        Context.from_url(url, unit=1, timeout=20) as context,
+        Client(url, unit=1, timeout=20) as context,
     ):
         until(lambda: len(first.traffic.lines) == 2)
         context.write_register(3, 4)

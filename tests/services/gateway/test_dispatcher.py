@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from libmodbus_py import (
-    Context,
+    Client,
     GatewayPathUnavailable,
     GatewayTargetFailedToRespond,
     IllegalDataAddress,
@@ -31,7 +31,7 @@ def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
                 Route(one.urls[0], [20, 21], 3),
             ]
         ) as (made, url),
-        Context.from_url(url, timeout=2000) as context,
+        Client(url, timeout=2000) as context,
     ):
 
         def ask(unit: int) -> int:
@@ -67,7 +67,7 @@ def test_255_goes_where_a_route_says_it_and_the_gateway_where_it_is_told(stage: 
     with (
         Server({255: numbered(7)}).background("tcp://10.0.0.9:0") as behind,
         gateway([Route(behind.urls[0], "255")], own_units=[0, 250]) as (_, url),
-        Context.from_url(url) as context,
+        Client(url) as context,
     ):
         assert context.for_unit(255).read_holding_registers(0, 1) == [7]
         for unit in (0, 250):
@@ -83,7 +83,7 @@ def test_on_a_line_the_gateway_answers_its_units_and_leaves_others_to_their_devi
         Server({1: small()}).background("tcp://10.0.0.9:0") as behind,
         gateway([Route(behind.urls[0], "1")], LINE, own_units=[250]) as (made, _),
         Server({7: device}).background(LINE),
-        Context.from_url(LINE, unit=7) as context,
+        Client(LINE, unit=7) as context,
     ):
         for _ in range(2):
             context.write_register(0, 5)

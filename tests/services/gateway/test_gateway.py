@@ -9,15 +9,7 @@ import gc
 
 import pytest
 
-from libmodbus_py import (
-    Context,
-    Fault,
-    Gateway,
-    GatewayPathUnavailable,
-    Route,
-    Server,
-    pdu,
-)
+from libmodbus_py import Client, Fault, Gateway, GatewayPathUnavailable, Route, Server, pdu
 from libmodbus_py.services.gateway.line import GatewayLine
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.given import simulated
@@ -33,7 +25,7 @@ def test_routes_change_and_connections_stay(stage: Stage) -> None:
         Server({n: numbered(n) for n in (1, 2)}).background("tcp://10.0.0.9:0") as one,
         Server({n: numbered(10 + n) for n in (1, 2)}).background("tcp://10.0.0.9:0") as other,
         gateway([Route(one.urls[0], "1"), Route(other.urls[0], "2")]) as (made, url),
-        Context.from_url(url) as context,
+        Client(url) as context,
     ):
 
         def ask(unit: int) -> int:
@@ -102,7 +94,7 @@ def test_who_closes_with_requests_waiting_costs_nothing(stage: Stage, resets: bo
         (client.reset if resets else client.close)()
         assert stage.until(lambda: line.waiting == 0)
         gate.open()
-        with Context.from_url(url, unit=1) as context:
+        with Client(url, unit=1) as context:
             assert context.read_holding_registers(9, 1) == [0]
         assert gate.asked == [0, 9]
         # Who only says that it sends nothing more may still listen.
@@ -138,7 +130,7 @@ def test_a_gateway_can_serve_again_but_not_twice_at_once() -> None:
         made = Gateway([Route(behind.urls[0])])
         for _ in range(2):
             with made.background("tcp://127.0.0.1:0") as running:
-                with Context.from_url(running.urls[0], unit=1) as context:
+                with Client(running.urls[0], unit=1) as context:
                     assert context.read_holding_registers(0, 1) == [0]
                 with pytest.raises(RuntimeError), made.background("tcp://127.0.0.1:0"):
                     pass

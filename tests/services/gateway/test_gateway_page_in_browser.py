@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py import Context, Device, Gateway, IllegalDataAddress, Mapping, Route, Server
+from libmodbus_py import Client, Device, Gateway, IllegalDataAddress, Mapping, Route, Server
 from libmodbus_py.services.gateway.shown_gateway import ShownGateway
 from libmodbus_py.tools.page import samples
 from libmodbus_py.tools.page.page import table_page
@@ -28,7 +28,7 @@ def test_a_person_looks_at_a_gateway(monkeypatch: pytest.MonkeyPatch) -> None:
             gateway.tracing(shown.note),
             gateway.background("tcp://127.0.0.1:0") as running,
             table_page(TableSource(shown)) as page,
-            Context.from_url(running.urls[0], unit=3, timeout=10) as plc,
+            Client(running.urls[0], unit=3, timeout=10) as plc,
             person_at(page.url) as person,
         ):
             person.sees("#status", "no line is down")

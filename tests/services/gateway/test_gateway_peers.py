@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Gateway, Route
+from libmodbus_py import Client, Gateway, Route
 from libmodbus_py.ports.endpoint import parse
 from tests.interop.test_interop_libmodbus import C_CLIENT_CALLS, C_CLIENT_REFUSALS, run_c_client
 from tests.interop.test_interop_mbpoll import (
@@ -78,7 +78,7 @@ def test_pymodbus_client_and_a_device_agree_through_it(front: str) -> None:
 
 
 @contextlib.contextmanager
-def before(line: str) -> Iterator[Context]:
+def before(line: str) -> Iterator[Client]:
     """A context, and a gateway to a line."""
     line += ("&" if "?" in line else "?") + "timeout=2"
     with (

@@ -13,7 +13,7 @@ import pytest
 
 from libmodbus_py import (
     Access,
-    Context,
+    Client,
     ExceptionResponse,
     GatewayTargetFailedToRespond,
     IllegalDataAddress,
@@ -35,7 +35,7 @@ def events() -> Events:
 
 
 @contextlib.contextmanager
-def recorded(stage: Stage, events: Events, **options: Any) -> Iterator[Context]:
+def recorded(stage: Stage, events: Events, **options: Any) -> Iterator[Client]:
     """Return a client of unit 1 behind a gateway, which appends what it records to `events`."""
     with (
         passage(

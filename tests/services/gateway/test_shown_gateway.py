@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
-    Context,
+    Client,
     Device,
     Gateway,
     GatewayTargetFailedToRespond,
@@ -166,7 +166,7 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.Monk
         with (
             gateway.tracing(shown.note),
             gateway.background("tcp://127.0.0.1:0") as running,
-            Context.from_url(running.urls[0], unit=1, timeout=10) as plc,
+            Client(running.urls[0], unit=1, timeout=10) as plc,
             table_page(TableSource(shown)) as page,
         ):
             # Nobody looks at the page yet.

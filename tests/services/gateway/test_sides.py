@@ -11,7 +11,7 @@ import pytest
 
 from libmodbus_py import (
     Access,
-    Context,
+    Client,
     Device,
     Gateway,
     IllegalFunction,
@@ -43,7 +43,7 @@ def test_any_function_goes_over_sockets_and_ports_of_the_system(front: str, back
         every_function(context)
 
 
-def every_function(context: Context) -> None:
+def every_function(context: Client) -> None:
     check_all(context)
     assert context.read_file_records([(4, 7, 2)]) == [[5007, 5008]]
     context.write_file_records([(4, 7, [1, 2])])
@@ -99,7 +99,7 @@ def test_over_tls_roles_are_asked(tmp_path: Path) -> None:
     ):
         for role, is_allowed in (("Operator", True), ("Viewer", False), (None, False)):
             security = papers.client(role=role)
-            with Context.from_url(running.urls[0], unit=1, security=security) as context:
+            with Client(running.urls[0], unit=1, security=security) as context:
                 if is_allowed:
                     context.write_register(3, 4)
                     assert context.read_holding_registers(3, 1) == [4]

@@ -29,7 +29,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from libmodbus_py import (
     AsyncClient,
-    Context,
+    Client,
     Device,
     Gateway,
     GatewayTargetFailedToRespond,
@@ -112,7 +112,7 @@ def test_both_clients_and_the_server_tell_what_happened(registry: CollectorRegis
                 await plc.read_holding_registers(200, 1)
             return values(registry)
 
-    with served() as (server, url), Context.from_url(url, unit=1) as plc:
+    with served() as (server, url), Client(url, unit=1) as plc:
         collect(server, plc, registry=registry)
         start = time.monotonic()
         for _ in range(5):
@@ -158,7 +158,7 @@ def test_the_histogram_puts_answers_where_they_belong(registry: CollectorRegistr
         write(echo(request), after=delays[len(peer.requests) - 1])
 
     peer = Scripted(network, "tcp://10.0.0.1", late)
-    with network.installed(), Context.from_url(peer.url, timeout=30) as plc:
+    with network.installed(), Client(peer.url, timeout=30) as plc:
         collect(plc, registry=registry)
         for _ in took:
             plc.read_holding_registers(0, 1)
@@ -175,12 +175,12 @@ def test_the_histogram_puts_answers_where_they_belong(registry: CollectorRegistr
 
 def test_the_last_success_is_a_time_of_day(registry: CollectorRegistry) -> None:
     name = "modbus_client_last_success_timestamp_seconds"
-    with served() as (_, url), Context.from_url(url) as plc:
+    with served() as (_, url), Client(url) as plc:
         collect(plc, registry=registry)
         assert not [key for key in values(registry) if key[0] == name]
         before = time.time()
         plc.read_coils(0, 1)
-        with Context.from_url(url) as other:  # of two the later
+        with Client(url) as other:  # of two the later
             collect(other, registry=registry)
             other.read_coils(0, 1)
             # The clocks may be set against each other meanwhile.
@@ -193,7 +193,7 @@ ELSEWHERE = ("answer_times", "answer_seconds", "results", "last_success", "certi
 
 def test_every_attribute_has_its_metric_and_its_text(registry: CollectorRegistry) -> None:
     """HELP is what the documentation says; names follow Prometheus's rules."""
-    with served() as (server, url), Context.from_url(url) as plc:
+    with served() as (server, url), Client(url) as plc:
         plc.read_coils(0, 1)
         collect(server, plc, registry=registry)
         text = generate_latest(registry).decode()
@@ -228,8 +228,8 @@ def test_the_end_of_a_certificate_is_a_metric_while_its_endpoint_is_open(
 
 
 def test_endpoints_are_labels_without_settings(registry: CollectorRegistry) -> None:
-    plc = Context.from_url("rtu:///dev/null?baudrate=9600&timeout=0.1")
-    collect(plc, Context.from_url("tcp://[::1]:1502?unit=3"), registry=registry)
+    plc = Client("rtu:///dev/null?baudrate=9600&timeout=0.1")
+    collect(plc, Client("tcp://[::1]:1502?unit=3"), registry=registry)
     labels = {dict(labels).get("endpoint") for _, labels in values(registry)}
     assert labels == {"rtu:///dev/null"}  # nobody has the other one
     plc.close()
@@ -255,7 +255,7 @@ def test_names_tell_servers_apart_and_equal_ones_add_up(registry: CollectorRegis
 
 
 def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorRegistry) -> None:
-    with served() as (_, url), Context.from_url(url) as plc:
+    with served() as (_, url), Client(url) as plc:
         for each in (plc, plc, plc.for_unit(2)):
             collect(each, registry=registry)
         plc.read_coils(0, 1)
@@ -268,11 +268,11 @@ def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(
 ) -> None:
     """Prometheus would take that for a restart, and what is left for new."""
     name = "requests_sent_total"
-    with served() as (_, url), Context.from_url(url) as stays:
+    with served() as (_, url), Client(url) as stays:
         collect(stays, registry=registry)
         stays.read_coils(0, 1)
         for already in (0, 3, 6):
-            with Context.from_url(url) as plc:
+            with Client(url) as plc:
                 collect(plc, registry=registry)
                 for _ in range(3):
                     plc.read_coils(0, 1)
@@ -289,11 +289,11 @@ def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(
 def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(
     registry: CollectorRegistry,
 ) -> None:
-    stays = Context.from_url("tcp://127.0.0.1:1")
+    stays = Client("tcp://127.0.0.1:1")
     collector = collect(stays, registry=registry)
     for turn in range(200):
         for port in ("1", "2"):
-            collect(Context.from_url(f"tcp://127.0.0.1:{port}"), registry=registry)
+            collect(Client(f"tcp://127.0.0.1:{port}"), registry=registry)
         if turn in (100, 199):
             gc.collect()
             collect(stays, registry=registry)
@@ -333,7 +333,7 @@ def test_a_scrape_may_meet_results_that_are_new(registry: CollectorRegistry) -> 
             plc.statistics.results.clear()
 
     done = threading.Event()
-    plc = Context.from_url("tcp://127.0.0.1:1")
+    plc = Client("tcp://127.0.0.1:1")
     collect(plc, registry=registry)
     thread = threading.Thread(target=grow)
     interval = sys.getswitchinterval()
@@ -352,7 +352,7 @@ def test_a_scrape_may_meet_results_that_are_new(registry: CollectorRegistry) -> 
 def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegistry) -> None:
     """Two threads ask, two scrape."""
 
-    def ask(client: Context) -> None:
+    def ask(client: Client) -> None:
         for turn in range(200):
             client.write_register(turn % 100, turn)
 
@@ -364,7 +364,7 @@ def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegi
 
     with contextlib.ExitStack() as stack:
         server, url = stack.enter_context(served())
-        clients = [stack.enter_context(Context.from_url(url)) for _ in range(2)]
+        clients = [stack.enter_context(Client(url)) for _ in range(2)]
         collect(server, *clients, registry=registry)
         threads = stack.enter_context(ThreadPoolExecutor(4))
         asking = [threads.submit(ask, each) for each in clients]
@@ -431,7 +431,7 @@ def test_serve_exposes_its_metrics(address: str, stop: int) -> None:
         assert found, line
         assert found[2] == address.removesuffix(":0")
         url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
-        with Context.from_url(url, timeout=5) as plc:
+        with Client(url, timeout=5) as plc:
             plc.read_holding_registers(0, 1)
             scraped = fetched(found[1])
         assert of(scraped, "modbus_server_requests_total") == 1
@@ -471,7 +471,7 @@ def test_a_gateway_tells_of_its_lines_and_units() -> None:
         collect(gateway, registry=registry, name="hall")
         with (
             gateway.background("tcp://127.0.0.1:0") as running,
-            Context.from_url(running.urls[0], unit=5) as plc,
+            Client(running.urls[0], unit=5) as plc,
         ):
             for _ in range(3):
                 plc.read_holding_registers(0, 1)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from libmodbus_py import Context, Device, Mapping, Server, pdu
+from libmodbus_py import Client, Device, Mapping, Server, pdu
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage
@@ -37,8 +37,8 @@ def serving(
         yield running.urls[0]
 
 
-def client_of(url: str, unit: int = 1, timeout: float = 5000) -> Context:
-    return Context.from_url(url, unit=unit, timeout=timeout, native=False)
+def client_of(url: str, unit: int = 1, timeout: float = 5000) -> Client:
+    return Client(url, unit=unit, timeout=timeout)
 
 
 def adu(body: bytes, transaction: int = 1, unit: int = 1) -> bytes:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, ModbusConnectionError, Server
+from libmodbus_py import Client, ModbusConnectionError, Server
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
 from libmodbus_py.tools.faults.fault import Fault
 from libmodbus_py.tools.faults.server import (
@@ -235,7 +235,7 @@ def test_a_disconnect_closes_a_tunnel(tmp_path: Path) -> None:
     server = Server({1: made_device()}, {1: [Fault("disconnect", every=2, length=5)]})
     with (
         secured(server, Papers(tmp_path)) as url,
-        Context.from_url(url, unit=1, timeout=5) as client,
+        Client(url, unit=1, timeout=5) as client,
     ):
         assert client.read_holding_registers(0, 1) == [555]
         with pytest.raises(ModbusConnectionError):

@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from libmodbus_py import (
-    Context,
+    Client,
     ExceptionResponse,
     FrameError,
     InvalidResponse,
@@ -90,7 +90,7 @@ def test_a_client_of_the_system_sees_the_fault_and_the_next_request_succeeds(
             address, client = f"rtu://{wire.server}", f"rtu://{wire.client}"
         running = stack.enter_context(server.background(address))
         client = client if scheme == "rtu" else running.urls[0]
-        plc = stack.enter_context(Context.from_url(client, unit=1, timeout=5))
+        plc = stack.enter_context(Client(client, unit=1, timeout=5))
         assert plc.read_holding_registers(0, 3) == [555, 0, 100]
         plc.timeout = 0.2 if scheme == "rtu" else 5
         with pytest.raises((FrameError, ModbusConnectionError, ModbusTimeoutError)):

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, Fault, Mapping, ModbusError, Server
+from libmodbus_py import Client, Device, Fault, Mapping, ModbusError, Server
 from tests.support.cases import each_case
 
 GIVEN = Fault("exception", code=4)
@@ -26,7 +26,7 @@ def happening(server: Server) -> list[tuple[int | None, int | None]]:
     return [(each.unit, each.fault.code) for each in server.fault_switch.states() if each.is_on]
 
 
-def code_of(client: Context) -> int | None:
+def code_of(client: Client) -> int | None:
     try:
         client.read_holding_registers(0, 1)
     except ModbusError as error:
@@ -50,7 +50,7 @@ def test_one_fault_is_turned_off_and_on_in_its_place() -> None:
     first = server.fault_switch.states()[0]
     given = server.fault_switch.states()[1]
     with server.background("tcp://127.0.0.1:0") as running:
-        client = Context.from_url(running.urls[0], unit=1)
+        client = Client(running.urls[0], unit=1)
         with client:
             server.fault_switch.turn(given, is_on=False)
             assert code_of(client) == 5
@@ -82,7 +82,7 @@ def test_switched_faults_go_on_counting() -> None:
     with (
         server.fault_switch.switch_on(second, unit=1),
         server.background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1) as client,
+        Client(running.urls[0], unit=1) as client,
     ):
         for _ in range(4):
             codes.append(code_of(client))

@@ -216,7 +216,7 @@ NASTY = RegisterMap(
         for at, name in enumerate(
             (
                 *("float", "property", "Any", "Meter", "MeterName", "MAP", "overload", "keys"),
-                *("items", "get", "self", "values", "attributes", "Context", "super", "value"),
+                *("items", "get", "self", "values", "attributes", "Client", "super", "value"),
                 *("class", "a b", "a-b", "ClientT", "str", "int", "datetime", "Literal", "copy"),
             )
         )

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Context, Device, Mapping, Server
+from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.listen import CaptureError, Transaction, listen
 from libmodbus_py.tools.listener.capture import CaptureWriter
 from libmodbus_py.tools.listener.transaction import Heard
@@ -193,7 +193,7 @@ def test_a_tap_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None
     with (
         Server(device).background("rtu+tcp://127.0.0.1:0") as running,
         listen("rtu+tcp://127.0.0.1:0", between=running.urls[0], capture=path) as line,
-        Context.from_url(line.url, unit=1) as client,
+        Client(line.url, unit=1) as client,
     ):
         assert line._writer is not None
         full = os.open("/dev/full", os.O_WRONLY)

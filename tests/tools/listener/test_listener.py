@@ -21,7 +21,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import (
-    Context,
+    Client,
     Device,
     IllegalDataAddress,
     Mapping,
@@ -116,7 +116,7 @@ def test_a_client_and_a_server_on_a_line(port: Line, framing: str, device: Devic
         SerialWire() as wire,
         Server({UNIT: device}).background(f"{framing}://{wire.server}?baudrate=115200"),
         heard(f"{framing}://{port.path}?baudrate=115200") as hearing,
-        Context.from_url(f"{framing}://{wire.client}?baudrate=115200", unit=UNIT) as client,
+        Client(f"{framing}://{wire.client}?baudrate=115200", unit=UNIT) as client,
     ):
         wire.passed = Mirrored(port)
         client.read_holding_registers(100, 3)
@@ -151,7 +151,7 @@ class TestPort:
                 if line.startswith("flags:")
             }
             assert os.O_RDONLY in modes
-            with Context.from_url(f"rtu://{port.path}", unit=1):
+            with Client(f"rtu://{port.path}", unit=1):
                 pass  # takes the lock
 
     def test_a_port_that_is_locked(self, port: Line, caplog: pytest.LogCaptureFixture) -> None:
@@ -281,7 +281,7 @@ def tapped(request: pytest.FixtureRequest, device: Device) -> Iterator[Gathering
 class TestBetween:
     def test_many_clients(self, tapped: Gathering) -> None:
         def ask(address: int) -> None:
-            with Context.from_url(tapped.line.url, unit=UNIT) as client:
+            with Client(tapped.line.url, unit=UNIT) as client:
                 for _ in range(20):
                     assert client.read_holding_registers(address, 1) == [900 + address]
 

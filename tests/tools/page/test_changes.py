@@ -11,15 +11,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    Access,
-    Context,
-    Device,
-    Fault,
-    Mapping,
-    ModbusTimeoutError,
-    Server,
-)
+from libmodbus_py import Access, Client, Device, Fault, Mapping, ModbusTimeoutError, Server
 from libmodbus_py.page import live_page
 from libmodbus_py.tools.simulator.device_file import load
 from libmodbus_py.tools.simulator.simulated import SimulatedDevice
@@ -51,7 +43,7 @@ def test_values_that_are_typed_are_set() -> None:
 
 
 def test_what_is_set_is_what_clients_read() -> None:
-    with shown() as (_, url, visitor), Context.from_url(url, unit=1) as plc:
+    with shown() as (_, url, visitor), Client(url, unit=1) as plc:
         visitor.post("/value", unit=1, point=0, name="temperature", text="3.5")
         assert plc.read_values("holding_registers", 0, "float32", order="CDAB") == [3.5]
         place = {"unit": 1, "table": "holding_registers", "order": "ABCD"}
@@ -179,7 +171,7 @@ def test_faults_are_switched_off_and_on() -> None:
     with (
         shown(faults=GIVEN) as (_, url, visitor),
         visitor.watching(),
-        Context.from_url(url, unit=1, timeout=5) as plc,
+        Client(url, unit=1, timeout=5) as plc,
     ):
         assert visitor.rows("faults") == [
             [1, "exception", "function 3, code 6", True],
@@ -202,7 +194,7 @@ def test_a_fault_is_added() -> None:
         visitor.receive(lambda: visitor.seen["faults"])
         (state,) = server.fault_switch.states()
         assert (state.unit, state.fault) == (2, Fault("no_answer", function=3))
-        with Context.from_url(url, unit=2, timeout=0.3) as plc, pytest.raises(ModbusTimeoutError):
+        with Client(url, unit=2, timeout=0.3) as plc, pytest.raises(ModbusTimeoutError):
             until(lambda: plc.read_holding_registers(0, 1) is None)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, IllegalDataAddress
+from libmodbus_py import Client, IllegalDataAddress
 from libmodbus_py.protocol import pdu
 from libmodbus_py.tools.page.log import Log, LogRow, named_cells
 from libmodbus_py.tools.page.units import ShownServer, shown_of
@@ -24,7 +24,7 @@ from tests.tools.page.watching import Visitor, made_server, shown
 
 def test_who_wrote_what_last() -> None:
     with shown() as (_, url, visitor), visitor.watching():
-        with Context.from_url(url, unit=1) as plc:
+        with Client(url, unit=1) as plc:
             plc.write_registers(100, [1, 2, 3])
             plc.write_coil(5, True)
             plc.mask_write_register(101, 0xFFFF, 0)
@@ -49,7 +49,7 @@ def test_who_wrote_what_last() -> None:
 
 def test_the_log_is_text() -> None:
     with shown() as (_, url, visitor), visitor.watching():
-        with Context.from_url(url, unit=1) as plc:
+        with Client(url, unit=1) as plc:
             plc.read_holding_registers(100, 3)
             plc.write_coils(3, [True, False])
             plc.report_server_id()
@@ -97,7 +97,7 @@ def test_points_of_requests(request_: Any, response: Any, text: str) -> None:
 @contextlib.contextmanager
 def talked() -> Iterator[Visitor]:
     """A visitor of a server to which a client wrote, and that refused something."""
-    with shown() as (_, url, visitor), Context.from_url(url, timeout=5) as plc, visitor.watching():
+    with shown() as (_, url, visitor), Client(url, timeout=5) as plc, visitor.watching():
         plc.for_unit(1).write_register(2, 125)
         plc.for_unit(1).read_holding_registers(2, 1)
         with pytest.raises(IllegalDataAddress):

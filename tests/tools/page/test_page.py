@@ -10,7 +10,7 @@ import pytest
 
 from libmodbus_py import (
     Access,
-    Context,
+    Client,
     Device,
     IllegalDataAddress,
     Mapping,
@@ -68,7 +68,7 @@ def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> N
         visitor.receive(lambda: visitor.points("1/points"))
         assert visitor.points("1/points") == ["21.5", "0.0", "abc", "0, 0", "off", "0"]
         before = len(visitor.messages)
-        with Context.from_url(url, unit=1) as plc:
+        with Client(url, unit=1) as plc:
             plc.write_registers(2, [123])
             visitor.receive(lambda: visitor.points("1/points")[1] == "12.3")
         sent = [each["1/points"] for each in visitor.messages[before:] if "1/points" in each]
@@ -81,7 +81,7 @@ def test_cells_are_shown_as_far_as_they_are_looked_at() -> None:
         cells = visitor.receive(lambda: visitor.cells("1/holding_registers"))
         assert {cells[at] for at in range(100, 110)} == {0}
         assert 2 not in cells
-        with Context.from_url(url, unit=1) as plc:
+        with Client(url, unit=1) as plc:
             plc.write_registers(2, [123])
             plc.write_registers(104, [7])
         visitor.receive(lambda: visitor.cells("1/holding_registers")[104] == 7)
@@ -96,7 +96,7 @@ def test_the_server_itself_is_its_only_device() -> None:
     server = Server({7: Device(Mapping(holding_registers=8))})
     with live_page(server) as page, server.background("tcp://127.0.0.1:0") as running:
         visitor = Visitor(page.url)
-        with visitor.watching(), Context.from_url(running.urls[0], unit=255) as plc:
+        with visitor.watching(), Client(running.urls[0], unit=255) as plc:
             plc.write_register(1, 1)
             visitor.receive(lambda: visitor.seen["written"])
     assert visitor.rows("written")[0][1:3] == [7, "holding_registers"]

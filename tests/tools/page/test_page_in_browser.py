@@ -14,14 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    Context,
-    Device,
-    Fault,
-    IllegalDataAddress,
-    Mapping,
-    Server,
-)
+from libmodbus_py import Client, Device, Fault, IllegalDataAddress, Mapping, Server
 from libmodbus_py.page import live_page
 from libmodbus_py.tools.page.page import table_page
 from libmodbus_py.tools.page.table_source import TableSource
@@ -42,7 +35,7 @@ def test_a_person_uses_the_page() -> None:
     with (
         live_page(server) as page,
         server.background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1, timeout=5) as plc,
+        Client(running.urls[0], unit=1, timeout=5) as plc,
         person_at(page.url) as person,
     ):
         person.sees("#state", "connected")
@@ -148,7 +141,7 @@ def test_a_person_holds_a_value_and_reads_the_log(tmp_path: Path) -> None:
     with (
         live_page(server) as page,
         server.background("tcp://127.0.0.1:0") as running,
-        Context.from_url(running.urls[0], unit=1, timeout=5) as plc,
+        Client(running.urls[0], unit=1, timeout=5) as plc,
         person_at(page.url, 1400) as person,
     ):
         person.sees("#state", "connected")

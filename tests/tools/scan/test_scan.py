@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, Device, Mapping, ModbusConnectionError, Server
+from libmodbus_py import Client, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.scan import Found, Scan, scan, search
 from tests.simulation.network import Network
 from tests.support import certificates
@@ -83,7 +83,7 @@ def test_three_units_are_found_at_their_two_rates(network: Network, scheme: str)
         assert each.took < 0.1
     assert only_read([asked[2] for asked in bus.asked])
     assert scanned.requests == len(bus.asked)
-    with Context.from_url(found[0].url) as client:  # the URL is one of a client
+    with Client(found[0].url) as client:  # the URL is one of a client
         assert client.read_holding_registers(0, 10) == [0] * 10
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Context, ExceptionResponse, IllegalDataAddress, Server, pdu
+from libmodbus_py import Client, ExceptionResponse, IllegalDataAddress, Server, pdu
 from libmodbus_py.serve import Caller
 from libmodbus_py.tools.faults.fault import Fault
 from libmodbus_py.tools.simulator.device_file import load, parse
@@ -100,7 +100,7 @@ def test_every_unit_of_a_file_without_id_is_served(tmp_path: Path) -> None:
     path.write_text(f"[[unit]]\n{registers}\n{fault}\n")
     with Server(*load(path)).background("tcp://127.0.0.1:0") as running:
         for number in (0, 1, 255):
-            with Context.from_url(running.urls[0], unit=number) as client:
+            with Client(running.urls[0], unit=number) as client:
                 assert client.read_holding_registers(0, 1) == [42]
                 with pytest.raises(ExceptionResponse, match="exception 3"):
                     client.read_coils(0, 1)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Context, IllegalDataAddress, Point, Server, pdu
+from libmodbus_py import Client, IllegalDataAddress, Point, Server, pdu
 from libmodbus_py.tools.faults.fault import KINDS, PLACES, Fault
 from libmodbus_py.tools.simulator import example_files
 from libmodbus_py.tools.simulator.clockwork import BEHAVIOURS
@@ -29,7 +29,7 @@ def plant() -> Iterator[str]:
 
 
 def test_the_example_keeps_what_its_comments_promise(plant: str) -> None:
-    with Context.from_url(plant, unit=1, timeout=5) as boiler:
+    with Client(plant, unit=1, timeout=5) as boiler:
         assert boiler.read_exception_status() == 0x55
         assert boiler.report_server_id() == pdu.ServerId(b"\x2a", True, b"boiler 1")
         assert boiler.read_device_identification("extended").objects == {
@@ -55,7 +55,7 @@ def test_the_example_keeps_what_its_comments_promise(plant: str) -> None:
 
 
 def test_the_example_refuses_what_its_comments_say(plant: str) -> None:
-    with Context.from_url(plant, unit=1, timeout=5) as boiler:
+    with Client(plant, unit=1, timeout=5) as boiler:
         refused: list[Callable[[], object]] = [
             lambda: boiler.read_coils(4, 1),
             lambda: boiler.read_coils(0, 5),

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py import Context, Device, Server, pdu
+from libmodbus_py import Client, Device, Server, pdu
 from libmodbus_py.tools.simulator.device_file import SimulatedDevice, load, parse
 from libmodbus_py.tools.simulator.reloading import Reloader
 from libmodbus_py.tools.simulator.simulated import Simulation
@@ -124,7 +124,7 @@ def test_what_moves_goes_on() -> None:
 @contextmanager
 def reloading(
     path: Path, *, is_watching: bool = False
-) -> Iterator[tuple[Callable[[], object], Context, list[str]]]:
+) -> Iterator[tuple[Callable[[], object], Client, list[str]]]:
     """Serve the file in a thread; yield what asks for another reading, a client, what is told."""
     told: list[str] = []
     simulation = load(path)
@@ -144,7 +144,7 @@ def reloading(
     thread.start()
     loop, stopped, url = begun.get(timeout=20)
     try:
-        with Context.from_url(url, unit=1, timeout=5) as client:
+        with Client(url, unit=1, timeout=5) as client:
             yield partial(loop.call_soon_threadsafe, reloader.ask), client, told
     finally:
         loop.call_soon_threadsafe(stopped.set)
@@ -293,7 +293,7 @@ def test_the_command_reads_its_file_again_and_connections_stay(by: str, path: Pa
     hangups = 200 if by == "hangups" else 0
     with Started("serve", "tcp://127.0.0.1:0", "--device", path, *options) as process:
         url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
-        with Context.from_url(url, unit=1, timeout=5) as client:
+        with Client(url, unit=1, timeout=5) as client:
             assert client.read_holding_registers(0, 1) == [1]
             path.write_text("[[unit]")
             for _ in range(min(hangups, 1)):

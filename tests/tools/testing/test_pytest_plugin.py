@@ -19,10 +19,10 @@ pytest_plugins = ["pytester"]
 HEAD = """
     import os, signal, threading, time
     import pytest
-    from libmodbus_py import Fault, TcpContext
+    from libmodbus_py import Client, Fault
 
     def read(server, count=1):
-        with TcpContext.from_url(server.url) as plc:
+        with Client(server.url) as plc:
             plc.read_holding_registers(0, count)
 """
 
@@ -117,7 +117,7 @@ class TestReports:
     ) -> None:
         write("""
     def test_many(modbus_server):
-        with TcpContext.from_url(modbus_server.url) as plc:
+        with Client(modbus_server.url) as plc:
             for address in range(60):
                 plc.read_holding_registers(address, 125)
         assert False
@@ -225,7 +225,7 @@ class TestLeftBehind:
                 time.sleep(0.001)
             signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
         threading.Thread(target=alarm).start()
-        with TcpContext.from_url(modbus_server.url, timeout=600) as plc:
+        with Client(modbus_server.url, timeout=600) as plc:
             plc.read_coils(0, 1)
 
     def test_next(modbus_server): read(modbus_server)

@@ -10,14 +10,13 @@ from collections.abc import Iterator
 import pytest
 
 from libmodbus_py import (
-    Context,
+    Client,
     Device,
     Fault,
     Mapping,
     ModbusConnectionError,
     ModbusTimeoutError,
     ServerDeviceBusy,
-    TcpContext,
 )
 from libmodbus_py.tools.faults.fault import FaultSwitch
 from libmodbus_py.tools.testing.recording import RecordingServer, ServerMaker
@@ -41,7 +40,7 @@ class TestServer:
         self, modbus_server: RecordingServer, time: int
     ) -> None:
         assert modbus_server.transactions == []
-        with TcpContext(modbus_server.host, modbus_server.port, unit=247) as client:
+        with Client(f"tcp://{modbus_server.host}:{modbus_server.port}", unit=247) as client:
             for unit in (1, 247):
                 handle = client.for_unit(unit)
                 assert handle.read_coils(65535, 1) == handle.read_discrete_inputs(65535, 1)
@@ -63,7 +62,7 @@ class TestServer:
     ) -> None:
         monkeypatch.setattr("libmodbus_py.tools.testing.recording.MOST", 4)
         server = make_modbus_server()
-        with TcpContext.from_url(server.url) as client:
+        with Client(server.url) as client:
             for count in range(1, 6):
                 client.read_coils(0, count)
         assert [each.response for each in server.transactions] == [[False] * 4, [False] * 5]
@@ -73,7 +72,7 @@ class TestMaker:
     @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp"])
     def test_any_endpoint(self, make_modbus_server: ServerMaker, scheme: str) -> None:
         server = make_modbus_server(f"{scheme}://127.0.0.1:0")
-        with Context.from_url(server.url, unit=3) as client:
+        with Client(server.url, unit=3) as client:
             client.write_coils(8, [True, False, True])
         (made,) = server.transactions
         assert str(made) == "unit 3: WriteCoils(address=8, values=(True, False, True)) -> done"
@@ -92,7 +91,7 @@ class TestMaker:
         with pytest.raises(AttributeError, match="several devices"):
             _ = server.mapping
         for url in server.urls:
-            with Context.from_url(url, timeout=0.2) as client:
+            with Client(url, timeout=0.2) as client:
                 assert client.read_coils(7, 1) == [False]
                 with pytest.raises(ServerDeviceBusy):
                     client.for_unit(2).read_coils(15, 1)
@@ -107,7 +106,7 @@ class TestMaker:
         device = Device(Mapping(8))
         server = make_modbus_server(devices={7: device})
         assert server.device is device
-        with TcpContext.from_url(server.url, unit=7) as client:
+        with Client(server.url, unit=7) as client:
             client.read_coils(0, 1)
             server.close()
             server.close()
@@ -128,7 +127,7 @@ class TestSerialLine:
     ) -> None:
         server = make_modbus_server(f"{framing}://{modbus_serial_line.server}")
         assert (server.host, server.port) == ("", 0)
-        with Context.from_url(f"{framing}://{modbus_serial_line.client}", unit=9) as client:
+        with Client(f"{framing}://{modbus_serial_line.client}", unit=9) as client:
             assert client.read_coils(0, 1) == [False]
             client.for_unit(0).write_coil(0, True)
         assert len(modbus_serial_line.sent_by("client")) > 8
