@@ -16,7 +16,7 @@ import pytest
 
 from libmodbus_py import AsyncClient, Client, Point
 from libmodbus_py.client.asynchronous import MAX_PAUSE
-from libmodbus_py.client.options import AsyncOptions, CheckedOptions, ContextOptions, Options
+from libmodbus_py.client.options import AsyncOptions, CheckedOptions, Options
 from libmodbus_py.ports.serial import SERIAL_DEFAULTS
 from libmodbus_py.server.limits import Limits
 from libmodbus_py.services.fleet.config import DeviceConfig
@@ -49,7 +49,7 @@ def value(text: str) -> Any:
     return ast.literal_eval(text)
 
 
-@pytest.mark.parametrize("options", [Options, ContextOptions, AsyncOptions])
+@pytest.mark.parametrize("options", [Options, AsyncOptions])
 def test_docstrings_of_options_name_the_defaults(options: type[Any]) -> None:
     texts = keys_of(options)
     assert texts.keys() <= set(options.__annotations__)
@@ -64,7 +64,7 @@ def test_docstrings_of_options_name_the_defaults(options: type[Any]) -> None:
 
 def test_docstrings_of_options_name_each_key() -> None:
     told = [
-        name for options in (Options, ContextOptions, AsyncOptions) for name in keys_of(options)
+        name for options in (Options, AsyncOptions) for name in keys_of(options)
     ]
     assert sorted(told) == sorted(CLIENTS)
 

@@ -12,7 +12,7 @@ import pytest
 
 from libmodbus_py import Client
 from libmodbus_py.cli.arguments import SCHEMES_OF_URLS, URLS
-from libmodbus_py.client.options import AsyncOptions, CheckedOptions, ContextOptions
+from libmodbus_py.client.options import AsyncOptions, CheckedOptions, Options
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.schemes import (
     CLIENT_OPTIONS,
@@ -80,6 +80,6 @@ def test_help_texts_name_every_scheme(scheme: Scheme) -> None:
 
 def test_every_option_of_clients_is_typed_checked_and_has_a_default() -> None:
     """Type checkers need the names in a TypedDict, and no TypedDict can be made of a dataclass."""
-    typed = {*ContextOptions.__annotations__, *AsyncOptions.__annotations__}
+    typed = {*Options.__annotations__, *AsyncOptions.__annotations__}
     assert typed == {field.name for field in fields(CheckedOptions)}
     assert set(CLIENT_OPTIONS) < typed
