@@ -285,6 +285,8 @@ class AsyncioDriver:
             return
         try:
             port.send(adus, now)
+            if connection.untraced:
+                connection.trace_sent()
             if port.has_unsent or self._is_writing:
                 self._follow_port()
             if not self._is_reading:

@@ -193,11 +193,13 @@ class BlockingDriver:
             if not connection.in_flight and port.has_input():
                 self._look(now)
             adus = connection.start(now)
-            if self._notices.waiting:
-                self._notices.give()  # the sent frames are traced before the wait for answers
             while adus:
                 port.send(adus, now)
+                if connection.untraced:
+                    connection.trace_sent()
                 adus = connection.start(now)
+            if self._notices.waiting:
+                self._notices.give()  # the sent frames are traced before the wait for answers
             if not (job.is_done or connection.broken):
                 self._wait(now)
         except ModbusConnectionError as error:
@@ -232,6 +234,8 @@ class BlockingDriver:
             adus = connection.start(now)
             if adus:  # sending also acknowledges received bytes
                 port.send(adus, now)
+                if connection.untraced:
+                    connection.trace_sent()
             elif connection.in_flight:
                 port.acknowledge()
             now = self._now()

@@ -60,6 +60,8 @@ class Transactions:
         self.broken: ModbusConnectionError | None = None
         # True if so many bytes arrived that belong to no request that it is no accident.
         self.is_flooded: bool = False
+        # Requests whose frames are to be traced once they were sent.
+        self.untraced: list[Call] = []
         self.is_guarded: bool = settings.may_send is not None
         self.notices: Notices = Notices()
         self.statistics: Statistics = settings.statistics or Statistics()
@@ -234,8 +236,14 @@ class Transactions:
         if batch is not None and batch.under_way < batch.limit:
             self._go_on(batch)
         if matching.is_traced:
-            self._trace.tell("sent", call.adu, call.unit, call.pdu[0])
+            self.untraced.append(call)
         return call.adu
+
+    def trace_sent(self) -> None:
+        """Trace the frames that `start` has returned: they were sent."""
+        for call in self.untraced:
+            self._trace.tell("sent", call.adu, call.unit, call.pdu[0])
+        self.untraced.clear()
 
     # --- the connection -----------------------------------------------------------------------
 
@@ -326,6 +334,7 @@ class Transactions:
         calls = [*self.matching.reset(now), *(call for _, call in self._silent)]
         self.broken = None
         self.is_flooded = False
+        self.untraced.clear()
         self._silent = []
         self.in_flight = 0
         return calls

@@ -14,9 +14,13 @@ import pytest
 
 from libmodbus_py import AsyncClient, Client, ModbusConnectionError
 from libmodbus_py.client.connection import Transactions
+from libmodbus_py.ports.port import Port
 from libmodbus_py.ports.serial import SerialPort
+from libmodbus_py.ports.sockets import StreamPort
+from libmodbus_py.ports.trace import Traced
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.scripted import Scripted
+from tests.support.clients import World
 from tests.support.in_loops import run_client, run_peer
 from tests.support.reads import good, good_at
 from tests.support.talk import Talk
@@ -119,16 +123,18 @@ def test_nothing_goes_once_the_frames_were_made(
     monkeypatch.setattr(Transactions, "start", stopping)
 
     async def main(peer: Scripted) -> None:
-        plc = AsyncClient(peer.url, may_send=gate, timeout=10)
+        traced: list[Traced] = []
+        plc = AsyncClient(peer.url, may_send=gate, timeout=10, trace=traced.append)
         asking = [plc.read_holding_registers(address, 1) for address in range(3)]
         assert all(map(refused, await asyncio.gather(*asking, return_exceptions=True)))
         await plc.close()
         assert peer.requests == []
+        assert traced == []
 
     run_peer(good, main, f"{scheme}://10.0.0.1")
 
 
-@pytest.mark.parametrize("when", ["before", "after"])
+@pytest.mark.parametrize("when", ["given", "traced"])
 def test_nothing_goes_while_a_line_is_turned_round(
     when: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,14 +148,32 @@ def test_nothing_goes_while_a_line_is_turned_round(
 
     async def main(wire: SerialWire) -> None:
         url = f"rtu://{wire.client}?baudrate=115200&rs485=rts-up&rts_delay=0.05"
-        # The trace is told of a frame before that is given to the port.
-        trace = gate.shut if when == "before" else None
+        trace = gate.shut if when == "traced" else None
         async with AsyncClient(url, may_send=gate, timeout=10, trace=trace) as plc:
             with pytest.raises(ModbusConnectionError) as caught:
                 await plc.read_holding_registers(0, 1)
             assert refused(caught.value)
 
-    monkeypatch.setattr(SerialPort, "send", stopping if when == "after" else send)
+    monkeypatch.setattr(SerialPort, "send", stopping if when == "given" else send)
     with SerialWire() as wire:
         asyncio.run(main(wire))
         assert wire.sent_by("client") == b""
+
+
+def test_what_could_not_be_sent_is_not_traced(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The connection ends when the frame is to be sent."""
+
+    def fail(self: Port, adus: list[bytes], now: float) -> None:
+        raise ModbusConnectionError("reset", errno=errno.ECONNRESET)
+
+    traced: list[Traced] = []
+    with world.client_of("tcp", good, trace=traced.append) as plc:
+        with monkeypatch.context() as patch:
+            patch.setattr(StreamPort, "send", fail)
+            with pytest.raises(ModbusConnectionError):
+                plc.read_holding_registers(5, 1)
+        assert traced == []
+        assert plc.read_holding_registers(5, 1) == [5]
+        assert [each.direction for each in traced] == ["sent", "received"]

@@ -63,9 +63,7 @@ def test_docstrings_of_options_name_the_defaults(options: type[Any]) -> None:
 
 
 def test_docstrings_of_options_name_each_key() -> None:
-    told = [
-        name for options in (Options, AsyncOptions) for name in keys_of(options)
-    ]
+    told = [name for options in (Options, AsyncOptions) for name in keys_of(options)]
     assert sorted(told) == sorted(CLIENTS)
 
 

@@ -135,6 +135,7 @@ class Talk:
 
     def start(self) -> None:
         while adus := self.connection.start(self.now):
+            self.connection.trace_sent()
             self.sent += adus
             self.times += [self.now] * len(adus)
         self.notices.give()
