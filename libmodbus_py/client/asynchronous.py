@@ -221,7 +221,7 @@ class Submitted:
         Returns:
             True if it was withdrawn.
         """
-        self._call.is_wanted = False
+        self._call.send_no_more()
         if self.is_sent:
             return False
         self.withdraw()

@@ -295,7 +295,7 @@ class AsyncioDriver:
             self._lose(error)
 
     def _set_timer(self) -> None:
-        at = self._connection.alarm
+        at = self._connection.matching.alarm
         if self._port.resume_at is not None:
             at = min(at, self._port.resume_at)
         if at < self._alarm.at and self._life.state is not State.CLOSED:

@@ -218,7 +218,7 @@ class BlockingDriver:
 
     def _wait(self, now: float) -> None:
         connection, port, is_ready = self._connection, self._port, False
-        until = connection.alarm
+        until = connection.matching.alarm
         if port.resume_at is not None:
             until = min(until, port.resume_at)
         if not connection.in_flight and until - now < SLEPT_S:
@@ -241,12 +241,9 @@ class BlockingDriver:
             now = self._now()
         if port.has_unsent or (port.resume_at is not None and port.resume_at <= now):
             port.go_on(now)
-        self._tick(now)
-
-    def _tick(self, now: float) -> None:
-        if self._connection.alarm <= now:
-            self._connection.tick(now)
-        self._connection.settle(now)
+        if connection.matching.alarm <= now:
+            connection.tick(now)
+        connection.settle(now)
 
     def _lose(self, error: ModbusConnectionError, *, by_itself: bool) -> None:
         self._port.close()
@@ -256,9 +253,12 @@ class BlockingDriver:
         connection, life, now = self._connection, self._life, self._now()
         until = connection.begin_connecting(now)
         if until is None:
-            if connection.alarm > now:
-                self.waker.wait(-1, READ, connection.alarm)
-            self._tick(self._now())
+            if connection.matching.alarm > now:
+                self.waker.wait(-1, READ, connection.matching.alarm)
+            now = self._now()
+            if connection.matching.alarm <= now:
+                connection.tick(now)
+            connection.settle(now)
             return
         self._notices.give()
         try:

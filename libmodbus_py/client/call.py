@@ -84,13 +84,23 @@ class Call:
             braces for the index.
     """
 
-    # fmt: off
-    __slots__ = (
-        "adu", "answerer", "batch", "busy_tries", "changes", "due", "is_done", "is_silent",
-        "is_under_way", "is_wanted", "number", "on_done", "outcome", "pdu", "reply", "request",
-        "sent_at", "since", "state", "timeouts", "tries", "unit", "used", "waits_until",
-    )
-    # fmt: on
+    # Most requests change few of these: the others cost nothing to make.
+    batch: Batch | None = None
+    on_done: Callable[[Call], object] | None = None  # not of calls of a batch
+    changes: bool = False
+    is_silent: bool = False
+    state: Phase = WAITING
+    outcome: Any = NOT_ASKED  # the result, or the exception
+    is_done: bool = False
+    is_under_way: bool = True  # False if its batch has gone on without its outcome
+    reply: bytes | ModbusError | None = None  # the PDU of the answer, or an error
+    answerer: int = 0  # the unit that answered
+    adu: bytes = b""  # the frame that was sent last
+    sent_at: float = 0.0
+    since: float = 0.0  # when its time began; sooner by `used` if it has waited for the connection
+    used: float = 0.0
+    tries: int = 0  # how often it was sent again; `busy_tries` because the device was busy
+    busy_tries: int = 0
 
     def __init__(
         self,
@@ -104,29 +114,8 @@ class Call:
         self.unit: int = unit
         self.request: Request[Any] | None = request
         self.timeouts: Timeouts = timeouts
-        self.batch: Batch | None = None
-        self.is_silent: bool = False
-        self.is_done: bool = False
-        self.state: Phase = WAITING
-        self.outcome: Any = NOT_ASKED  # the result, or the exception
-        self.on_done: Callable[[Call], object] | None = None  # not of calls of a batch
-        self.reply: bytes | ModbusError | None = None  # the PDU of the answer, or an error
-        self.answerer: int = 0  # the unit that answered
-        self.adu: bytes = b""  # the frame that was sent last
-        self.number: int = 0  # its transaction id
-        self.sent_at: float = 0.0
-        # When its time began; sooner by `used` if it has waited for the connection.
-        self.since: float = 0.0
-        self.used: float = 0.0
-        self.due: float = 0.0  # when it is to be sent again
-        self.waits_until: float = math.inf  # when it fails for lack of silence on the line
-        self.is_wanted: bool = True  # False if it is not to be sent again
-        self.is_under_way: bool = True  # False if its batch has gone on without its outcome
-        self.tries: int = 0  # how often it was sent again; `busy_tries` because the device was busy
-        self.busy_tries: int = 0
         if request is None:
             self.pdu: bytes = b""
-            self.changes: bool = False
             return
         if not isinstance(request, Request):
             given = type(request).__name__
@@ -143,7 +132,8 @@ class Call:
         if not 1 <= len(pdu) <= MAX_PDU:
             size = f"1..{MAX_PDU} bytes, not {len(pdu)}"
             raise ValueError(f"{name.format(index)} must encode to {size}")
-        self.changes = request.changes
+        if request.changes:
+            self.changes = True
         if is_broadcast or not request.expects_response:
             self.is_silent = True
 
@@ -170,6 +160,10 @@ class Call:
     def forget(self) -> None:
         """Note that no caller waits for the outcome any more."""
         self.is_done = True
+
+    def send_no_more(self) -> None:
+        """Note that it is not to be sent again."""
+        self.timeouts = Timeouts(self.timeouts.timeout, 0, 0)
 
 
 class Batch:
@@ -290,6 +284,10 @@ class Matching(ABC):
     def may_start(self, call: Call, now: float) -> bool:
         """Return True if a request may be sent now; else set `alarm` and the end of its wait."""
         return True
+
+    def is_overdue(self, call: Call, now: float) -> bool:
+        """Return True if the wait of a request that may not be sent has ended."""
+        return False
 
     def ready_at(self, unit: int, function: int | None = None) -> float:
         """Return when a unit may get a request of this, or any, function; 0.0 if it may at once."""

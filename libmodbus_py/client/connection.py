@@ -227,7 +227,8 @@ class Transactions:
         deadline = call.since + call.timeouts.timeout
         if deadline < matching.alarm:
             matching.alarm = deadline
-        self._queue.note_sent(call)
+        if call.changes:
+            self._queue.note_write(call)
         self.in_flight += 1
         if call.is_silent:
             self._silent.append((now + self._settings.turnaround, call))
@@ -456,7 +457,7 @@ class Transactions:
     def _end_waits_for_silence(self, now: float) -> None:
         """Fail the requests that have waited too long for silence on the line."""
         for call in self._queue.calls:
-            if call.waits_until <= now and not self.matching.may_start(call, now):
+            if self.matching.is_overdue(call, now):
                 self._queue.remove(call)
                 received = self.matching.received_with(call, b"")
                 error = FrameError("the line does not fall silent", received=received)

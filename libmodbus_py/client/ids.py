@@ -55,7 +55,6 @@ class Ids(Matching):
             self.unasked: int = 0
         if call.adu:
             call.reply = None
-        call.number = number
         call.adu = mbap(number, call.unit, call.pdu)
         if not call.is_silent:
             pending[number] = call
@@ -122,7 +121,7 @@ class Ids(Matching):
             self.pending[_number(error.received)].reply = error  # unless the right answer follows
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:
-        frame = mbap(call.number, call.answerer, pdu)
+        frame = mbap(_number(call.adu), call.answerer, pdu)
         return frame if self.pending else frame + bytes(self.rest)
 
     # --- no answer ------------------------------------------------------------------------
@@ -148,15 +147,16 @@ class Ids(Matching):
         error = no_answer(timeout, self._strays or rest)
         if self._strays and self._strays[:2] != number:
             other = _number(self._strays)
-            error.args = (f"{error.args[0]}: id {other}, not {call.number}",)
+            error.args = (f"{error.args[0]}: id {other}, not {_number(number)}",)
             error.answers_another = True
         return error
 
     def withdraw(self, call: Call, now: float) -> bool:
-        if self.pending.get(call.number) is not call:
+        number = _number(call.adu)
+        if self.pending.get(number) is not call:
             return False
-        del self.pending[call.number]
-        self._abandon(call.number)
+        del self.pending[number]
+        self._abandon(number)
         return True
 
     def _abandon(self, number: int) -> None:

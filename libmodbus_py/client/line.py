@@ -47,6 +47,7 @@ A line keeps the order of requests to a unit: those behind one that waits wait, 
 from __future__ import annotations
 
 import math
+from weakref import WeakKeyDictionary
 
 from ..ports.endpoint import Endpoint
 from ..ports.port import Silence
@@ -140,6 +141,8 @@ class Line(Matching):
         self._held_at = self._held_until = 0.0
         self._pairs: dict[tuple[int, int], Pair] = {}
         self._answers = Answers()
+        # When requests that wait for silence fail.
+        self._waits: WeakKeyDictionary[Call, float] = WeakKeyDictionary()
 
     def _make_framer(self) -> Framer:
         framer = make_framer(self._endpoint.framing, "client", self._endpoint.pause)
@@ -165,12 +168,14 @@ class Line(Matching):
         if pair is not None and pair.is_doubted and pair.quiet_at > ready_at:
             ready_at = pair.quiet_at
         if ready_at <= now:
-            call.waits_until = math.inf
+            self._waits.pop(call, None)
             return True
-        if call.waits_until == math.inf:
-            call.waits_until = now + TIMEOUTS_OF_SILENCE * call.timeouts.timeout
-        self.wake(min(ready_at, call.waits_until))
+        until = now + TIMEOUTS_OF_SILENCE * call.timeouts.timeout
+        self.wake(min(ready_at, self._waits.setdefault(call, until)))
         return False
+
+    def is_overdue(self, call: Call, now: float) -> bool:
+        return self._waits.get(call, math.inf) <= now and not self.may_start(call, now)
 
     def start(self, call: Call, now: float) -> None:
         if self._framer.pending or self._echo.is_holding:

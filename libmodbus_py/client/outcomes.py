@@ -54,7 +54,8 @@ class Outcomes:
 
     def settle(self, call: Call, now: float) -> None:
         """Set the outcome of a request whose reply is here, or send it again."""
-        self._queue.note_end(call)
+        if call.changes:
+            self._queue.note_end(call)
         reply = call.reply
         if call.is_done:
             self._statistics.note(call.function, "cancelled")
@@ -134,8 +135,6 @@ class Outcomes:
         """Send a request again later, if that is allowed; return False if not."""
         is_busy = isinstance(error, BUSY)
         assert call.request is not None
-        if not call.is_wanted:
-            return False
         if not is_busy and (isinstance(error, ExceptionResponse) or not call.request.repeatable):
             return False
         done = call.busy_tries if is_busy else call.tries

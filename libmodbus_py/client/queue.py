@@ -28,7 +28,7 @@ class Queue:
 
     def __init__(self, matching: Matching, limit: int) -> None:
         self.waiting: deque[Call] = deque()
-        self.again: list[Call] = []  # each when it is due
+        self.again: dict[Call, float] = {}  # when each is due to be sent again
         # Where frames have ids: the write that was sent and has no outcome yet.
         self.write: Call | None = None
         self.matching = matching
@@ -37,8 +37,8 @@ class Queue:
 
     @property
     def calls(self) -> list[Call]:
-        """The requests to be sent for the first time, and again when they are due."""
-        return [*self.waiting, *self.again]
+        """The requests to be sent again, and then those to be sent for the first time."""
+        return [*self.again, *self.waiting]
 
     def next(self, now: float, in_flight: int, unsettled: int) -> Call | None:
         """
@@ -65,48 +65,46 @@ class Queue:
         return None
 
     def _next_again(self, now: float) -> Call | None:
-        for call in list(self.again):
+        for call, due in list(self.again.items()):
             if call.is_done:
-                self.again.remove(call)
-            elif call.due <= now:
-                self.again.remove(call)
+                del self.again[call]
+            elif due <= now:
+                del self.again[call]
                 return call
             else:
-                self.matching.wake(call.due)
+                self.matching.wake(due)
         return None
 
     def _next_on_line(self, now: float) -> Call | None:
         """As `next`; a request that waits holds back those for the same unit, and broadcasts."""
         held: set[int] = set()
-        for calls in (self.again, self.waiting):
-            for call in list(calls):
-                if call.is_done:
-                    calls.remove(call)
-                elif 0 in held or call.unit in held or (call.unit == 0 and held):
-                    held.add(call.unit)
-                elif call.due > now:
-                    self.matching.wake(call.due)
-                    held.add(call.unit)
-                elif self.matching.may_start(call, now):
-                    calls.remove(call)
-                    return call
-                else:
-                    held.add(call.unit)
+        for call in self.calls:
+            due = self.again.get(call, 0.0)
+            if call.is_done:
+                self.remove(call)
+            elif 0 in held or call.unit in held or (call.unit == 0 and held):
+                held.add(call.unit)
+            elif due > now:
+                self.matching.wake(due)
+                held.add(call.unit)
+            elif self.matching.may_start(call, now):
+                self.remove(call)
+                return call
+            else:
+                held.add(call.unit)
         return None
 
     def put_again(self, call: Call, due: float) -> None:
         """Send a request again at a time."""
         call.state = Phase.WAITING
-        call.due = due
-        self.again.append(call)
+        self.again[call] = due
         self.matching.wake(due)
         if call.changes:
             self.write = call
 
-    def note_sent(self, call: Call) -> None:
-        """Note that a request was sent."""
-        if call.changes:
-            self.write = call
+    def note_write(self, call: Call) -> None:
+        """Note that a write was sent."""
+        self.write = call
 
     def note_end(self, call: Call) -> None:
         """Note that a request has its outcome, or is forgotten."""
@@ -116,19 +114,18 @@ class Queue:
     def remove(self, call: Call) -> None:
         """Forget a request."""
         self.note_end(call)
-        for calls in (self.waiting, self.again):
-            if call in calls:
-                calls.remove(call)
+        if self.again.pop(call, None) is None and call in self.waiting:
+            self.waiting.remove(call)
 
     def remove_over(self) -> None:
         """Forget the requests whose callers are gone."""
         self.waiting = deque(call for call in self.waiting if not call.is_done)
-        self.again = [call for call in self.again if not call.is_done]
+        self.again = {call: due for call, due in self.again.items() if not call.is_done}
 
     def drain(self, later: Collection[Call] = ()) -> list[Call]:
         """Remove and return all requests, except some."""
         calls = [*self.again, *self.waiting]
-        self.again = [call for call in self.again if call in later]
+        self.again = {call: due for call, due in self.again.items() if call in later}
         self.waiting = deque(call for call in self.waiting if call in later)
         drained = [call for call in calls if call not in later]
         for call in drained:
