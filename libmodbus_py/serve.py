@@ -6,9 +6,9 @@ from .device.access import Access
 from .device.authorization import Allow, Asked, Rules
 from .device.caller import Caller, ValueChange
 from .device.device import Device
-from .device.functions import RecordFile
 from .device.hooks import Hook
 from .device.mapping import Mapping
+from .device.records import RecordFile
 from .server.audit import Audit, AuditEvent, AuditFile
 from .server.limits import Limits, ServerStatistics
 from .server.serving import Running

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from ..protocol.pdu import MaskWriteRegister, Request
 from .access import Access, touched
 from .event_log import EventLog
-from .functions import RecordFile
 from .mapping import Mapping
+from .records import RecordFile
 
 if TYPE_CHECKING:
     from ..security.describing import CertificateHolder

@@ -39,10 +39,11 @@ from .access import ACCESSES, Access, Touched, touched
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
 from .caller import Auditor, Caller, Executed, changes_of, values_at
 from .event_log import EventLog
-from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions, Records
+from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions
 from .hooks import HookLike, Hooks
 from .mapping import Mapping, Table
 from .named_values import NamedValues, PointIndex, PointRules, RuledCells, zeros_for
+from .records import Records
 from .reply import Answered, Watched, answer_in_c, make_tally, replier, reply
 
 if TYPE_CHECKING:
@@ -123,16 +124,16 @@ class Device(NamedValues, PythonFunctions):
             for no points.
 
     Attributes:
-        mapping, server_id, exception_status: as given; they may be assigned.
-        files: ``{file number: RecordFile}``, with all records that clients wrote.
-        fifos: ``{pointer address: list of registers}``; the program may change the lists.
+        mapping, server_id, exception_status, files, fifos: as given; they may be set, and are
+            checked like the arguments. `files` is ``{file number: RecordFile}``, with all records
+            that clients wrote, and `fifos` ``{pointer address: FifoQueue}``, whose queues the
+            program may change like lists.
         diagnostic_register: the response to sub-function 2 of function 8, 0..65535.
-        in_c: the function codes that `answer_chunk` may answer: all functions of libmodbus, except
-            those with a handler, and those for which hooks or rules are called at all addresses
-            of their table; empty if requests are authorized.
+        in_c: the function codes that `answer_chunk` may answer.
 
     Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
+        TypeError, ValueError: an argument or an attribute of the wrong type or range.
+        AttributeError: another argument is set as an attribute.
     """
 
     def __init__(
@@ -179,7 +180,7 @@ class Device(NamedValues, PythonFunctions):
             for request, kind in ACCESSES.items()
             if reads.get(kind.reads) or writes.get(kind.writes)
         }
-        self.in_c: frozenset[int] = frozenset(
+        self._in_c: frozenset[int] = frozenset(
             request.function
             for request, kind in ACCESSES.items()
             if request not in self._handlers
@@ -187,8 +188,17 @@ class Device(NamedValues, PythonFunctions):
             and not self._is_whole(kind.writes, writes.get(kind.writes, ()))
         )
         if self._guard is not None:
-            self.in_c = frozenset()
-        self._watched = Watched(self.in_c, reads, writes)
+            self._in_c = frozenset()
+        self._watched = Watched(self._in_c, reads, writes)
+
+    @property
+    def in_c(self) -> frozenset[int]:
+        """
+        The function codes that `answer_chunk` may answer: all functions of libmodbus, except those
+        with a handler, and those for which hooks or rules are called at all addresses of their
+        table; empty if requests are authorized.
+        """
+        return self._in_c
 
     def _is_whole(self, table: str, ranges: tuple[range, ...]) -> bool:
         """Return True if joined ranges contain all addresses that a table has."""
@@ -318,9 +328,9 @@ class Device(NamedValues, PythonFunctions):
         if not (0 <= start <= len(data) and 0 <= unit <= 0xFF):  # C does not check them
             start = integer("start", start, 0, len(data))
             unit = integer("unit", unit, 0, 0xFF)
-        with self.mapping.lock:
+        with self._mapping.lock:
             return answer_in_c(
-                replier(), self.mapping, self._watched, self._tally, unit, data, start
+                replier(), self._mapping, self._watched, self._tally, unit, data, start
             )
 
     def refuse(self, pdu: bytes, code: int, caller: Caller = _UNKNOWN) -> bytes:
