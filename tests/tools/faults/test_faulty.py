@@ -42,7 +42,7 @@ def test_units_without_faults_are_answered_in_c(
 ) -> None:
     units = {1: made_device(), 2: made_device()}
     for device in units.values():
-        monkeypatch.setattr(device, "answer", lambda *_: pytest.fail("not in C"))
+        monkeypatch.setattr(device, "_respond", lambda *_: pytest.fail("not in C"))
     fault = Fault("exception", code=6)
     with serving(stage, "tcp", fault, of=2, units=units) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
