@@ -388,14 +388,15 @@ class Device(NamedValues, PythonFunctions):
         except Exception:
             request = None
         changes = request is not None and request.changes
+        refusals: list[bool] = []
         with self.mapping.lock:
             found = changes_of(request, caller, self.mapping, self.files) if changes else ()
             if changes and not auditor.may_change():
                 response = bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
             else:
-                response = self._respond(pdu, log, caller)
-        is_refused = self._guard is not None and response[1:] == bytes([IllegalFunction.code])
-        if changes or is_refused:
+                response = self._respond(pdu, log, caller.telling(refusals.append))
+        # The code of the response does not tell: exception 1 may also come from the function.
+        if changes or refusals:
             auditor.note(Executed(caller, pdu, response, found, changes))
         return response
 
@@ -428,9 +429,9 @@ class Device(NamedValues, PythonFunctions):
         asked = Asked(caller.role, caller.unit, caller.peer, function, request, *found)
         try:
             self._guard.check(asked)
-        except UnauthorizedError:
+        except BaseException as error:
             if caller.on_unauthorized is not None:
-                caller.on_unauthorized()
+                caller.on_unauthorized(isinstance(error, UnauthorizedError))
             raise
 
     def _execute(self, request: Request[Any], pdu: bytes, log: EventLog, caller: Caller) -> bytes:

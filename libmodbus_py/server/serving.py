@@ -420,8 +420,8 @@ class DeviceServer(Serving):
         finally:
             self._answering_now.remove(now)
 
-    def _note_unauthorized(self) -> None:
-        self.statistics.unauthorized += 1
+    def _note_unauthorized(self, is_said: bool) -> None:
+        self.statistics.unauthorized += is_said
 
 
 class Devices:
