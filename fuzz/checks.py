@@ -170,7 +170,7 @@ def check_device_file(text: str) -> None:
     message = ""
     devices: Device | dict[int, Device] = {}
     try:
-        devices, _ = device_file.parse(text, clock=lambda: moment[0])
+        devices = device_file.parse(text, clock=lambda: moment[0]).devices
     except device_file.DeviceFileError as error:
         message = str(error)
     assert "\n" not in message

@@ -48,12 +48,12 @@ from .protocol.errors import ServerDeviceBusy as ServerDeviceBusy
 from .protocol.errors import ServerDeviceFailure as ServerDeviceFailure
 from .security.security import Security as Security
 from .server.limits import Limits as Limits
+from .server.server import Server as Server
 from .services.fleet.fleet import Fleet as Fleet
 from .services.gateway.gateway import Gateway as Gateway
 from .services.gateway.routes import Route as Route
 from .services.loading import load as load
 from .tools.faults.fault import Fault as Fault
-from .tools.faults.server import Server as Server
 from .tools.files.map_file import MapError as MapError
 from .tools.files.map_file import load_map as load_map
 from .version import __version__ as __version__

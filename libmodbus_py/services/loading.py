@@ -40,8 +40,8 @@ def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | 
             ``.tsv`` or ``.txt``; other files are TOML.
 
     Returns:
-        What the file describes: a `RegisterMap`; a `Simulation`, which ``Server(*simulation)``
-        serves; a `GatewayFile` or a `FleetFile`.
+        What the file describes: a `RegisterMap`; a `Simulation`, whose `devices` a
+        `Server` serves; a `GatewayFile` or a `FleetFile`.
 
     Raises:
         FileError: a ValueError: the file cannot be read, is not of one of these kinds, or contains

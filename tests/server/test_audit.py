@@ -78,7 +78,7 @@ def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
     """In all events, as in URLs: with brackets around the address."""
     told: list[str | None] = []
     served = Server(device(), audit=events.append, trace=lambda each: told.append(each.peer))
-    closed = Server(device(), None, Limits(allow=["192.0.2.0/24"]), audit=events.append)
+    closed = Server(device(), limits=Limits(allow=["192.0.2.0/24"]), audit=events.append)
     url = f"{transport}://[::1]:0"
     with served.background(url) as one, closed.background(url) as other:
         with Context.from_url(one.urls[0], unit=5, timeout=20) as client:

@@ -206,7 +206,7 @@ class Dispatcher:
 
 
 class NotAllowed(Exception):
-    """A request is refused before anybody is asked; `code` is that of the exception response."""
+    """`authorize`, or the rules of a route, refuse a request with the exception `code`."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)

@@ -21,8 +21,8 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.protocol.framing import Frame
+from libmodbus_py.server.faults import Faults
 from libmodbus_py.tools.faults.fault import KINDS, Fault
-from libmodbus_py.tools.faults.server import Faults
 from tests.simulation.stage import Stage
 from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
 

@@ -19,7 +19,7 @@ from libmodbus_py import (
     ServerDeviceBusy,
     TcpContext,
 )
-from libmodbus_py.tools.faults.fault import FaultSwitch
+from libmodbus_py.server.faults import FaultSwitch
 from libmodbus_py.tools.testing.recording import RecordingServer, ServerMaker
 from libmodbus_py.tools.testing.wires import SerialWire
 
