@@ -24,11 +24,13 @@ from .device.authorization import Rules as Rules
 from .device.device import Device as Device
 from .device.hooks import Hook as Hook
 from .device.mapping import Mapping as Mapping
+from .maps.map_file import MapError as MapError
 from .maps.meaning import NoValue as NoValue
 from .maps.plan import Plan as Plan
 from .maps.plan import Read as Read
 from .maps.point import Point as Point
 from .maps.register_map import RegisterMap as RegisterMap
+from .maps.register_map import load_map as load_map
 from .ports.trace import Traced as Traced
 from .protocol.errors import Acknowledge as Acknowledge
 from .protocol.errors import ExceptionResponse as ExceptionResponse
@@ -54,6 +56,4 @@ from .services.gateway.gateway import Gateway as Gateway
 from .services.gateway.routes import Route as Route
 from .services.loading import load as load
 from .tools.faults.fault import Fault as Fault
-from .tools.files.map_file import MapError as MapError
-from .tools.files.map_file import load_map as load_map
 from .version import __version__ as __version__

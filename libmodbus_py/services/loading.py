@@ -10,7 +10,7 @@ from os import PathLike, fspath
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-from ..tools.files.texts import FileError, FilePlace, read_text, read_toml
+from ..files.texts import FileError, FilePlace, read_text, read_toml
 
 if TYPE_CHECKING:
     from ..maps.register_map import RegisterMap
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["load"]
 
 LOADERS: dict[str, tuple[str, str]] = {
-    "point": ("tools.files.map_file", "load_map"),
+    "point": ("maps.register_map", "load_map"),
     "unit": ("tools.simulator.device_file", "load"),
     "route": ("services.gateway.config", "load"),
     "listen": ("services.gateway.config", "load"),

@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args
 from weakref import WeakValueDictionary
 
 from ...client.options import CheckedOptions
+from ...files.schema import Key, Keys, flag, one_of, whole
 from ...maps.point import Point
 from ...maps.point_checks import LONGEST_INTERVAL, SHORTEST_INTERVAL
 from ...maps.register_map import RegisterMap
@@ -24,7 +25,6 @@ from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
 from ...protocol.json_text import json_text
 from ...protocol.mistakes import Mistake, WrongType, WrongValue, inside, item, named_arguments
-from ...tools.files.schema import Key, Keys, flag, one_of, whole
 
 # fmt: off
 __all__ = [

@@ -13,9 +13,9 @@ import gc
 import os
 from collections.abc import Callable, Sequence
 
+from ...files.texts import compared, reread
 from ...protocol.mistakes import inside
 from ...server.server import Server
-from ..files.texts import compared, reread
 from .device_file import load
 from .simulated import SimulatedDevice, Simulation
 
