@@ -253,6 +253,9 @@ def misfits(devices: Iterable[DeviceConfig]) -> Iterator[tuple[int, Mistake]]:
 
 def checked(devices: Iterable[DeviceConfig]) -> list[DeviceConfig]:
     """Return the devices of one fleet as a list; raise the first of their `misfits`."""
+    if not isinstance(devices, Iterable):
+        given = type(devices).__name__
+        raise WrongType("devices", f"must be a list of DeviceConfig, not {given}")
     found = list(devices)
     for at, mistake in misfits(found):
         raise mistake.under(("devices", at))
