@@ -37,7 +37,7 @@ def main() -> int:
         return 1
     meter = device_file.load(EXAMPLES / "meter.toml")
     plant = device_file.load(EXAMPLES / "plant.toml")
-    server = Server({7: meter.devices, **plant.devices}, {**plant.faults, 7: FAULTS})
+    server = Server({7: meter.devices, **plant.devices}, faults={**plant.faults, 7: FAULTS})
     is_over = threading.Event()
     with (
         live_page(server) as page,

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from libmodbus_py import Device, FrameError, InvalidResponse, Mapping, device_file, pdu
+from libmodbus_py.files.texts import read_toml
+from libmodbus_py.maps import map_file
 from libmodbus_py.protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,
@@ -31,8 +33,6 @@ from libmodbus_py.protocol.framing import (
 from libmodbus_py.security.role import RoleError, decode_role, encode_role, role_of
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.services.gateway import config as gateway_file
-from libmodbus_py.tools.files import map_file
-from libmodbus_py.tools.files.texts import read_toml
 from libmodbus_py.tools.listener.separator import LineFraming, Separator
 from libmodbus_py.tools.listener.transaction import Heard
 
@@ -170,7 +170,7 @@ def check_device_file(text: str) -> None:
     message = ""
     devices: Device | dict[int, Device] = {}
     try:
-        devices, _ = device_file.parse(text, clock=lambda: moment[0])
+        devices = device_file.parse(text, clock=lambda: moment[0]).devices
     except device_file.DeviceFileError as error:
         message = str(error)
     assert "\n" not in message

@@ -53,8 +53,8 @@ BUILD = Path("build/mutants")
 # The files that decide about requests, turns, time and bytes.
 DECIDING = [
     *("client", "services/gateway", "services/fleet", "services/workers", "protocol"),
-    *(f"server/{name}.py" for name in ("framed", "limits", "peer", "peers", "sessions")),
-    "tools/faults/server.py",
+    *(f"server/{name}.py" for name in ("faults", "framed", "limits", "peer", "peers", "sessions")),
+    "tools/faults/fault.py",
 ]
 
 # Where the tests of a folder stand, if not in the folder of the same name; all have the world.
@@ -65,7 +65,7 @@ BESIDE = {
     "protocol": ("protocol", "client", "server"),
     # A gateway is a server, too, and many tests of either try both.
     "services/gateway": ("services/gateway", "server"),
-    "server": ("server", "services/gateway"),
+    "server": ("server", "services/gateway", "tools/faults"),
     "tools/faults": ("tools/faults", "server"),
     # Workers are fleets, whose commands and records come over the engine.
     "services/fleet": ("services/fleet", "services/workers"),

@@ -18,11 +18,13 @@ from .device.authorization import Rules as Rules
 from .device.device import Device as Device
 from .device.hooks import Hook as Hook
 from .device.mapping import Mapping as Mapping
+from .maps.map_file import MapError as MapError
 from .maps.meaning import NoValue as NoValue
 from .maps.plan import Plan as Plan
 from .maps.plan import Read as Read
 from .maps.point import Point as Point
 from .maps.register_map import RegisterMap as RegisterMap
+from .maps.register_map import load_map as load_map
 from .ports.trace import Traced as Traced
 from .protocol.errors import Acknowledge as Acknowledge
 from .protocol.errors import ExceptionResponse as ExceptionResponse
@@ -42,12 +44,10 @@ from .protocol.errors import ServerDeviceBusy as ServerDeviceBusy
 from .protocol.errors import ServerDeviceFailure as ServerDeviceFailure
 from .security.security import Security as Security
 from .server.limits import Limits as Limits
+from .server.server import Server as Server
 from .services.fleet.fleet import Fleet as Fleet
 from .services.gateway.gateway import Gateway as Gateway
 from .services.gateway.routes import Route as Route
 from .services.loading import load as load
 from .tools.faults.fault import Fault as Fault
-from .tools.faults.server import Server as Server
-from .tools.files.map_file import MapError as MapError
-from .tools.files.map_file import load_map as load_map
 from .version import __version__ as __version__

@@ -6,18 +6,19 @@ from .device.access import Access
 from .device.authorization import Allow, Asked, Rules
 from .device.caller import Caller, ValueChange
 from .device.device import Device
-from .device.functions import RecordFile
 from .device.hooks import Hook
 from .device.mapping import Mapping
+from .device.records import FifoQueue, RecordFile
 from .server.audit import Audit, AuditEvent, AuditFile
 from .server.limits import Limits, ServerStatistics
+from .server.server import Server
 from .server.serving import Running
 from .tools.faults.fault import Fault
-from .tools.faults.server import Server
 
 # fmt: off
 __all__ = [
     "Access", "Allow", "Asked", "Audit", "AuditEvent", "AuditFile", "Caller", "Device", "Fault",
+    "FifoQueue",
     "Hook", "Limits", "Mapping", "RecordFile", "Rules", "Running", "Server", "ServerStatistics",
     "ValueChange",
 ]

@@ -1,19 +1,18 @@
 """
-Calls that only Linux has, and what takes their place elsewhere.
+Calls that only Linux has.
 
-Each part is looked for when it is used, so that no import fails where it is missing. A port to
-another system changes this file; all others use what every POSIX system has.
+Not every Python on Linux has a name for all of them: PyPy lacks some, and takes what stands beside.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
-import select
+import resource
 import socket
 import struct
-import sys
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -21,34 +20,23 @@ from typing import Protocol
 __all__ = [
     "IP_PKTINFO",
     "KEY_REJECTED",
-    "PROBES",
-    "TCP_QUICKACK",
     "DescriptorPoller",
     "Flag",
     "allow_all_descriptors",
     "boot_time",
     "call_in_children",
     "lock_file",
-    "make_poller",
     "most_descriptors",
     "peer_credentials",
     "reserve_descriptors",
     "set_odd_baudrate",
 ]
 
-TCP_QUICKACK: int | None = getattr(socket, "TCP_QUICKACK", None)
-"""Option of a TCP socket: acknowledge at once; None where the system decides alone."""
-
-PROBES: tuple[int | None, ...] = (
-    # macOS calls the first one so.
-    getattr(socket, "TCP_KEEPIDLE", getattr(socket, "TCP_KEEPALIVE", None)),
-    getattr(socket, "TCP_KEEPINTVL", None),
-    getattr(socket, "TCP_KEEPCNT", None),
-)
-"""Options of a TCP socket: silence before probes, time between them, their number."""
-
 # Python has no name for it before 3.14; the number is that of <linux/in.h>.
-IP_PKTINFO: int = getattr(socket, "IP_PKTINFO", 8 if sys.platform == "linux" else 26)
+IP_PKTINFO: int = getattr(socket, "IP_PKTINFO", 8)
+
+# The number is that of <linux/time.h>.
+CLOCK_BOOTTIME: int = getattr(time, "CLOCK_BOOTTIME", 7)
 
 KEY_REJECTED: int = getattr(errno, "EKEYREJECTED", errno.EACCES)
 """The errno of a certificate that is refused."""
@@ -129,71 +117,6 @@ class DescriptorPoller(Protocol):
     def close(self) -> None: ...
 
 
-def make_poller() -> DescriptorPoller:
-    """
-    Return a poller: an epoll, or in its place what asyncio waits with, such as kqueue.
-
-    Raises:
-        OSError: no descriptor is left.
-    """
-    if hasattr(select, "epoll"):
-        return select.epoll()
-    return SelectorPoller()
-
-
-class SelectorPoller:
-    """A poller made from the selector of the system, which must have a descriptor of its own."""
-
-    def __init__(self) -> None:
-        import selectors
-
-        self._selector = selectors.DefaultSelector()
-        # Descriptors -> events of select, those that are registered without events included.
-        self._wanted: dict[int, int] = {}
-        self._events = (
-            (select.POLLIN, selectors.EVENT_READ),
-            (select.POLLOUT, selectors.EVENT_WRITE),
-        )
-        self.closed: bool = False
-
-    def fileno(self) -> int:
-        return self._selector.fileno()
-
-    def register(self, fd: int, eventmask: int = select.POLLIN) -> None:
-        if fd in self._wanted:
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
-        self._want(fd, eventmask)
-
-    def modify(self, fd: int, eventmask: int) -> None:
-        self.unregister(fd)
-        self._want(fd, eventmask)
-
-    def unregister(self, fd: int) -> None:
-        if self._wanted.pop(fd):
-            self._selector.unregister(fd)
-
-    def _want(self, descriptor: int, events: int) -> None:
-        # No selector takes a descriptor without events; epoll does, and reports errors only.
-        if wanted := sum(flag for event, flag in self._events if events & event):
-            self._selector.register(descriptor, wanted)
-        self._wanted[descriptor] = events
-
-    def poll(self, timeout: float | None = None, maxevents: int = -1) -> list[tuple[int, int]]:
-        found = [
-            (key.fd, sum(event for event, flag in self._events if ready & flag))
-            for key, ready in self._selector.select(timeout)
-        ]
-        if 0 <= maxevents < len(found):
-            import random  # none of them is always the last
-
-            return random.sample(found, maxevents)
-        return found
-
-    def close(self) -> None:
-        self.closed = True
-        self._selector.close()
-
-
 def call_in_children(function: Callable[[], None]) -> None:
     """Call a function in each process that is forked from this one from now on."""
     if hasattr(os, "register_at_fork"):
@@ -201,21 +124,17 @@ def call_in_children(function: Callable[[], None]) -> None:
 
 
 def boot_time() -> float:
-    """Return seconds of a clock that continues while the machine is suspended, if it has one."""
-    if hasattr(time, "CLOCK_BOOTTIME"):
-        return time.clock_gettime(time.CLOCK_BOOTTIME)
-    return time.monotonic()
+    """Return seconds of a clock that continues while the machine is suspended."""
+    return time.clock_gettime(CLOCK_BOOTTIME)
 
 
-def peer_credentials(made: socket.socket) -> tuple[int, int] | None:
+def peer_credentials(made: socket.socket) -> tuple[int, int]:
     """
     Return the process and the user at the other end of a connected Unix socket.
 
     Both are those at the time of the connection; the process is 0 if it is in a container whose
-    processes have other numbers. None on a system that does not report them like Linux.
+    processes have other numbers.
     """
-    if not hasattr(socket, "SO_PEERCRED"):
-        return None
     size = struct.calcsize("3i")
     found = made.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
     process, user, _ = struct.unpack("3i", found)
@@ -224,16 +143,12 @@ def peer_credentials(made: socket.socket) -> tuple[int, int] | None:
 
 def lock_file(descriptor: int) -> None:
     """
-    Lock an open file until it is closed; do nothing on a system without such locks.
+    Lock an open file until it is closed.
 
     Raises:
         BlockingIOError: another program has it.
         OSError: it cannot be locked.
     """
-    try:
-        import fcntl
-    except ImportError:
-        return
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
@@ -242,19 +157,11 @@ def lock_file(descriptor: int) -> None:
 
 def most_descriptors() -> int:
     """Return the number of descriptors that this process may have open."""
-    try:
-        import resource
-    except ImportError:
-        return 1024  # as usual where there is a limit
     return resource.getrlimit(resource.RLIMIT_NOFILE)[0]
 
 
 def allow_all_descriptors() -> None:
     """Raise the number of descriptors to what the system allows, if that is possible."""
-    try:
-        import resource
-    except ImportError:
-        return
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
@@ -266,9 +173,7 @@ def reserve_descriptors(descriptor: int, highest: int) -> None:
 
     On Linux, growth in a process with threads delays a new descriptor by 10 ms (synchronize_rcu).
     """
-    with contextlib.suppress(ImportError, OSError):
-        import fcntl
-
+    with contextlib.suppress(OSError):
         duplicate = getattr(fcntl, "F_DUPFD_CLOEXEC", fcntl.F_DUPFD)  # PyPy has the second only
         os.close(fcntl.fcntl(descriptor, duplicate, highest))
 
@@ -281,13 +186,8 @@ def set_odd_baudrate(descriptor: int, baudrate: int) -> None:
     Set a rate without a constant of its own, and check that the port accepted it.
 
     Raises:
-        OSError: the port, or this system, cannot do it.
+        OSError: the port cannot do it.
     """
-    if sys.platform != "linux":
-        rates = "only usual rates can be set on this system"
-        raise OSError(errno.EINVAL, f"baudrate {baudrate} refused: {rates}")
-    import fcntl
-
     # struct termios2, TCGETS2, TCSETS2, CBAUD and BOTHER of asm-generic/termbits.h; where they
     # differ the ioctl fails, and the baud rate is refused.
     termios2 = struct.Struct("4IB19B2I")

@@ -2,7 +2,7 @@
 Serial lines, recording servers and faults, for tests: a short path to `tools.testing`.
 """
 
-from .tools.faults.fault import FaultSwitch
+from .server.faults import FaultSwitch
 from .tools.testing.recording import RecordingServer, ServerMaker
 from .tools.testing.wires import SerialWire, TcpWire
 

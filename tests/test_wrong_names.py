@@ -126,7 +126,7 @@ def test_subclasses_keep_their_own_arguments() -> None:
             super().__init__(mapping, **others)
             self.mine = mine
 
-    assert Mine(Mapping(), mine=3, server_id=None).mine == 3
+    assert Mine(Mapping(), mine=3, exception_status=1).mine == 3
     with pytest.raises(TypeError, match="did you mean identification"):
         Mine(Mapping(), mine=3, identity={})
 

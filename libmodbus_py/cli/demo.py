@@ -22,7 +22,7 @@ from ..device.mapping import Mapping
 from ..ports.endpoint import parse
 from ..protocol import pdu
 from ..protocol.errors import ExceptionResponse
-from ..tools.faults.server import Server
+from ..server.server import Server
 from ..tools.testing.wires import SerialWire, TcpWire
 from .output import PROGRAM, styled
 

@@ -114,7 +114,7 @@ def print_json(fields: dict[str, Any]) -> None:
 
 def print_csv(rows: Iterable[Iterable[Any]]) -> None:
     """Print rows as CSV at once; on a terminal without characters that control it."""
-    from ..tools.files.csv_text import csv_rows
+    from ..files.csv_text import csv_rows
 
     text = csv_rows(rows)
     print(harmless(text) if sys.stdout.isatty() else text, end="", flush=True)

@@ -10,6 +10,7 @@ In the order in which a request goes through::
     access         tables and addresses that a request touches, as hooks see them
     hooks          Hook: functions of the application, the accesses they are for, their duration
     functions      what libmodbus lacks: files, queues, identification, diagnostics
+    records        RecordFile, FifoQueue: what a device has besides its tables
     reply          Replier: libmodbus's modbus_reply in memory, by the chunk
     mapping        Mapping: the four tables of a device, with their holes
     event_log      EventLog: counters, log and silence of one line (functions 8, 11, 12)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from ..protocol.pdu import MaskWriteRegister, Request
 from .access import Access, touched
 from .event_log import EventLog
-from .functions import RecordFile
 from .mapping import Mapping
+from .records import RecordFile
 
 if TYPE_CHECKING:
     from ..security.describing import CertificateHolder
@@ -32,7 +32,8 @@ class Caller(NamedTuple):
         log: the event log of the line on which the request came; None for the device's own.
         is_broadcast: True if no response is sent.
         role: the role in the client's certificate; None without a role, or without TLS.
-        on_unauthorized: called for each request that `authorize` does not allow; None for nothing.
+        on_unauthorized: called for each request that `authorize` does not allow, with True if it
+            said so, False if it raised an exception; None for nothing.
         holder: the holder of the client's certificate; None without TLS.
         auditor: records each change, and each request that `authorize` does not allow; None for
             no audit.
@@ -43,7 +44,7 @@ class Caller(NamedTuple):
     log: EventLog | None = None
     is_broadcast: bool = False
     role: str | None = None
-    on_unauthorized: Callable[[], object] | None = None
+    on_unauthorized: Callable[[bool], object] | None = None
     holder: CertificateHolder | None = None
     auditor: Auditor | None = None
 
@@ -51,6 +52,17 @@ class Caller(NamedTuple):
     def who(self) -> tuple[int, str, str | None]:
         """Unit, peer and role of an `Access`."""
         return self.unit, self.peer, self.role
+
+    def telling(self, note: Callable[[bool], object]) -> Caller:
+        """Return a caller for which another function is called first, as `on_unauthorized` is."""
+        before = self.on_unauthorized
+
+        def both(is_said: bool) -> None:
+            note(is_said)
+            if before is not None:
+                before(is_said)
+
+        return self._replace(on_unauthorized=both)
 
 
 class ValueChange(NamedTuple):

@@ -4,20 +4,16 @@ The functions of a device that libmodbus lacks: files, queues, identification an
 
 from __future__ import annotations
 
-import reprlib
-from array import array
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
-from itertools import compress
-from operator import index
-from typing import Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..protocol.checks import checked_callback, integer
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from ..protocol.framing import delimiter_after
-from ..protocol.mistakes import WrongType, inside
+from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.pdu import (
-    RECORDS_PER_FILE,
+    MAX_PDU,
     Diagnostics,
     EncapsulatedTransport,
     IdentificationPage,
@@ -36,8 +32,9 @@ from ..protocol.pdu import (
 from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .event_log import EventLog
 from .hooks import timed
+from .records import FifoQueue, Files, Queues, RecordFile, Records, items_of
 
-__all__ = ["DEFAULT_SERVER_ID", "PythonFunctions", "RecordFile"]
+__all__ = ["ARGUMENTS_ONLY", "DEFAULT_SERVER_ID", "Handlers", "PythonFunctions"]
 
 DEFAULT_SERVER_ID = ServerId(b"\x01", True, b"libmodbus-py")
 
@@ -48,79 +45,17 @@ DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
 }
 
 
-Records: TypeAlias = int | Iterable[int] | MappingABC[int, int]
-"""The number of records, or their values."""
-
-
-class RecordFile:
-    """
-    One file: registers with record numbers 0..9999, not all of which need to exist.
-
-    ``file[record]`` reads and writes one record; ``len`` and iteration cover
-    the records that exist, in ascending order.
-
-    Args:
-        records: the number of records, 0..10000, all 0; or the values, 0..65535, from record 0 on;
-            or ``{record: value}``.
-
-    Raises:
-        TypeError, ValueError: a record or value is out of range.
-        IndexError: a record does not exist.
-    """
-
-    def __init__(self, records: Records) -> None:
-        if isinstance(records, int) and not isinstance(records, bool):
-            records = [0] * integer("records", records, 0, RECORDS_PER_FILE)
-        if not isinstance(records, Iterable) or isinstance(records, str):
-            expected = "a number of records, a list of values or {record: value}"
-            raise WrongType("records", f"must be {expected}, not {reprlib.repr(records)}")
-        if not isinstance(records, MappingABC):
-            records = dict(enumerate(records))
-        numbers = [integer("record", record, 0, RECORDS_PER_FILE - 1) for record in records]
-        self._values = array("H", bytes(2 * (max(numbers, default=-1) + 1)))
-        self._exists = bytearray(len(self._values))
-        for record, value in zip(numbers, records.values(), strict=True):
-            self._values[record] = integer("value", value, 0, 0xFFFF)
-            self._exists[record] = 1
-
-    def __getitem__(self, record: int) -> int:
-        return self._values[self._existing(record)]
-
-    def __setitem__(self, record: int, value: int) -> None:
-        self._values[self._existing(record)] = integer("value", value, 0, 0xFFFF)
-
-    def __len__(self) -> int:
-        return self._exists.count(1)
-
-    def __iter__(self) -> Iterator[int]:
-        return compress(self._values, self._exists)
-
-    @property
-    def view(self) -> memoryview:
-        """The memory of the records from 0 on, not a copy; records that do not exist are 0."""
-        return memoryview(self._values)
-
-    def has(self, record: int, length: int) -> bool:
-        """Return True if `length` records, starting at `record`, all exist."""
-        return record + length <= len(self._values) and all(self._exists[record : record + length])
-
-    def read(self, record: int, length: int) -> list[int]:
-        """Return `length` records, all of which must exist (`has`)."""
-        return self._values[record : record + length].tolist()
-
-    def write(self, record: int, values: tuple[int, ...]) -> None:
-        """Set records, all of which must exist (`has`)."""
-        self._values[record : record + len(values)] = array("H", values)
-
-    def _existing(self, record: int) -> int:
-        number = index(record)
-        if number < 0 or not self.has(number, 1):
-            raise IndexError(f"no record {record}")
-        return number
-
-
 Handlers = MappingABC[type[Request[Any]], Callable[[Any], Any]]
 """Request class -> the function of the application that answers its requests."""
+
+
+# What would be passed over in silence if it were set: the device does not look there.
+# fmt: off
+ARGUMENTS_ONLY = frozenset((
+    "after_write", "authorize", "before_read", "before_write", "canopen", "handlers",
+    "identification",
+))
+# fmt: on
 
 
 class PythonFunctions:
@@ -136,22 +71,66 @@ class PythonFunctions:
         canopen: Callable[[bytes], bytes] | None,
         handlers: Handlers | None,
     ) -> None:
-        self.files: dict[int, RecordFile] = {}
-        for number, records in _items("files", "{file number: records}", files):
-            with inside("files", number):
-                self.files[integer((), number, 1, 0xFFFF)] = RecordFile(records)
-        self.fifos: dict[int, list[int]] = {}
-        for address, queue in _items("fifos", "{pointer address: registers}", fifos):
-            if not isinstance(queue, Iterable):
-                expected = f"must be a list of registers, not {reprlib.repr(queue)}"
-                raise WrongType(("fifos", address), expected)
-            self.fifos[integer("fifo", address, 0, 0xFFFF)] = list(queue)
+        self.files = files
+        self.fifos = fifos
         self.server_id = server_id
-        self.exception_status: int = integer("exception_status", exception_status, 0, 0xFF)
-        self.diagnostic_register: int = 0
-        self._identification = _checked_identification(identification or {})
+        self.exception_status = exception_status
+        self.diagnostic_register = 0
+        self._identification = _checked_identification(identification)
         self._canopen = None if canopen is None else timed("canopen", canopen)
-        self._handlers = {**self._own, **_bound(handlers or {})}
+        self._handlers = {**self._own, **_bound(handlers)}
+
+    @property
+    def files(self) -> Files:
+        """``{file number: RecordFile}``, with all records that clients wrote."""
+        return self._files
+
+    @files.setter
+    def files(self, files: MappingABC[int, RecordFile | Records] | None) -> None:
+        self._files = Files(files)
+
+    @property
+    def fifos(self) -> Queues:
+        """``{pointer address: FifoQueue}``; the program may change the queues."""
+        return self._fifos
+
+    @fifos.setter
+    def fifos(self, fifos: MappingABC[int, Iterable[int]] | None) -> None:
+        self._fifos = Queues(fifos)
+
+    @property
+    def server_id(self) -> ServerId:
+        """The response to function 17."""
+        return self._server_id
+
+    @server_id.setter
+    def server_id(self, server_id: ServerId) -> None:
+        self._server_id = _checked_server_id(server_id)
+
+    @property
+    def exception_status(self) -> int:
+        """The response to function 7, 0..255."""
+        return self._exception_status
+
+    @exception_status.setter
+    def exception_status(self, status: int) -> None:
+        self._exception_status = integer("exception_status", status, 0, 0xFF)
+
+    @property
+    def diagnostic_register(self) -> int:
+        """The response to sub-function 2 of function 8, 0..65535."""
+        return self._diagnostic_register
+
+    @diagnostic_register.setter
+    def diagnostic_register(self, register: int) -> None:
+        self._diagnostic_register = integer("diagnostic_register", register, 0, 0xFFFF)
+
+    if not TYPE_CHECKING:  # to which every attribute would exist then
+
+        def __setattr__(self, name: str, value: object) -> None:
+            if name in ARGUMENTS_ONLY:
+                raise AttributeError(f"{name} is an argument of Device(...), and cannot be set")
+            super().__setattr__(name, value)
 
     def _file(self, number: int, record: int, length: int) -> RecordFile:
         file = self.files.get(number)
@@ -171,7 +150,7 @@ class PythonFunctions:
         for file, (_number, record, values) in zip(files, request.records, strict=True):
             file.write(record, values)
 
-    def _fifo(self, address: int) -> list[int]:
+    def _fifo(self, address: int) -> FifoQueue:
         if address not in self.fifos:
             raise IllegalDataAddress(f"no queue at {address}")
         return self.fifos[address]
@@ -256,9 +235,28 @@ _DATA: dict[SubFunction, tuple[bytes, ...] | None] = {
 }
 
 
-def _bound(handlers: Handlers) -> dict[type[Request[Any]], Callable[..., Any]]:
+def _checked_server_id(server_id: ServerId) -> ServerId:
+    """Return the response to function 17 if it can be sent."""
+    example = 'ServerId(b"\\x01", running=True)'
+    if not isinstance(server_id, ServerId):
+        given = type(server_id).__name__
+        raise WrongType("server_id", f"must be a ServerId, such as {example}, not {given}")
+    for name in ("identifier", "additional"):
+        if not isinstance(data := getattr(server_id, name), bytes):
+            raise WrongType(f"server_id.{name}", f"must be bytes, not {type(data).__name__}")
+    if server_id.running not in (True, False, None):
+        raise WrongType(
+            "server_id.running", f"must be True, False or None, not {server_id.running!r}"
+        )
+    size = len(server_id.data)
+    if not 2 <= size <= MAX_PDU - 2:
+        raise WrongValue("server_id", f"must take 2..{MAX_PDU - 2} bytes, not {size}")
+    return server_id
+
+
+def _bound(handlers: Handlers | None) -> dict[type[Request[Any]], Callable[..., Any]]:
     bound: dict[type[Request[Any]], Callable[..., Any]] = {}
-    for request, handle in handlers.items():
+    for request, handle in items_of("handlers", "{request class: function}", handlers):
         if not (isinstance(request, type) and issubclass(request, Request)):
             raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
         checked_callback(("handlers", request.__name__), handle)  # a better name than below
@@ -267,17 +265,14 @@ def _bound(handlers: Handlers) -> dict[type[Request[Any]], Callable[..., Any]]:
     return bound
 
 
-def _items(name: str, expected: str, given: Any) -> Iterable[tuple[Any, Any]]:
-    if given is not None and not isinstance(given, MappingABC):
-        raise WrongType(name, f"must be {expected}, not {reprlib.repr(given)}")
-    return (given or {}).items()
-
-
-def _checked_identification(given: MappingABC[Any, str | bytes]) -> dict[int, bytes]:
+def _checked_identification(
+    given: MappingABC[str | int, str | bytes] | None,
+) -> dict[int, bytes]:
     """Return object id -> value, in ascending order."""
     numbers = {name: number for number, name in OBJECT_NAMES.items()}
     objects: dict[int, bytes] = {}
-    for key, value in [*DEFAULT_IDENTIFICATION.items(), *given.items()]:
+    own = items_of("identification", "{object: value}", given)
+    for key, value in [*DEFAULT_IDENTIFICATION.items(), *own]:
         if isinstance(key, str) and key not in numbers:
             raise ValueError(f"identification: {key!r} must be one of {', '.join(numbers)}")
         number = numbers[key] if isinstance(key, str) else integer("object id", key, 0, 0xFF)

@@ -79,13 +79,23 @@ class Hook:
             "file": files,
             "fifo": fifos,
         }
-        self.call: Callable[[Access], object] = call
+        self._call: Callable[[Access], object] = call
         places = {
             table: joined(checked_ranges(NAMES.get(table, table), addresses))
             for table, addresses in given.items()
             if addresses is not None
         }
-        self.places: dict[str, tuple[range, ...]] | None = places or None
+        self._places: dict[str, tuple[range, ...]] | None = places or None
+
+    @property
+    def call(self) -> Callable[[Access], object]:
+        """The function."""
+        return self._call
+
+    @property
+    def places(self) -> dict[str, tuple[range, ...]] | None:
+        """The ranges by table; None if the hook is called for every access."""
+        return self._places
 
     def __repr__(self) -> str:
         return f"Hook({self.call!r}, places={self.places})"
@@ -139,7 +149,7 @@ def _hook(name: str, hook: HookLike | None) -> Hook | None:
     if not isinstance(hook, Hook) and not callable(hook):
         raise TypeError(f"{name} must be a function or a Hook, not {reprlib.repr(hook)}")
     found = copy(hook) if isinstance(hook, Hook) else Hook(hook)
-    found.call = timed(name, found.call)
+    found._call = timed(name, found.call)
     return found
 
 

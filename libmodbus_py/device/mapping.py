@@ -51,21 +51,20 @@ class Table(ABC, Generic[Cell]):
     and assignment to both; iteration and ``len`` leave out holes.
 
     A missing start or stop of a slice is that of the table. Every access takes the mapping's lock.
-    An address that does not exist is an IndexError. `addresses` are all from the first to the last
-    one, `ranges` those that exist, joined.
+    An address that does not exist is an IndexError.
     """
 
     typecode: ClassVar[Literal["B", "H"]]
 
     def __init__(self, name: str, contents: Contents, lock: threading.RLock) -> None:
-        self.name = name
+        self._name = name
         given = _values(name, contents) if isinstance(contents, MappingABC) else {}
         if isinstance(contents, MappingABC):
             contents = [range(at, at + len(values)) for at, values in given.items()]
-        self.ranges: tuple[range, ...] = _ranges(name, contents)
-        ranges = self.ranges
+        self._ranges: tuple[range, ...] = _ranges(name, contents)
+        ranges = self._ranges
         self._starts = [each.start for each in ranges]
-        self.addresses: range = range(ranges[0].start, ranges[-1].stop) if ranges else range(0)
+        self._addresses: range = range(ranges[0].start, ranges[-1].stop) if ranges else range(0)
         self._lock = lock
         size = len(self.addresses) * array(self.typecode).itemsize
         # An empty table has memory too, because mmap makes none of 0 bytes. Private: by
@@ -74,6 +73,21 @@ class Table(ABC, Generic[Cell]):
         self._cells: memoryview = memoryview(self._memory)[:size].cast(self.typecode)
         for at, values in given.items():
             self[at : at + len(values)] = values
+
+    @property
+    def name(self) -> str:
+        """The attribute of the mapping, such as "coils"."""
+        return self._name
+
+    @property
+    def addresses(self) -> range:
+        """All addresses from the first to the last one."""
+        return self._addresses
+
+    @property
+    def ranges(self) -> tuple[range, ...]:
+        """The addresses that exist, joined, in ascending order."""
+        return self._ranges
 
     @property
     @abstractmethod
@@ -93,7 +107,7 @@ class Table(ABC, Generic[Cell]):
     def has(self, address: int, count: int = 1) -> bool:
         """Return True if `count` addresses, starting at `address`, all exist."""
         at = bisect_right(self._starts, address) - 1  # `contains` takes twice the time
-        return at >= 0 and address + count <= self.ranges[at].stop
+        return at >= 0 and address + count <= self._ranges[at].stop
 
     def __len__(self) -> int:
         return sum(map(len, self.ranges))
@@ -273,11 +287,6 @@ class Mapping:
     Source: modbus_mapping_new_start_address, but this package allocates the memory.
     """
 
-    coils: BitTable
-    discrete_inputs: BitTable
-    holding_registers: RegisterTable
-    input_registers: RegisterTable
-
     def __init__(
         self,
         coils: Contents = 0,
@@ -285,39 +294,66 @@ class Mapping:
         holding_registers: Contents = 0,
         input_registers: Contents = 0,
     ) -> None:
-        self.lock: threading.RLock = threading.RLock()
-        self.coils = BitTable("coils", coils, self.lock)
-        self.discrete_inputs = BitTable("discrete_inputs", discrete_inputs, self.lock)
-        self.holding_registers = RegisterTable("holding_registers", holding_registers, self.lock)
-        self.input_registers = RegisterTable("input_registers", input_registers, self.lock)
+        self._lock = threading.RLock()
+        self._coils = BitTable("coils", coils, self._lock)
+        self._discrete_inputs = BitTable("discrete_inputs", discrete_inputs, self._lock)
+        self._holding_registers = RegisterTable("holding_registers", holding_registers, self._lock)
+        self._input_registers = RegisterTable("input_registers", input_registers, self._lock)
         # As the members of a mapping_t are called: nb_bits, start_bits, tab_bits, and so on.
         self._tables: dict[str, Table[Any]] = {
-            "bits": self.coils,
-            "input_bits": self.discrete_inputs,
-            "registers": self.holding_registers,
-            "input_registers": self.input_registers,
+            "bits": self._coils,
+            "input_bits": self._discrete_inputs,
+            "registers": self._holding_registers,
+            "input_registers": self._input_registers,
         }
         self._struct = self._make_struct()
         _mappings.add(self)
 
+    # Read-only, because C would go on answering from the former tables.
+
+    @property
+    def coils(self) -> BitTable:
+        """The bits that clients read and write."""
+        return self._coils
+
+    @property
+    def discrete_inputs(self) -> BitTable:
+        """The bits that clients can only read."""
+        return self._discrete_inputs
+
+    @property
+    def holding_registers(self) -> RegisterTable:
+        """The registers that clients read and write."""
+        return self._holding_registers
+
+    @property
+    def input_registers(self) -> RegisterTable:
+        """The registers that clients can only read."""
+        return self._input_registers
+
+    @property
+    def lock(self) -> threading.RLock:
+        """The lock that ``with mapping:`` holds."""
+        return self._lock
+
     def __enter__(self) -> Self:
-        self.lock.acquire()
+        self._lock.acquire()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.lock.release()
+        self._lock.release()
 
     def __repr__(self) -> str:
         return f"Mapping({', '.join(map(repr, self._tables.values()))})"
 
     def _renew_lock(self) -> None:
         """Free the lock in a forked child, where a thread that held it does not exist."""
-        if self.lock.acquire(blocking=False):  # the lock is free, or this thread holds it
-            self.lock.release()
+        if self._lock.acquire(blocking=False):  # the lock is free, or this thread holds it
+            self._lock.release()
             return
-        self.lock = threading.RLock()
+        self._lock = threading.RLock()
         for table in self._tables.values():
-            table._lock = self.lock
+            table._lock = self._lock
 
     def _make_struct(self) -> Any:
         """Point a mapping_t at the tables; `_pointers` keeps the buffers alive."""

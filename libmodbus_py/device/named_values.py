@@ -87,28 +87,46 @@ class NamedValues:
     Raises:
         TypeError: `mapping` is no Mapping, or `points` no RegisterMap.
         ValueError: a point has cells that the mapping lacks; the message names it.
-
-    Attributes:
-        has_points: True if points were given.
     """
 
     def __init__(self, mapping: Mapping, points: RegisterMap | None) -> None:
+        self._points = points
+        if points is not None:
+            from ..maps.register_map import RegisterMap
+
+            if not isinstance(points, RegisterMap):
+                raise WrongType("points", f"must be a RegisterMap, not {type(points).__name__}")
+        self._mapping = self._checked_mapping(mapping)
+
+    def _checked_mapping(self, mapping: Mapping) -> Mapping:
+        """Return a mapping that has the cells of all points."""
         if not isinstance(mapping, Mapping):
             raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
-        self.mapping = mapping
-        self.has_points: bool = points is not None
-        self._points = points
-        if points is None:
-            return
-        from ..maps.register_map import RegisterMap
-
-        if not isinstance(points, RegisterMap):
-            raise WrongType("points", f"must be a RegisterMap, not {type(points).__name__}")
-        for point in points.values():
+        for point in self.points.values() if self.has_points else ():
             table = getattr(mapping, point.table)
             if not table.has(point.address, len(point.cells)):
                 span = f"{point.cells.start}..{point.cells.stop - 1}"
                 raise WrongValue.about(point.name, f"{table!r} lacks its cells, {span}")
+        return mapping
+
+    @property
+    def mapping(self) -> Mapping:
+        """The four tables; another mapping may be set at any time, if it has all points."""
+        return self._mapping
+
+    @mapping.setter
+    def mapping(self, mapping: Mapping) -> None:
+        with self._mapping.lock:  # no request is answered meanwhile
+            self._mapping = self._checked_mapping(mapping)
+            self._arrange()
+
+    def _arrange(self) -> None:
+        """Decide anew what depends on the tables."""
+
+    @property
+    def has_points(self) -> bool:
+        """True if points were given."""
+        return self._points is not None
 
     @property
     def points(self) -> RegisterMap:

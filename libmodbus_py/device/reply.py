@@ -70,7 +70,8 @@ class Replier:
         for end in self._pair:
             end.close()
 
-    __del__ = close
+    def __del__(self) -> None:
+        self.close()
 
     def renew(self) -> None:
         """Replace the socketpair, in which answers may still lie."""

@@ -37,8 +37,8 @@ from ..protocol.mistakes import Path, WrongType, WrongValue, inside
 from ..protocol.tables import TABLE_SIZE, TABLES, joined, touches
 from .access import Access, TableOrFile
 from .caller import values_at
-from .functions import RecordFile
 from .mapping import Mapping
+from .records import Files
 
 if TYPE_CHECKING:
     from ..maps.point import Point
@@ -62,8 +62,11 @@ TEMPORARY = ".new"
 class Stateful(Protocol):
     """The part of a `Device`, which imports this, whose values are kept."""
 
-    mapping: Mapping
-    files: dict[int, RecordFile]
+    @property
+    def mapping(self) -> Mapping: ...
+
+    @property
+    def files(self) -> Files: ...
 
     @property
     def points(self) -> RegisterMap: ...

@@ -3,7 +3,8 @@ The registers of a device, by name, and the requests that read and write them. N
 
 ::
 
-    register_map   the points of a device: RegisterMap; with a client: BoundMap
+    register_map   the points of a device: RegisterMap, load_map; with a client: BoundMap
+    map_file       the points of a file: TOML, or CSV as vendors publish it; MapError
     point          one named value: Point
     point_checks   the checks of its arguments
     meaning        cells to values and back: no value, states, bits, parts: Meaning, Judged,

@@ -9,7 +9,6 @@ import re
 import reprlib
 import unicodedata
 from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
-from importlib import import_module
 from os import PathLike
 from typing import Any, Protocol, TypeAlias, Unpack
 
@@ -21,8 +20,8 @@ from .point_plan import PointPlan, scale_mistakes, sources_of
 
 # fmt: off
 __all__ = [
-    "AnyMap", "BoundMap", "MapBinding", "RegisterMap", "attribute_names", "close_to", "map_of",
-    "spelled",
+    "AnyMap", "BoundMap", "MapBinding", "RegisterMap", "attribute_names", "close_to", "load_map",
+    "map_of", "spelled",
 ]
 # fmt: on
 
@@ -217,10 +216,34 @@ def map_of(given: AnyMap, name: str = "map") -> RegisterMap:
     if not isinstance(given, str | PathLike):
         wanted = "a RegisterMap or the path of its file"
         raise WrongType(name, f"must be {wanted}, not {type(given).__name__}")
-    # What reads files is above the maps, which import nothing from there: it is found by its
-    # public name when a path is given.
-    found: RegisterMap = import_module(__name__.partition(".")[0]).load_map(given)
-    return found
+    return load_map(given)
+
+
+def load_map(path: str | PathLike[str], *, columns: Mapping[str, str] | None = None) -> RegisterMap:
+    """
+    Return the register map of a file.
+
+    Args:
+        path: the path of the file. If it ends with ``.toml``, the file has a table ``[[point]]``
+            for each point, with the arguments of `Point` as keys. If it ends with ``.csv``,
+            ``.tsv`` or ``.txt``, it has a row for each point, and columns that are recognised by
+            their headings, as vendors name them. It may be as Excel saves it: in UTF-8, UTF-16 or
+            cp1252, with a title above the headings, and with decimal commas where semicolons
+            separate the cells.
+        columns: the headings of columns that are not recognised, by the arguments of `Point` or
+            headings that are, such as ``{"name": "Bezeichnung"}``; only for files with columns.
+
+    Raises:
+        MapError: the file cannot be read, or contains a mistake. The message describes the first
+            one, with file, line, column and what is allowed.
+        ValueError: `columns` has a name that is no argument of `Point`, or the file no columns.
+    """
+    from .map_file import contents_of  # most programs read no file
+
+    contents = contents_of(path, most=1, columns=columns)
+    if contents.mistakes:
+        raise contents.mistakes[0]
+    return RegisterMap(contents.points.values())
 
 
 # --- with a client ------------------------------------------------------------------------

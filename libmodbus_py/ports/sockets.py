@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..protocol.checks import integer
 from ..protocol.errors import MAX_RECEIVED, ModbusConnectionError
-from ..system import PROBES, TCP_QUICKACK
 from .hosts import Resolve, host_and_port
 from .port import RECEIVED_BYTES, Port, Silence, lost
 from .waiting import WRITE, Ready, Steps, of_system, timed_out
@@ -126,10 +125,12 @@ class SocketPort(Port):
 def keep_alive(made: socket.socket, seconds: float) -> None:
     """Make the system probe the other side of a TCP connection after so much silence."""
     made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    values = (math.ceil(seconds), math.ceil(seconds / 3), 3)
-    for option, value in zip(PROBES, values, strict=True):
-        if option is not None:
-            made.setsockopt(socket.IPPROTO_TCP, option, value)
+    for option, value in (
+        (socket.TCP_KEEPIDLE, math.ceil(seconds)),
+        (socket.TCP_KEEPINTVL, math.ceil(seconds / 3)),
+        (socket.TCP_KEEPCNT, 3),
+    ):
+        made.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
 def refuse_own(made: socket.socket) -> None:
@@ -240,10 +241,8 @@ class TcpPort(HostPort, StreamPort):
         # A server that leaves Nagle's algorithm on, as libmodbus's own does, sends its next
         # answer only when this one is acknowledged: after 40 ms, unless told to do it at once.
         # The system forgets this setting, so it is made each time.
-        if TCP_QUICKACK is None:
-            return
         try:
-            self._socket.setsockopt(socket.IPPROTO_TCP, TCP_QUICKACK, 1)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
         except OSError as error:
             of_system(error)
 

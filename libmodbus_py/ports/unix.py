@@ -96,12 +96,9 @@ class UnixListener:
     def name(self, client: socket.socket) -> tuple[str, str]:
         """Return the path with the user of a client, and that with its process."""
         try:
-            found = peer_credentials(client)
+            process, user = peer_credentials(client)
         except OSError:  # it has gone already
-            found = None
-        if found is None:
             return self._path, self._path
-        process, user = found
         host = f"{self._path} uid {user}"
         return host, f"{host} pid {process}"
 

@@ -86,7 +86,8 @@ class Waker:
             if flag is not None:
                 flag.close()
 
-    __del__ = close
+    def __del__(self) -> None:
+        self.close()
 
     def watch(self, descriptor: int) -> None:
         """Set the descriptor and events that `is_ready` waits for."""

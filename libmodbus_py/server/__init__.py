@@ -4,7 +4,8 @@ Answers clients: bytes in, bytes out, on any number of endpoints in one asyncio 
 In the order in which a request goes through::
 
     serving      Serving: opens endpoints, and serves in a loop, in a thread, or for ever, with
-                 callbacks for every ADU; DeviceServer: devices at any number of endpoints
+                 callbacks for every ADU
+    server       Server: devices at any number of endpoints; faults: mistakes in their answers
     running      a server in a thread of its own; signals and garbage of programs that only serve
     peers        TcpServer: takes TCP connections; Peers: all of them within their limits; limits
                  chooses which of them are paused or closed

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+import select
 import socket
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -20,7 +21,7 @@ from ..ports.port import abandoned_in_children
 from ..ports.waiting_async import look_up
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
-from ..system import DescriptorPoller, make_poller, reserve_descriptors
+from ..system import DescriptorPoller, reserve_descriptors
 from .limits import SPARE_DESCRIPTORS, Address, Addresses, Limits, ServerStatistics
 from .peer import MakePeerSession, Peer, Turns
 from .service import TURN_EVENTS, MakeSession, Service, SessionState
@@ -50,7 +51,7 @@ class Peers(Turns):
         limits: Limits,
         statistics: ServerStatistics,
         end: Callable[[], None] | None = None,
-        make_poller: Callable[[], DescriptorPoller] = make_poller,
+        make_poller: Callable[[], DescriptorPoller] = select.epoll,
         auditor: Audit | None = None,
     ) -> None:
         self._most = limits.connections()

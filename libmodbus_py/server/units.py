@@ -49,7 +49,7 @@ class Units:
         devices: Device | Mapping[int, Device],
         unknown: UnknownUnit = "refuse",
         own_unit: int | None = None,
-        on_unauthorized: Callable[[], object] = lambda: None,
+        on_unauthorized: Callable[[bool], object] = lambda is_said: None,
         auditor: Auditor | None = None,
     ) -> None:
         self.on_unauthorized = on_unauthorized

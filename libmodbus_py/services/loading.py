@@ -10,7 +10,7 @@ from os import PathLike, fspath
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-from ..tools.files.texts import FileError, FilePlace, read_text, read_toml
+from ..files.texts import FileError, FilePlace, read_text, read_toml
 
 if TYPE_CHECKING:
     from ..maps.register_map import RegisterMap
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["load"]
 
 LOADERS: dict[str, tuple[str, str]] = {
-    "point": ("tools.files.map_file", "load_map"),
+    "point": ("maps.register_map", "load_map"),
     "unit": ("tools.simulator.device_file", "load"),
     "route": ("services.gateway.config", "load"),
     "listen": ("services.gateway.config", "load"),
@@ -40,8 +40,8 @@ def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | 
             ``.tsv`` or ``.txt``; other files are TOML.
 
     Returns:
-        What the file describes: a `RegisterMap`; a `Simulation`, which ``Server(*simulation)``
-        serves; a `GatewayFile` or a `FleetFile`.
+        What the file describes: a `RegisterMap`; a `Simulation`, whose `devices` a
+        `Server` serves; a `GatewayFile` or a `FleetFile`.
 
     Raises:
         FileError: a ValueError: the file cannot be read, is not of one of these kinds, or contains

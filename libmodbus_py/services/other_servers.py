@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
+from ..files.texts import FileError, FilePlace
 from ..ports.hosts import host_and_port
 from ..protocol.mistakes import WrongType, WrongValue
 from ..security.describing import in_words
 from ..security.renewed import Renewed, read_secret
-from ..tools.files.texts import FileError, FilePlace
 
 __all__ = ["SecretFile", "ServerUrl", "Trust", "server_url", "text_of"]
 

@@ -206,7 +206,7 @@ def test_broadcasts_are_asked_about() -> None:
     refused: list[int] = []
     for allowed in (False, True):
         device = Device(Mapping(coils=1), authorize=lambda asked, it=allowed: it)
-        caller = Caller(0, "line", is_broadcast=True, on_unauthorized=lambda: refused.append(1))
+        caller = Caller(0, "line", is_broadcast=True, on_unauthorized=lambda _: refused.append(1))
         assert device.answer(pdu.WriteCoil(0, True).encode(), caller) == b""
         assert device.mapping.coils[0] == allowed
     assert refused == [1]
@@ -230,7 +230,7 @@ def test_a_restart_and_silence_that_are_denied_do_not_happen() -> None:
 def test_who_was_refused_is_told() -> None:
     refused: list[int] = []
     device = Device(Mapping(1), authorize=lambda asked: asked.function == 1)
-    caller = Caller(on_unauthorized=lambda: refused.append(1))
+    caller = Caller(on_unauthorized=lambda _: refused.append(1))
     device.answer(pdu.ReadCoils(0, 1).encode(), caller)
     device.answer(pdu.ReadCoils(9, 1).encode(), caller)  # refused, but not by authorisation
     assert refused == []

@@ -43,16 +43,6 @@ class TestStatusAndIdentifier:
         device.server_id = pdu.ServerId(b"pump", True, b"7")
         assert device.answer(b"\x11") == b"\x11\6pump\xff7"
 
-    def test_status_that_no_answer_can_carry_is_a_failure(
-        self, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        device = Device(Mapping())
-        device.exception_status = 256
-        device.server_id = pdu.ServerId(b"", True)
-        assert device.answer(b"\x07") == b"\x87\4"
-        assert device.answer(b"\x11") == b"\x91\4"
-        assert len(caplog.records) == 2
-
 
 class TestCounters:
     """The rest stands in test_event_log.py, on real lines."""

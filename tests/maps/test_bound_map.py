@@ -69,14 +69,14 @@ def test_an_awaiting_client() -> None:
 
 def test_a_failed_read_leaves_all_values_as_they_were() -> None:
     faults = [Fault("no_answer", function=1)]
-    server = Server(device(), {None: []})
+    server = Server(device(), faults={None: []})
     with (
         server.background("tcp://127.0.0.1:0") as running,
         Client(running.urls[0], timeout=0.2) as plc,
     ):
         meter = MAP.bind(plc)
         meter.read()
-        server.replace(Device.of_map(MAP, {"voltage L1": 99}), {None: faults})
+        server.replace(Device.of_map(MAP, {"voltage L1": 99}), faults={None: faults})
         with pytest.raises(ModbusTimeoutError):
             meter.read()
         assert meter.voltage_L1 == 230.5

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from libmodbus_py import Client, Device, Mapping, load_map
-from libmodbus_py.tools.files.map_file import contents_of
+from libmodbus_py.maps.map_file import contents_of
 from libmodbus_py.tools.simulator import example_files
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case

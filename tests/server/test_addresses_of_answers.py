@@ -48,7 +48,7 @@ def test_every_address_answers(kind: str, scheme: str, device: Device) -> None:
 
 @SCHEMES
 def test_every_address_answers_late_and_for_a_gateway(scheme: str, device: Device) -> None:
-    late = Server({UNIT: device}, {None: [Fault("delay", seconds=0.01)]})
+    late = Server({UNIT: device}, faults={None: [Fault("delay", seconds=0.01)]})
     with late.background("tcp://127.0.0.1:0") as running:
         for serving in (late, Gateway([Route(running.urls[0])])):
             with served(serving, scheme) as port:

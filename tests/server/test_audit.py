@@ -18,8 +18,10 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
+    Access,
     Client,
     Device,
+    ExceptionResponse,
     Gateway,
     IllegalDataAddress,
     IllegalFunction,
@@ -30,11 +32,12 @@ from libmodbus_py import (
     Route,
     Rules,
     Server,
+    ServerDeviceBusy,
     ServerDeviceFailure,
     pdu,
 )
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.serve import Allow, Audit, AuditEvent, AuditFile
+from libmodbus_py.serve import Allow, Asked, Audit, AuditEvent, AuditFile
 from tests.support import certificates
 from tests.support.cases import each_case
 from tests.support.certificates import Papers
@@ -73,7 +76,7 @@ def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
     """In all events, as in URLs: with brackets around the address."""
     told: list[str | None] = []
     served = Server(device(), audit=events.append, trace=lambda each: told.append(each.peer))
-    closed = Server(device(), None, Limits(allow=["192.0.2.0/24"]), audit=events.append)
+    closed = Server(device(), limits=Limits(allow=["192.0.2.0/24"]), audit=events.append)
     url = f"{transport}://[::1]:0"
     with served.background(url) as one, closed.background(url) as other:
         with Client(one.urls[0], unit=5, timeout=20) as client:
@@ -131,6 +134,47 @@ def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(
         ("refused", 3, "illegal function (exception 1)"),
     ]
     assert said(events[0])["changes"][0]["old"] is None
+
+
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_only_what_authorize_does_not_allow_is_recorded_as_refused(
+    transport: str, events: Events
+) -> None:
+    """Others get exception 1, too; and a status of 1 looks like one (section 6.7)."""
+
+    def authorize(asked: Asked) -> bool:
+        if asked.function == 4:
+            raise ServerDeviceBusy
+        if asked.function == 2:
+            raise IllegalFunction
+        return asked.function != 1
+
+    def refuse(access: Access) -> None:
+        raise IllegalFunction
+
+    guarded = device(authorize=authorize, before_read=refuse, exception_status=1)
+    server = Server(guarded, audit=events.append)
+    with (
+        server.background(f"{transport}://127.0.0.1:0") as running,
+        Client(running.urls[0], unit=5, timeout=20) as plc,
+    ):
+        assert plc.read_exception_status() == 1
+        with pytest.raises(IllegalFunction):  # the hook refuses it
+            plc.read_holding_registers(0, 1)
+        with pytest.raises(IllegalFunction):  # the device has no such function
+            plc.execute(pdu.RawRequest(0x65, b"\0"))
+        with pytest.raises(IllegalDataAddress):
+            plc.read_fifo_queue(9)
+        assert events == []
+        for read in (plc.read_coils, plc.read_discrete_inputs, plc.read_input_registers):
+            with pytest.raises(ExceptionResponse):
+                read(0, 1)
+    assert [(each.event, each.function, each.result) for each in events] == [
+        ("refused", 1, "illegal function (exception 1)"),
+        ("refused", 2, "illegal function (exception 1)"),
+        ("refused", 4, "server device busy (exception 6)"),
+    ]
+    assert (server.statistics.unauthorized, server.statistics.refused) == (1, 6)
 
 
 def test_what_changes_a_device_without_an_address_is_recorded(events: Events) -> None:

@@ -161,7 +161,7 @@ def test_the_event_log_has_the_latest_of_many_requests() -> None:
 
 def test_all_functions_of_libmodbus_are_answered_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not by the way around, which would give the same answers."""
-    monkeypatch.delattr(Device, "answer")
+    monkeypatch.delattr(Device, "_respond")
     device = Device(Mapping(65536, 65536, 65536, 65536))
     vectors = [vector for vector in REQUESTS if vector.function in REPLIED]
     assert {vector.function for vector in vectors} == set(REPLIED)
@@ -226,7 +226,7 @@ LIMITS = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
 def test_counts_are_checked_in_c(
     body: bytes, is_good: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(Device, "answer", raising=False)
+    monkeypatch.delattr(Device, "_respond", raising=False)
     end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
     end.receive(adu(body, 1))
     refusal = bytes([body[0] | 0x80, 3])

@@ -222,12 +222,12 @@ def is_answered_in_c(device: Device, body: bytes, monkeypatch: pytest.MonkeyPatc
     """Both in a chunk and alone."""
     asked: list[bytes] = []
 
-    def answer(device: Device, body: bytes, caller: Any) -> bytes:
+    def respond(device: Device, body: bytes, log: Any, caller: Any) -> bytes:
         asked.append(body)
         return b"\x83\1"
 
     with monkeypatch.context() as patch:
-        patch.setattr(Device, "answer", answer)
+        patch.setattr(Device, "_respond", respond)
         End({1: device}, "chunk").receive(adu(body, 1) * 2)
         assert len(asked) in (0, 2)
         End({1: device}, "chunk").receive(adu(body, 1))

@@ -170,7 +170,7 @@ def test_a_unit_without_a_device(
 ) -> None:
     faults = {None: [NEVER]} if faulty else None
     device = Device(Mapping(holding_registers=1))
-    server = Server({17: device}, faults, unknown_unit=policy)
+    server = Server({17: device}, faults=faults, unknown_unit=policy)
     with server.background(f"{scheme}://10.0.0.1:0") as running:
         client = stage.talk(running.urls[0])
         client.sendall(adu(READ_ONE, 1, STRANGER))

@@ -16,7 +16,7 @@ import pytest
 from libmodbus_py import Client, Device, Fault, Mapping, Server, pdu
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.framing import Frame, TcpFramer
-from libmodbus_py.tools.faults.server import Faults
+from libmodbus_py.server.faults import Faults
 from tests.support.attacks import READ_ONE, adu, ask, connect
 from tests.support.cases import each_case
 
@@ -136,7 +136,7 @@ def test_faults_happen_to_whom_the_server_is(
 ) -> None:
     """But for those of the units themselves."""
     given = {unit: [Fault("exception", code=code)] for unit, code in faults.items()}
-    server = Server({1: holding(7)}, given)
+    server = Server({1: holding(7)}, faults=given)
     with (
         server.background(f"{scheme}://127.0.0.1:0") as running,
         Client(running.urls[0], timeout=20) as plc,

@@ -56,7 +56,7 @@ def test_a_connection_sees_other_devices_and_faults_come_and_go(transport: str) 
         server.replace({1: holding(2), 2: holding(3)})
         until(lambda: client.read_holding_registers(0, 1) == [2])
         assert client.for_unit(2).read_holding_registers(0, 1) == [3]
-        server.replace(server.devices, {1: [Fault("exception", code=6)]})
+        server.replace(server.devices, faults={1: [Fault("exception", code=6)]})
         until(lambda: refuses(client))
         assert client.for_unit(2).read_holding_registers(0, 1) == [3]
         server.replace(holding(4))
@@ -95,7 +95,7 @@ def test_an_endpoint_that_is_still_looked_up_opens_with_the_new_devices(
 
 def test_what_a_server_has_is_told() -> None:
     first, fault = holding(1), Fault("no_answer")
-    server = Server(first, {None: (fault,)})
+    server = Server(first, faults={None: (fault,)})
     assert server.devices is first
     assert server.faults == {None: [fault]}
     devices = {3: holding(2)}
@@ -120,10 +120,10 @@ def test_what_a_server_has_is_told() -> None:
 )
 def test_what_cannot_be_changes_nothing(devices: Any, faults: Any, message: str) -> None:
     before = {1: holding(1)}
-    server = Server(before, {1: [Fault("exception", code=6, every=2)]}, own_unit=1)
+    server = Server(before, faults={1: [Fault("exception", code=6, every=2)]}, own_unit=1)
     with server.background("tcp://127.0.0.1:0") as running:
         with pytest.raises((TypeError, ValueError), match=message):
-            server.replace(devices, faults)
+            server.replace(devices, faults=faults)
         assert server.devices is before
         with Client(running.urls[0], unit=1) as client:
             assert client.read_holding_registers(0, 1) == [1]
@@ -173,7 +173,7 @@ def test_a_hook_may_replace_what_calls_it() -> None:
     """In the middle of a chunk: what is asked behind it sees the new ones, in order."""
 
     def swap(_: object) -> None:
-        server.replace({1: holding(9)}, {1: [Fault("exception", code=6, function=1)]})
+        server.replace({1: holding(9)}, faults={1: [Fault("exception", code=6, function=1)]})
 
     mapping = Mapping(holding_registers={0: [1, 2]}, coils=1)
     server = Server({1: Device(mapping, before_read=Hook(swap, holding_registers=range(1, 2)))})
@@ -211,7 +211,7 @@ def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> 
         polls = [asyncio.create_task(poll(url, stopped)) for _ in range(100)]
         for number in range(15):
             faults = {1: [Fault("exception", code=6, every=3)]} if number % 2 else None
-            server.replace({1: holding(number)}, faults)  # type: ignore[arg-type]
+            server.replace({1: holding(number)}, faults=faults)  # type: ignore[arg-type]
             await asyncio.sleep(0.001)
         stopped.set()
         return await asyncio.gather(*polls)
@@ -260,7 +260,7 @@ def test_a_traced_connection_sees_faults_and_is_closed_by_one() -> None:
         Client(running.urls[0], unit=1, timeout=5) as client,
     ):
         assert client.read_holding_registers(0, 1) == [1]
-        server.replace(holding(2), {1: [Fault("disconnect")]})
+        server.replace(holding(2), faults={1: [Fault("disconnect")]})
         with pytest.raises(ModbusConnectionError):
             until(lambda: client.read_holding_registers(0, 1) == [2])
         until(lambda: server.statistics.connections == 0)

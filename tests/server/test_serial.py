@@ -18,8 +18,8 @@ from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.serial import MAX_UNSENT, SerialServer
+from libmodbus_py.server.server import Devices
 from libmodbus_py.server.service import SessionState
-from libmodbus_py.server.serving import Devices
 from libmodbus_py.server.units import Units
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import LineEnd, Stage

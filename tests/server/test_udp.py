@@ -91,7 +91,7 @@ def test_worked_requests_are_answered_as_on_tcp(
         with subtests.test(number=number, vector=vector):
             answers = []
             for scheme in ("udp", "tcp"):
-                server = Server(Device(Mapping(65536, 65536, 65536, 65536)), faults)
+                server = Server(Device(Mapping(65536, 65536, 65536, 65536)), faults=faults)
                 with server.background(f"{scheme}://127.0.0.1:0") as running:
                     client = stage.talk(running.urls[0], "127.0.0.1")
                     client.sendall(vector.tcp)

@@ -81,7 +81,7 @@ def test_neither_alone_nor_in_a_chunk(many: int) -> None:
 def test_faults_refuse_without_asking() -> None:
     """A fault answers instead of the device: nothing is done, so nothing needs to be allowed."""
     seen: list[Asked] = []
-    server = Server({1: guarded(seen.append)}, {1: [Fault("exception", code=6)]})
+    server = Server({1: guarded(seen.append)}, faults={1: [Fault("exception", code=6)]})
     with (
         server.background("tcp://127.0.0.1:0") as running,
         Client(running.urls[0]) as plc,

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import RegisterMap
+from libmodbus_py.files.texts import FileError
 from libmodbus_py.services.fleet.files import FleetFile
 from libmodbus_py.services.gateway.config import GatewayFile
 from libmodbus_py.services.loading import load
-from libmodbus_py.tools.files.texts import FileError
 from libmodbus_py.tools.simulator.simulated import Simulation
 from tests.support.cases import each_case
 

@@ -121,7 +121,7 @@ def served(
     security = None
     if kind == "tls":
         url, security = "tls://127.0.0.1:0", lasting_papers().server()
-    server = Server({17: device}, faults, Limits(**limits), security=security)
+    server = Server({17: device}, faults=faults, limits=Limits(**limits), security=security)
     with server.background(url) as running:
         yield Served(stage, server, running.urls[0])
 

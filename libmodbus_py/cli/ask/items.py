@@ -304,7 +304,7 @@ def map_of(options: argparse.Namespace) -> RegisterMap | None:
         if options.columns:
             raise ValueError("--column needs --map")
         return None
-    from ...tools.files.map_file import load_map
+    from ...maps.register_map import load_map
     from ...tools.simulator.example_files import map_file
 
     return load_map(map_file(options.map), columns=dict(options.columns))

@@ -13,12 +13,12 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from ...client.blocking import Client
+from ...maps.map_file import contents_of, remarks
 from ...maps.point import Point
-from ...maps.register_map import RegisterMap
+from ...maps.register_map import RegisterMap, load_map
 from ...ports.endpoint import parse
 from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.tables import TABLES
-from ...tools.files.map_file import contents_of, load_map, remarks
 from ...tools.files.map_texts import MARK, class_text, csv_text, toml_text
 from ...tools.scan.search import Extent, search
 from ...tools.simulator.example_files import map_file

@@ -12,11 +12,11 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from ...client.asynchronous import MAX_PAUSE
+from ...files.texts import compared, reread
 from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import Route, parse_route
-from ...tools.files.texts import compared, reread
 from .. import arguments, logs
 from ..arguments import declare, with_options
 from . import over_http

@@ -16,7 +16,7 @@ from ..arguments import declare
 from ..output import complain, inform
 
 if TYPE_CHECKING:
-    from ...tools.faults.server import Server
+    from ...server.server import Server
     from ...tools.page.page import Page
     from ...tools.page.table_source import Shown
 
@@ -94,8 +94,8 @@ def shown(
         yield lambda: None
         return
     from ...ports.hosts import is_loopback
+    from ...server.server import Server
     from ...server.service import explained
-    from ...tools.faults.server import Server
     from ...tools.page.page import live_page, table_page
     from ...tools.page.table_source import TableSource
 

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING
 
+from ...files.texts import compared
 from ...protocol.logs import HarmlessLogger
 from ...server.running import Handler, frozen_garbage, signal_handlers
 from ...services.fleet.config import DeviceConfig
@@ -25,7 +26,6 @@ from ...services.fleet.statistics import LastValues
 from ...services.fleet.trial import overloads, trying
 from ...services.tasks import WriterThread
 from ...system import allow_all_descriptors
-from ...tools.files.texts import compared
 from .. import arguments, logs, tracing
 from ..arguments import declare
 from ..output import Redrawn, Status, complain, inform

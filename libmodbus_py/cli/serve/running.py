@@ -33,7 +33,7 @@ from ..tracing import print_frame
 from .over_http import exposed, shown
 
 if TYPE_CHECKING:
-    from ...tools.faults.server import Server
+    from ...server.server import Server
     from ...tools.page.table_source import Shown
 
 __all__ = ["Hangup", "add_audit", "add_limits", "announce", "notify_ready", "starting"]

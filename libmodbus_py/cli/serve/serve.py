@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Callable, Iterator
+from collections.abc import Mapping as MappingABC
 from functools import partial
 from typing import Any
 
@@ -16,8 +17,8 @@ from ...device.device import Device
 from ...device.mapping import Mapping
 from ...protocol.logs import HarmlessLogger
 from ...protocol.pdu import RECORDS_PER_FILE
+from ...server.server import Server
 from ...server.units import UNKNOWN_UNIT_POLICIES
-from ...tools.faults.server import Server
 from ...tools.simulator import device_file, example_files
 from ...tools.simulator.reloading import Reloader
 from .. import arguments, logs
@@ -111,13 +112,14 @@ def _serve(options: argparse.Namespace) -> int:
         raise ValueError(f"--units cannot be given with {path}, which has its own units")
     with starting(options) as command:
         simulation = _simulation(options, path)
-        devices, faults = simulation or (
-            {unit: _everything() for unit in options.units or ()} or _everything(),
-            None,
-        )
+        devices: Device | MappingABC[int, Device]
+        if simulation is None:
+            devices = {unit: _everything() for unit in options.units or ()} or _everything()
+        else:
+            devices = simulation.devices
         server = Server(
             devices,
-            faults,
+            faults=None if simulation is None else simulation.faults,
             unknown_unit=options.unknown_unit,
             own_unit=options.own_unit,
             **command.hooks,

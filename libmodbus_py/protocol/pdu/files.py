@@ -69,7 +69,7 @@ class ReadFileRecords(Request[list[list[int]]]):
 
     records: tuple[tuple[int, int, int], ...]
 
-    function = 0x14
+    function: ClassVar[int] = 0x14
     repeatable = True
     changes = False
     request_length: ClassVar[LengthRule] = counted(2, at=1)
@@ -149,7 +149,7 @@ class WriteFileRecords(Echoed):
 
     records: tuple[tuple[int, int, tuple[int, ...]], ...]
 
-    function = 0x15
+    function: ClassVar[int] = 0x15
     request_length: ClassVar[LengthRule] = counted(2, at=1)
     response_length: ClassVar[LengthRule] = counted(2, at=1)
     echoed = MAX_PDU
@@ -208,7 +208,7 @@ class ReadFifoQueue(Request[list[int]]):
 
     address: int
 
-    function = 0x18
+    function: ClassVar[int] = 0x18
     repeatable = True
     changes = False
     request_length: ClassVar[LengthRule] = fixed(3)

@@ -135,7 +135,7 @@ class _Encapsulated(Request[Result]):
     """The base of requests of function 43: their lengths, and how devices refuse them."""
 
     __slots__ = ()
-    function = 0x2B
+    function: ClassVar[int] = 0x2B
 
     request_length: ClassVar[LengthRule] = in_c(_request_length, lib.ENCAPSULATED_REQUEST)
     response_length: ClassVar[LengthRule] = in_c(_response_length, lib.ENCAPSULATED_RESPONSE)

@@ -79,7 +79,7 @@ class _Read(Request[Values]):
 
 class _ReadBits(_Read[list[bool]]):
     __slots__ = ()
-    limit = 2000
+    limit: ClassVar[int] = 2000
 
     def encode_response(self, result: Sequence[bool]) -> bytes:
         data = pack_bits(exactly(self.count, checked_bits("result", result, self.count)))
@@ -93,7 +93,7 @@ class _ReadBits(_Read[list[bool]]):
 
 class _ReadRegisters(_Read[list[int]]):
     __slots__ = ()
-    limit = 125
+    limit: ClassVar[int] = 125
 
     def encode_response(self, result: Sequence[int]) -> bytes:
         return encode_registers(self.function, result, self.count)
@@ -108,25 +108,25 @@ class ReadCoils(_ReadBits):
     """Function 1, section 6.1: read `count` coils, 1..2000, from `address` on."""
 
     __slots__ = ()
-    function = 0x01
+    function: ClassVar[int] = 0x01
 
 
 class ReadDiscreteInputs(_ReadBits):
     """Function 2, section 6.2: read `count` discrete inputs, 1..2000, from `address` on."""
 
     __slots__ = ()
-    function = 0x02
+    function: ClassVar[int] = 0x02
 
 
 class ReadHoldingRegisters(_ReadRegisters):
     """Function 3, section 6.3: read `count` holding registers, 1..125, from `address` on."""
 
     __slots__ = ()
-    function = 0x03
+    function: ClassVar[int] = 0x03
 
 
 class ReadInputRegisters(_ReadRegisters):
     """Function 4, section 6.4: read `count` input registers, 1..125, from `address` on."""
 
     __slots__ = ()
-    function = 0x04
+    function: ClassVar[int] = 0x04

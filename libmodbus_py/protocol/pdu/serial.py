@@ -52,7 +52,7 @@ class ReadExceptionStatus(_Bare[int]):
     """Function 7, section 6.7: read eight outputs of the device as a byte, the lowest in bit 0."""
 
     __slots__ = ()
-    function = 0x07
+    function: ClassVar[int] = 0x07
     response_length: ClassVar[LengthRule] = fixed(2)
 
     def encode_response(self, result: int) -> bytes:
@@ -111,7 +111,7 @@ class Diagnostics(Request[bytes]):
     sub_function: int
     data: bytes = b"\0\0"
 
-    function = 0x08
+    function: ClassVar[int] = 0x08
     longest: ClassVar[int] = 250
 
     def __post_init__(self) -> None:
@@ -169,7 +169,7 @@ class ReadCommEventCounter(_Bare[CommEventCounter]):
     """Function 11, section 6.9: read the status word and the event counter."""
 
     __slots__ = ()
-    function = 0x0B
+    function: ClassVar[int] = 0x0B
     response_length: ClassVar[LengthRule] = fixed(5)
 
     def encode_response(self, result: CommEventCounter) -> bytes:
@@ -200,7 +200,7 @@ class ReadCommEventLog(_Bare[CommEventLog]):
     """Function 12, section 6.10: read the counters and the last events."""
 
     __slots__ = ()
-    function = 0x0C
+    function: ClassVar[int] = 0x0C
     response_length: ClassVar[LengthRule] = counted(2, at=1)
     max_events: ClassVar[int] = 64
 
@@ -259,7 +259,7 @@ class ReportServerId(_Bare[ServerId]):
     """Function 17, section 6.13: read the identifier of the device and its run indicator."""
 
     __slots__ = ()
-    function = 0x11
+    function: ClassVar[int] = 0x11
     response_length: ClassVar[LengthRule] = counted(2, at=1)
 
     def encode_response(self, result: ServerId) -> bytes:

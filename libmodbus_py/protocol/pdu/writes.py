@@ -53,7 +53,7 @@ class WriteCoil(_WriteOne[bool]):
     """Function 5, section 6.5: write one coil; `value` is True, False, 1 or 0."""
 
     __slots__ = ()
-    function = 0x05
+    function: ClassVar[int] = 0x05
     wire_values: ClassVar[dict[int, bool]] = {0x0000: False, 0xFF00: True}
     _check = staticmethod(checked_bit)
 
@@ -72,7 +72,7 @@ class WriteRegister(_WriteOne[int]):
     """Function 6, section 6.6: write one holding register; `value` is 0..65535."""
 
     __slots__ = ()
-    function = 0x06
+    function: ClassVar[int] = 0x06
     _check = staticmethod(checked_register)
 
     def encode(self) -> bytes:
@@ -110,7 +110,7 @@ class WriteCoils(_WriteSeveral[bool]):
     """Function 15, section 6.11: write 1..1968 coils from `address` on."""
 
     __slots__ = ()
-    function = 0x0F
+    function: ClassVar[int] = 0x0F
     limit: ClassVar[int] = MAX_WRITTEN["coils"]
     _check, _pack = staticmethod(checked_bits), staticmethod(pack_bits)
 
@@ -126,7 +126,7 @@ class WriteRegisters(_WriteSeveral[int]):
     """Function 16, section 6.12: write 1..123 holding registers from `address` on."""
 
     __slots__ = ()
-    function = 0x10
+    function: ClassVar[int] = 0x10
     limit: ClassVar[int] = MAX_WRITTEN["holding_registers"]
     _check, _pack = staticmethod(checked_registers), staticmethod(pack_registers)
 
@@ -149,7 +149,7 @@ class MaskWriteRegister(Echoed):
     and_mask: int
     or_mask: int
 
-    function = 0x16
+    function: ClassVar[int] = 0x16
     request_length: ClassVar[LengthRule] = fixed(7)
     response_length: ClassVar[LengthRule] = fixed(7)
     echoed = 7
@@ -183,7 +183,7 @@ class ReadWriteRegisters(Request[list[int]]):
     write_address: int
     values: tuple[int, ...]
 
-    function = 0x17
+    function: ClassVar[int] = 0x17
     repeatable = True
     request_length: ClassVar[LengthRule] = counted(10, at=9)
     response_length: ClassVar[LengthRule] = counted(2, at=1)

@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args
 from weakref import WeakValueDictionary
 
 from ...client.options import CheckedOptions
+from ...files.schema import Key, Keys, flag, one_of, whole
 from ...maps.point import Point
 from ...maps.point_checks import LONGEST_INTERVAL, SHORTEST_INTERVAL
 from ...maps.register_map import RegisterMap
@@ -24,7 +25,6 @@ from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
 from ...protocol.json_text import json_text
 from ...protocol.mistakes import Mistake, WrongType, WrongValue, inside, item, named_arguments
-from ...tools.files.schema import Key, Keys, flag, one_of, whole
 
 # fmt: off
 __all__ = [
@@ -253,6 +253,9 @@ def misfits(devices: Iterable[DeviceConfig]) -> Iterator[tuple[int, Mistake]]:
 
 def checked(devices: Iterable[DeviceConfig]) -> list[DeviceConfig]:
     """Return the devices of one fleet as a list; raise the first of their `misfits`."""
+    if not isinstance(devices, Iterable):
+        given = type(devices).__name__
+        raise WrongType("devices", f"must be a list of DeviceConfig, not {given}")
     found = list(devices)
     for at, mistake in misfits(found):
         raise mistake.under(("devices", at))

@@ -17,8 +17,12 @@ from os import PathLike
 from pathlib import Path as FilePath
 from typing import Any, cast
 
+from ...files.csv_text import CELLS, CsvRow, CsvText, number_in
+from ...files.schema import REQUIRED, Key, Keys, keys_of, table, tables
+from ...files.texts import FileError, FilePlace, line_of, load_file, read_table, read_toml
+from ...maps.map_file import POINT
 from ...maps.point_plan import scale_mistakes
-from ...maps.register_map import RegisterMap
+from ...maps.register_map import RegisterMap, load_map
 from ...protocol.mistakes import (
     Mistake,
     Path,
@@ -29,10 +33,6 @@ from ...protocol.mistakes import (
     path_text,
     placed,
 )
-from ...tools.files.csv_text import CELLS, CsvRow, CsvText, number_in
-from ...tools.files.map_file import POINT, load_map
-from ...tools.files.schema import REQUIRED, Key, Keys, keys_of, table, tables
-from ...tools.files.texts import FileError, FilePlace, line_of, load_file, read_table, read_toml
 from ...tools.simulator.example_files import map_file
 from ..other_servers import SecretFile
 from .config import ENGINE, DeviceConfig, misfits

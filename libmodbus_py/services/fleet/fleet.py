@@ -16,6 +16,7 @@ from typing import Any, Self
 
 from ...maps.typed import json_value
 from ...ports.waiting_async import Alarm
+from ...protocol.checks import checked_callback
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import inside, named_arguments
 from ..tasks import KeptTasks
@@ -109,7 +110,7 @@ class Fleet:
         may_ask: MayAsk | None = None,
     ) -> None:
         self._devices: dict[str, DeviceConfig] = {each.name: each for each in checked(devices)}
-        self._may_ask = may_ask
+        self._may_ask = None if may_ask is None else checked_callback("may_ask", may_ask)
         self.statistics: FleetStatistics = FleetStatistics()
         self.commands: Commands = Commands(self)
         self._receivers = Receivers(outputs, journal, self.statistics)

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from ...protocol.logs import HarmlessLogger
+from ...protocol.mistakes import WrongType
 from .commands import Commands
 from .config import DeviceConfig
 from .journal.journal import Journal
@@ -33,7 +34,9 @@ class Receivers:
     def __init__(
         self, outputs: Sequence[Output], journal: Journal | None, statistics: FleetStatistics
     ) -> None:
-        self.outputs: list[Output] = list(outputs)
+        self.outputs: list[Output] = _checked(outputs)
+        if not isinstance(journal, Journal | None):
+            raise WrongType("journal", f"must be a Journal, not {type(journal).__name__}")
         check_exclusive(self.outputs, journal)
         self._journal = journal
         self._statistics = statistics
@@ -130,6 +133,19 @@ class Receivers:
 def _log_end(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and (error := task.exception()) is not None:
         logger.error("%s gets no more readings: %s", task.get_name(), error)
+
+
+def _checked(outputs: object) -> list[Output]:
+    """Return outputs as a list; raise TypeError for what cannot be one."""
+    if isinstance(outputs, str | bytes) or not isinstance(outputs, Iterable):
+        raise WrongType("outputs", f"must be a list of outputs, not {type(outputs).__name__}")
+    found = list(outputs)
+    for at, output in enumerate(found):
+        for method in ("open", "write", "close"):
+            if not callable(getattr(output, method, None)):
+                given = type(output).__name__
+                raise WrongType(("outputs", at), f"must be an output, not {given}: no {method}()")
+    return found
 
 
 def _unlike(names: Iterable[str]) -> list[str]:

@@ -19,11 +19,12 @@ from functools import partial
 from os import PathLike
 from typing import Any
 
+from ...files.schema import Key, Keys, a_list, keys_of, tables
+from ...files.texts import FileError, load_file, read_toml
 from ...ports.endpoint import parse_to_listen
 from ...protocol.mistakes import Path, WrongValue, inside, item
 from ...server.limits import Limits
-from ...tools.files.schema import Key, Keys, a_list, keys_of, parts_of_tables, roles, tables
-from ...tools.files.texts import FileError, load_file, read_toml
+from ...tools.files.rights import parts_of_tables, roles
 from .gateway import Gateway
 from .routes import GatewayOptions, Route, check_line, check_routes
 

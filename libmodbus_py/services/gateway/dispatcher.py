@@ -37,7 +37,6 @@ __all__ = ["Dispatcher", "ResolvedRoute"]
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # What follows the function in the answer to a request that is not allowed.
-_NOT_ALLOWED = bytes([IllegalFunction.code])
 
 RETURN_S = 1.0
 """The time after a broadcast in which it may come back through other gateways."""
@@ -105,13 +104,18 @@ class Dispatcher:
             self.statistics.malformed += 1
             return _exception(pdu, refusal.code)
         auditor = self.auditor
-        if auditor is not None and request.changes and not auditor.may_change():
-            response: bytes | None = _exception(pdu, ServerDeviceFailure.code)
-        elif way is None:
-            response = self._broadcast(session, frame, request)
-        else:
-            response = self._forward(session, frame, request, way)
-        if response is not None and (request.changes or response[1:] == _NOT_ALLOWED):
+        is_refused = False
+        try:
+            if auditor is not None and request.changes and not auditor.may_change():
+                response: bytes | None = _exception(pdu, ServerDeviceFailure.code)
+            elif way is None:
+                response = self._broadcast(session, frame, request)
+            else:
+                response = self._forward(session, frame, request, way)
+        except NotAllowed as refusal:
+            # The code does not tell: devices and hooks of `authorize` use the same ones.
+            is_refused, response = True, _exception(pdu, refusal.code)
+        if response is not None and (request.changes or is_refused):
             session.record(unit, request, response, is_change=request.changes)
         return response
 
@@ -120,8 +124,7 @@ class Dispatcher:
     ) -> bytes | None:
         unit, pdu, number = frame
         line, device_unit, route = way
-        if code := self._check(session, unit, request, route.allow):
-            return _exception(pdu, code)
+        self._check(session, unit, request, route.allow)
         now = self.now()
         age = route.cache if request.is_read else 0.0
         if age and (answer := line.cached(device_unit, request, age, now)):
@@ -144,10 +147,10 @@ class Dispatcher:
 
     def _check(
         self, session: ForwardingSession, unit: int, request: RequestBytes, allow: Allow | None
-    ) -> int:
-        """Return 0, or the code of the exception that refuses a request."""
+    ) -> None:
+        """Raise NotAllowed if `authorize` or the rules of a route refuse a request."""
         if self._guard is None and allow is None:
-            return 0
+            return
         who: Who = unit, session.peer, session.role
         known, accesses = request.known, touched(request.known, who)
         asked = Asked(session.role, unit, session.peer, request.function, known, *accesses)
@@ -157,21 +160,20 @@ class Dispatcher:
         except UnauthorizedError as refusal:
             session.statistics.unauthorized += 1
             self.statistics.refused += 1
-            return refusal.code
+            raise NotAllowed(refusal.code) from None
         except ExceptionResponse as refusal:
-            return refusal.code
+            raise NotAllowed(refusal.code) from None
         except (SystemExit, KeyboardInterrupt):
             raise
         except BaseException:
             if not self._has_failed:  # once: a client must not be able to fill the log
                 self._has_failed = True
                 logger.exception("authorize failed; answered with exception 4")
-            return ServerDeviceFailure.code
+            raise NotAllowed(ServerDeviceFailure.code) from None
         # A request that cannot be decoded may access anything.
         if allow is not None and (known is None or not allow.allows(asked)):
             self.statistics.refused += 1
-            return IllegalFunction.code
-        return 0
+            raise NotAllowed(IllegalFunction.code)
 
     def _broadcast(
         self, session: ForwardingSession, frame: Frame, request: RequestBytes
@@ -189,8 +191,7 @@ class Dispatcher:
             return self._refuse_route(session, frame.pdu)
         # A unit of each route would carry it out. `Allow` has no hash.
         for allow in {id(way.route.allow): way.route.allow for way in ways}.values():
-            if code := self._check(session, 0, request, allow):
-                return _exception(frame.pdu, code)
+            self._check(session, 0, request, allow)
         now, former = self.now(), self._broadcasts
         while former and next(iter(former.values())).done_at + RETURN_S <= now:
             del former[next(iter(former))]
@@ -202,6 +203,14 @@ class Dispatcher:
         former[request.pdu] = Broadcast(session, frame, request, lines, self.now)
         former[request.pdu].begin()
         return None
+
+
+class NotAllowed(Exception):
+    """`authorize`, or the rules of a route, refuse a request with the exception `code`."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code: int = code
 
 
 def _exception(pdu: bytes, code: int) -> bytes:

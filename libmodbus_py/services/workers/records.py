@@ -22,9 +22,9 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
+from ...files.schema import one_of
 from ...protocol.checks import number
 from ...protocol.json_text import SORTED_JSON, json_text
-from ...tools.files.schema import one_of
 from ..engine.buckets import Change
 from ..fleet.config import ENGINE, LONGEST_LEASE, SHORTEST_LEASE, OnLoss
 

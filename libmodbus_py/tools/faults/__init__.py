@@ -1,8 +1,7 @@
 """
-Servers with faults in their answers, for simulations and tests.
+Faults in the answers of a server, for simulations and tests.
 
 ::
 
-    server     Server: devices, and faults in their responses, with their bytes and times
-    fault      Fault: one kind, with its probability and duration; FaultSwitch: on and off
+    fault      Fault: one kind, with its probability and duration, and the bytes that it makes
 """

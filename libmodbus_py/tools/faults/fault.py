@@ -1,25 +1,24 @@
 """
-A fault: a mistake in answers of a server, the requests concerned, and its frequency; and the switch
-of one running server, whose users do not undo each other.
+A fault: a mistake in answers of a server, the requests concerned, its frequency, and its bytes.
 
-`server` counts the requests of a server, and makes the fault that is due happen.
+The server lets the fault that is due happen (`server.faults`).
 """
 
 from __future__ import annotations
 
-import contextlib
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
-from itertools import count
+import random
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
-from ...device.access import Touched
+from ...device.access import Touched, touched_by
 from ...protocol.checks import integer, number, seconds
+from ...protocol.framing import AsciiFramer, Frame, Framer, RtuFramer
 from ...protocol.mistakes import WrongType, WrongValue, named_arguments
 from ...protocol.tables import TABLE_SIZE, TABLES, Table
+from ...server.faults import Fragment
 
-__all__ = ["KINDS", "OPTIONAL", "PLACES", "Fault", "FaultSwitch", "FaultsByUnit"]
+__all__ = ["KINDS", "OPTIONAL", "PLACES", "Fault"]
 
 KINDS: dict[str, str | None] = {
     "delay": "seconds",
@@ -196,118 +195,84 @@ class Fault:
             if access.address < stop and first < access.address + access.count
         )
 
+    def concerns(self, request: Frame, *, has_transaction: bool) -> bool:
+        """Return True if the fault counts a request, which may have a transaction id."""
+        if self.function not in (None, request.pdu[0]):
+            return False
+        if self.kind == "wrong_transaction" and not has_transaction:
+            return False
+        return self.is_everywhere or self.hits(touched_by(request.pdu))
 
-FaultsByUnit = dict[int | None, list[Fault]]
-"""Unit 0..255 -> the faults of its answers; None is every unit."""
+    def counter(self) -> Counter:
+        """Return a new counter of the requests of the fault."""
+        return Counter(self)
 
-_numbers = count()
-
-
-@dataclass(eq=False, slots=True)
-class FaultState:
-    """One fault of a server, which is on or off."""
-
-    unit: int | None  # None for every unit
-    fault: Fault
-    is_given: bool  # to the server itself, not switched on
-    is_on: bool = True
-    number: int = field(default_factory=lambda: next(_numbers))  # greater than of earlier ones
-
-
-class FaultSwitch:
-    """
-    Switches faults of one server on and off, from any thread.
-
-    Each server has one, `Server.fault_switch`. It keeps the faults that were given to the server
-    and, before them, those that each user has switched on. A user can remove only its own faults,
-    and `Server.replace` only those that were given to the server.
-
-    Args:
-        apply: called with all faults that are on; if it raises an exception, nothing has changed.
-    """
-
-    def __init__(self, apply: Callable[[FaultsByUnit], object]) -> None:
-        self._apply = apply
-        self._states: list[FaultState] = []
-        # Reentrant, because a signal handler may switch faults in the middle of a change.
-        self._changing = threading.RLock()
-
-    def switch_on(self, *faults: Fault, unit: int | None = None) -> _Switched:
-        """
-        Switch faults on.
-
-        Args:
-            faults: the faults; they come before those that exist already.
-            unit: the unit whose responses have the faults, 0..255; None for every unit.
-
-        Returns:
-            An object that switches the faults off again; it does so by itself at the end of a
-            ``with`` block.
-
-        Raises:
-            TypeError, ValueError: an argument is wrong; nothing has changed.
-        """
-        made = [FaultState(unit, fault, is_given=False) for fault in faults]
-        with self._changing:
-            self._change([*made, *self._states])
-        return _Switched(self, made)
-
-    def states(self) -> list[FaultState]:
-        """Return all faults, on or off: those switched on last come first, the given ones last."""
-        with self._changing:
-            return list(self._states)
-
-    def turn(self, state: FaultState, *, is_on: bool) -> None:
-        """
-        Switch one fault of `states` on or off; it stays in its place among them.
-
-        Raises:
-            ValueError: the server does not have this fault any more.
-        """
-        with self._changing:
-            if state not in self._states:
-                raise ValueError(f"the server does not have the fault {state.fault} any more")
-            state.is_on = is_on
-            self._change(self._states)
-
-    @contextlib.contextmanager
-    def giving(self, faults: FaultsByUnit) -> Iterator[FaultsByUnit]:
-        """Replace the faults given to the server if the block applies all that are on then."""
-        with self._changing:
-            states = [each for each in self._states if not each.is_given]
-            for unit, given in faults.items():
-                states += [FaultState(unit, fault, is_given=True) for fault in given]
-            yield _that_are_on(states)
-            self._states = states
-
-    def remove(self, states: list[FaultState]) -> None:
-        """Remove faults that were switched on; may be called any number of times."""
-        with self._changing:
-            self._change([each for each in self._states if each not in states])
-
-    def _change(self, states: list[FaultState]) -> None:
-        self._apply(_that_are_on(states))
-        self._states = states
+    def fragments(self, answer: Frame, framer: Framer) -> list[Fragment]:
+        """Return what is sent in place of an answer."""
+        kind = self.kind
+        if kind == "no_answer":
+            return []
+        if kind == "wrong_transaction":
+            # Never that of the next request, because this would then count as its answer.
+            answer = answer._replace(transaction=answer.transaction - 1 & 0xFFFF)
+        if kind == "wrong_unit":
+            answer = answer._replace(unit=answer.unit % 247 + 1)  # one that a serial line can have
+        adu = framer.encode(answer)
+        parts = _parts(self, adu, framer)
+        traced = tuple((each, answer if each == adu else None) for each in parts if each)
+        data = b"".join(parts)
+        wait = self.seconds or 0
+        if kind != "trickle":
+            return [Fragment(wait, data, kind == "disconnect", traced)]
+        found = [Fragment(wait if at else 0, data[at : at + 1]) for at in range(len(data))]
+        return [*found[:-1], found[-1]._replace(traced=traced)]
 
 
-def _that_are_on(states: list[FaultState]) -> FaultsByUnit:
-    faults: FaultsByUnit = {}
-    for each in states:
-        if each.is_on:
-            faults.setdefault(each.unit, []).append(each.fault)
-    return faults
+class Counter:
+    """Counts the requests that a fault concerns."""
+
+    def __init__(self, fault: Fault) -> None:
+        self._fault = fault
+        self._count = 0
+        self._random = random.Random(fault.seed)
+
+    def is_due(self) -> bool:
+        if self._fault.probability is not None:
+            return self._random.random() < self._fault.probability
+        self._count += 1
+        return self._count % (self._fault.every or 1) == 0
+
+    def happening(self) -> Fault:
+        """The fault as it happens this time: with its random bytes."""
+        fault = self._fault
+        if not fault.has_random_bytes:
+            return fault
+        data = self._random.randbytes(fault.length or 0)
+        return replace(fault, data=data, length=None, seed=None)
 
 
-class _Switched(contextlib.AbstractContextManager["_Switched"]):
-    """Faults that one user has switched on, until they are switched off."""
+def _parts(fault: Fault, adu: bytes, framer: Framer) -> tuple[bytes, ...]:
+    """Return the bytes sent in place of a frame; the frame is a part of its own."""
+    garbage = fault.data or b""
+    match fault.kind:
+        case "wrong_check":
+            return (_with_wrong_check(adu, framer),)
+        case "truncate":
+            return (adu[: min(fault.length or 0, len(adu) - 1)],)
+        case "disconnect":
+            return (adu[: fault.length or 0],)
+        case "garbage" if fault.place == "instead":
+            return (garbage,)
+        case "garbage" if fault.place == "behind":
+            return (adu, garbage)
+        case "garbage":
+            return (garbage, adu)
+    return (adu,)
 
-    def __init__(self, switch: FaultSwitch, states: list[FaultState]) -> None:
-        self.states: list[FaultState] = states
-        self._switch = switch
 
-    def __exit__(self, *_: object) -> None:
-        self.switch_off()
-
-    def switch_off(self) -> None:
-        """Remove the faults again. May be called repeatedly."""
-        self._switch.remove(self.states)
+def _with_wrong_check(adu: bytes, framer: Framer) -> bytes:
+    if isinstance(framer, RtuFramer):
+        return adu[:-2] + bytes(byte ^ 0xFF for byte in adu[-2:])
+    if isinstance(framer, AsciiFramer):  # two digits before CR and delimiter
+        return adu[:-4] + b"%02X" % (int(adu[-4:-2], 16) ^ 0xFF) + adu[-2:]
+    return adu[:4] + b"\0\0" + adu[6:]  # the length in the header

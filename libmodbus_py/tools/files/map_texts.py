@@ -13,11 +13,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from typing import Any
 
+from ...files.csv_text import csv_rows
+from ...files.texts import shown_key
+from ...maps.map_file import PADDINGS
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap, attribute_names, spelled
-from .csv_text import csv_rows
-from .map_file import PADDINGS
-from .texts import shown_key
 
 __all__ = ["MARK", "class_name", "class_text", "csv_text", "toml_text"]
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import select
 import threading
 import time
 from collections import deque
@@ -21,7 +22,6 @@ from ...ports.waiting_async import run_async
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import named_parameters
-from ...system import make_poller
 from .capture import CaptureReader, CaptureWriter
 from .separator import LineFraming, Separator
 from .sources import SerialSource, Tap, TimedBytes
@@ -80,7 +80,7 @@ class Listener:
         self._is_busy = False
         self._is_closed = False
         self._waker = Waker()
-        self._poller = make_poller()
+        self._poller = select.epoll()
         self._poller.register(self._waker.descriptor, READ)
         if not isinstance(source, CaptureReader):
             self._poller.register(source.descriptor, READ)

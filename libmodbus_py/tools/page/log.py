@@ -13,13 +13,13 @@ from itertools import count
 from typing import Any, NamedTuple
 
 from ...device.access import ACCESSES, touched
+from ...files.csv_text import csv_rows
 from ...ports.schemes import framing_of
 from ...ports.trace import Traced
 from ...protocol import pdu
 from ...protocol.pdu import Request
 from ...protocol.pdu.request import arguments
 from ...protocol.plain import time_text
-from ..files.csv_text import csv_rows
 from ..listener.pairing import Exchange, TracePairing
 from .streams import Tables
 from .text import cell_text, in_words

@@ -24,7 +24,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from ...ports.hosts import is_loopback, split_host_and_port
 from ...protocol.json_text import json_text
-from ..faults.server import Server
+from ...server.server import Server
 from ..timed_server import TimedServer
 from .server_source import ServerSource
 from .streams import Action, PageSource, Refused, Streams

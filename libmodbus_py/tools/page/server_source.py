@@ -16,8 +16,8 @@ from ...protocol.checks import integer, number
 from ...protocol.plain import text_of
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...protocol.values import ORDERS, TYPES, readings, value_type
+from ...server.server import Server
 from ..faults.fault import KINDS, OPTIONAL, Fault
-from ..faults.server import Server
 from ..simulator.simulated import SimulatedDevice
 from .log import Log
 from .samples import charted
@@ -153,6 +153,7 @@ class ServerSource:
             "faults": {
                 each.number: [each.unit, each.fault.kind, _settings(each.fault), each.is_on]
                 for each in faults
+                if isinstance(each.fault, Fault)
             },
             "counters": {name: each for name, each in counters.items() if isinstance(each, int)},
             **self.log.tables(),

@@ -19,8 +19,8 @@ from ...maps.point import Point
 from ...protocol.errors import ExceptionResponse
 from ...protocol.logs import HarmlessLogger
 from ...protocol.tables import TABLES
+from ...server.server import Server
 from ...server.units import SERVER_ITSELF
-from ..faults.server import Server
 from ..simulator.simulated import SimulatedDevice
 from .samples import Samples, samples_of_each
 from .text import point_text

@@ -18,12 +18,7 @@ from typing import Any
 
 from ...device.functions import DEFAULT_SERVER_ID
 from ...device.mapping import Mapping as Tables
-from ...protocol.checks import integer
-from ...protocol.mistakes import Path, WrongValue, close_to, placed
-from ...protocol.pdu.interface import OBJECT_NAMES
-from ...protocol.tables import TABLES, joined
-from ..faults.fault import LONGEST, Fault
-from ..files.schema import (
+from ...files.schema import (
     REQUIRED,
     Check,
     Key,
@@ -32,13 +27,18 @@ from ..files.schema import (
     bytes_or_text,
     flag,
     keys_of,
-    roles,
     table,
     tables,
     text,
     whole,
 )
-from ..files.texts import FileError, load_file, read_toml, shown_key
+from ...files.texts import FileError, load_file, read_toml, shown_key
+from ...protocol.checks import integer
+from ...protocol.mistakes import Path, WrongValue, close_to, placed
+from ...protocol.pdu.interface import OBJECT_NAMES
+from ...protocol.tables import TABLES, joined
+from ..faults.fault import LONGEST, Fault
+from ..files.rights import roles
 from .clockwork import Clockwork
 from .points import CONTENTS, DEFAULTS, Maps, points_of
 from .simulated import SimulatedDevice, Simulation

@@ -10,16 +10,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from typing import Any
 
+from ...files.schema import REQUIRED, Key, Keys, a_list, keys_of, whole
+from ...files.texts import shown_key
+from ...maps.map_file import POINT
 from ...maps.point import Point
 from ...maps.point_plan import scale_mistakes
-from ...maps.register_map import RegisterMap, close_to
+from ...maps.register_map import RegisterMap, close_to, load_map
 from ...protocol.mistakes import Path, WrongValue, inside, path_text
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLES
 from ...protocol.values import value_type
-from ..files.map_file import POINT, load_map
-from ..files.schema import REQUIRED, Key, Keys, a_list, keys_of, whole
-from ..files.texts import shown_key
 from .clockwork import BEHAVIOURS, SimulatedPoint
 from .example_files import map_file
 

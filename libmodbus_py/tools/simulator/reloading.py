@@ -13,9 +13,9 @@ import gc
 import os
 from collections.abc import Callable, Sequence
 
+from ...files.texts import compared, reread
 from ...protocol.mistakes import inside
-from ..faults.server import Server
-from ..files.texts import compared, reread
+from ...server.server import Server
 from .device_file import load
 from .simulated import SimulatedDevice, Simulation
 
@@ -96,10 +96,10 @@ class Reloader:
     def _use(self, simulation: Simulation) -> str:
         # Before values are taken over, because nothing may change if the file cannot be served.
         with inside(self._path):
-            self._server.replace(*simulation)
+            self._server.replace(simulation.devices, faults=simulation.faults)
         before = self._simulation
         self._simulation = simulation.going_on_from(before)
-        self._server.replace(*self._simulation)
+        self._server.replace(self._simulation.devices, faults=self._simulation.faults)
         changes = compared(self._path, "unit", before.by_unit, self._simulation.by_unit)
         of_faults = "" if before.faults == simulation.faults else "; its faults have changed"
         return changes + of_faults

@@ -174,7 +174,9 @@ def _access(each: SimulatedPoint, values: tuple[Any, ...] = ()) -> Access:
 @dataclass(frozen=True)
 class Simulation:
     """
-    The content of a device file; ``Server(*load("plant.toml"))`` serves it.
+    The content of a device file.
+
+    ``Server(plant.devices, faults=plant.faults)`` serves ``plant = load("plant.toml")``.
 
     Attributes:
         by_unit: devices by unit; None for one that answers every unit.
@@ -191,11 +193,6 @@ class Simulation:
         """Devices by unit, or one device that answers every unit."""
         by_unit = {unit: device for unit, device in self.by_unit.items() if unit is not None}
         return self.by_unit.get(None, by_unit)
-
-    def __iter__(self) -> Iterator[Any]:
-        """Yield the devices and the faults, which are the arguments of `Server`."""
-        yield self.devices
-        yield self.faults
 
     def going_on_from(self, before: Simulation) -> Simulation:
         """

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from ..faults.fault import FaultSwitch
+    from ...server.faults import FaultSwitch
     from ..listener.transaction import Transaction
     from .recording import RecordingServer, ServerMaker
     from .wires import SerialWire

@@ -16,10 +16,10 @@ from ...ports.endpoint import parse
 from ...ports.trace import Traced
 from ...protocol.tables import TABLE_SIZE
 from ...security.security import Security
+from ...server.faults import FaultSwitch, ServerFault
 from ...server.limits import Limits, ServerStatistics
+from ...server.server import Server
 from ...server.units import UnknownUnit
-from ..faults.fault import Fault, FaultSwitch
-from ..faults.server import Server
 from ..listener.pairing import TracePairing
 from ..listener.transaction import Transaction
 
@@ -61,12 +61,12 @@ class RecordingServer:
         self,
         urls: Iterable[str],
         devices: Device | Mapping[int, Device],
-        faults: Mapping[int | None, Iterable[Fault]] | None,
+        faults: Mapping[int | None, Iterable[ServerFault]] | None,
         **options: Unpack[ServerOptions],
     ) -> None:
         # Paired only when `transactions` is called, so that this does not slow down the server.
         self._passed: deque[Traced] = deque(maxlen=MOST)
-        server = Server(devices, faults, trace=self._passed.append, **options)
+        server = Server(devices, faults=faults, trace=self._passed.append, **options)
         self.device: Device | None = devices if isinstance(devices, Device) else None
         if isinstance(devices, Mapping) and len(devices) == 1:
             (self.device,) = devices.values()
@@ -125,7 +125,7 @@ class ServerMaker:
         self,
         *urls: str,
         devices: Device | Mapping[int, Device] | None = None,
-        faults: Mapping[int | None, Iterable[Fault]] | None = None,
+        faults: Mapping[int | None, Iterable[ServerFault]] | None = None,
         **options: Unpack[ServerOptions],
     ) -> RecordingServer:
         """

@@ -74,7 +74,7 @@ def test_what_deep_prints_is_a_device_file(url: str, tmp_path: Path) -> None:
     assert "# coils: ended by the bound on requests, ranges of up to" in text
     path = tmp_path / "found.toml"
     path.write_text(text)
-    devices, _ = device_file.load(path)
+    devices = device_file.load(path).devices
     assert isinstance(devices, dict)
     assert devices[3].mapping.holding_registers[6:8] == [0, 0]
 

@@ -114,3 +114,20 @@ def test_settings() -> None:
 def test_what_is_wrong_is_named(given: Any, error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
         settings(given)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"devices": 5}, r"devices must be a list of DeviceConfig, not int"),
+        ({"outputs": "meter.csv"}, r"outputs must be a list of outputs, not str"),
+        ({"outputs": 5}, r"outputs must be a list of outputs, not int"),
+        ({"outputs": [print]}, r"outputs\[0\] must be an output, not .*: no open\(\)"),
+        ({"journal": "readings"}, r"journal must be a Journal, not str"),
+        ({"may_ask": True}, r"may_ask must be a function, not bool"),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, dict) else None,
+)
+def test_arguments_of_a_fleet_are_checked(arguments: dict[str, Any], text: str) -> None:
+    with pytest.raises(TypeError, match=f"^{text}$"):
+        Fleet(**arguments)

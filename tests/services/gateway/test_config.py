@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Access, Gateway, Route
+from libmodbus_py.files.texts import FileError
 from libmodbus_py.services.gateway import config
 from libmodbus_py.services.gateway.routes import parse_route
-from libmodbus_py.tools.files.texts import FileError
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "gateway.toml"
 

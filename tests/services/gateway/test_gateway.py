@@ -104,7 +104,7 @@ def test_who_closes_with_requests_waiting_costs_nothing(stage: Stage, resets: bo
 def test_closing_it_in_the_middle_leaves_nothing(stage: Stage) -> None:
     """The stage fails the test for a task or an exception that is left."""
     slow = {1: [Fault("delay", seconds=500)]}
-    server = Server({1: small()}, slow)
+    server = Server({1: small()}, faults=slow)
     with server.background("tcp://10.0.0.9:0") as behind:
         for _ in range(3):
             with gateway([Route(behind.urls[0])]) as (_, url):

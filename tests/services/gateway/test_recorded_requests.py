@@ -19,8 +19,10 @@ from libmodbus_py import (
     IllegalDataAddress,
     IllegalFunction,
     Rules,
+    ServerDeviceBusy,
+    pdu,
 )
-from libmodbus_py.serve import Allow
+from libmodbus_py.serve import Allow, Asked
 from tests.services.gateway.gates import READ_ONE, adu, gated, small
 from tests.simulation.stage import Stage
 from tests.support.events import Events
@@ -89,6 +91,32 @@ def test_reads_are_recorded_that_a_rule_refuses_and_no_others(stage: Stage, even
                 context.for_unit(2).read_holding_registers(0, 1)
     refused = "illegal function (exception 1)"
     assert told(events) == [("refused", 1, 1, refused), ("write", 1, 6, refused)]
+
+
+def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
+    stage: Stage, events: Events
+) -> None:
+    def authorize(asked: Asked) -> bool:
+        if asked.function == 1:
+            raise IllegalFunction
+        if asked.function == 2:
+            raise ServerDeviceBusy
+        return True
+
+    with recorded(stage, events, authorize=authorize) as context:
+        for unit in (1, 255):  # a device, and the gateway itself
+            client = context.for_unit(unit)
+            for read in (client.read_coils, client.read_discrete_inputs):
+                with pytest.raises(ExceptionResponse):
+                    read(0, 1)
+            with pytest.raises(IllegalFunction):  # neither has such a function
+                client.execute(pdu.EncapsulatedTransport(13, b""))
+    illegal, busy = "illegal function (exception 1)", "server device busy (exception 6)"
+    assert [each for each in told(events) if each[0] == "refused"] == [
+        ("refused", unit, function, result)
+        for unit in (1, 255)
+        for function, result in ((1, illegal), (2, busy))
+    ]
 
 
 def test_a_write_whose_client_is_gone_is_recorded_once(stage: Stage, events: Events) -> None:

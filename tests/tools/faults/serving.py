@@ -33,7 +33,9 @@ def serving(
     """Serve units 1 and 2 on a stage, of which one or all have faults; yield a URL for clients."""
     units = devices.get("units") or {1: made_device(), 2: made_device()}
     place = "tcp://10.0.0.1:0" if scheme.endswith("tcp") else "x:///dev/line?baudrate=115200"
-    with Server(units, {of: faults}).background(scheme + place[place.index(":") :]) as running:
+    with Server(units, faults={of: faults}).background(
+        scheme + place[place.index(":") :]
+    ) as running:
         yield running.urls[0]
 
 

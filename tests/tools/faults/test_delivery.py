@@ -13,14 +13,13 @@ import pytest
 
 from libmodbus_py import Client, ModbusConnectionError, Server
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
-from libmodbus_py.tools.faults.fault import Fault
-from libmodbus_py.tools.faults.server import (
+from libmodbus_py.server.faults import (
     MAX_WAITING_BYTES,
     Faults,
     FaultyAnswers,
     Fragment,
-    fragments,
 )
+from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage, Talker
 from tests.support.certificates import Papers, secured
 from tests.support.chunks import FakeChannel
@@ -68,7 +67,7 @@ BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
 def test_bytes_of_each_fault(
     fault: Fault, framer: Framer, expected: list[tuple[float, str]]
 ) -> None:
-    sent = [(each.wait, each.data.hex()) for each in fragments(fault, ANSWER, framer)]
+    sent = [(each.wait, each.data.hex()) for each in fault.fragments(ANSWER, framer)]
     assert sent == expected
 
 
@@ -87,12 +86,12 @@ def test_random_bytes_are_the_same_with_a_seed() -> None:
 
 @pytest.mark.parametrize(("unit", "other"), [(0, 1), (1, 2), (246, 247), (247, 1), (255, 9)])
 def test_another_unit_is_one_that_a_line_can_have(unit: int, other: int) -> None:
-    (fragment,) = fragments(Fault("wrong_unit"), ANSWER._replace(unit=unit), TcpFramer())
+    (fragment,) = Fault("wrong_unit").fragments(ANSWER._replace(unit=unit), TcpFramer())
     assert fragment.data[6] == other
 
 
 def test_the_transaction_before_0_is_65535() -> None:
-    (fragment,) = fragments(Fault("wrong_transaction"), ANSWER._replace(transaction=0), TcpFramer())
+    (fragment,) = Fault("wrong_transaction").fragments(ANSWER._replace(transaction=0), TcpFramer())
     assert fragment.data[:2] == b"\xff\xff"
 
 
@@ -223,7 +222,7 @@ def test_garbage_and_disconnects_of_datagrams(stage: Stage) -> None:
         Fault("disconnect", function=1, length=4),
     ]
     device = made_device()
-    with Server(device, {1: faults}).background("udp://10.0.0.1:0") as running:
+    with Server(device, faults={1: faults}).background("udp://10.0.0.1:0") as running:
         datagrams = stage.talk(running.urls[0])
         datagrams.send(adu(READ, 5))
         assert datagrams.recv(100) == adu(b"\x03\x02\x02\x2b", 5) + b"\xaa"
@@ -232,7 +231,7 @@ def test_garbage_and_disconnects_of_datagrams(stage: Stage) -> None:
 
 
 def test_a_disconnect_closes_a_tunnel(tmp_path: Path) -> None:
-    server = Server({1: made_device()}, {1: [Fault("disconnect", every=2, length=5)]})
+    server = Server({1: made_device()}, faults={1: [Fault("disconnect", every=2, length=5)]})
     with (
         secured(server, Papers(tmp_path)) as url,
         Client(url, unit=1, timeout=5) as client,

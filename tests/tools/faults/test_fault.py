@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from libmodbus_py import Server, pdu
 from libmodbus_py.protocol.framing import Frame
+from libmodbus_py.server.faults import Faults
 from libmodbus_py.tools.faults.fault import Fault
-from libmodbus_py.tools.faults.server import Faults
 from tests.support.golden import Refused
 from tests.tools.faults.serving import READ, REQUEST, made_device
 
@@ -105,4 +105,4 @@ def test_a_fault_that_cannot_be_is_refused(refused: Refused) -> None:
 )
 def test_faults_that_are_none_are_refused(faults: Any, message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
-        Server(made_device(), faults)
+        Server(made_device(), faults=faults)

@@ -82,7 +82,7 @@ def test_a_client_of_the_system_sees_the_fault_and_the_next_request_succeeds(
     scheme: str, kind: str
 ) -> None:
     """The real copy, of those faults that take no time."""
-    server = Server({1: made_device()}, {1: [Fault(kind, every=2)]})
+    server = Server({1: made_device()}, faults={1: [Fault(kind, every=2)]})
     with ExitStack() as stack:
         address = client = "tcp://127.0.0.1:0"
         if scheme == "rtu":

@@ -21,8 +21,8 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.protocol.framing import Frame
+from libmodbus_py.server.faults import Faults
 from libmodbus_py.tools.faults.fault import KINDS, Fault
-from libmodbus_py.tools.faults.server import Faults
 from tests.simulation.stage import Stage
 from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
 
@@ -42,7 +42,7 @@ def test_units_without_faults_are_answered_in_c(
 ) -> None:
     units = {1: made_device(), 2: made_device()}
     for device in units.values():
-        monkeypatch.setattr(device, "answer", lambda *_: pytest.fail("not in C"))
+        monkeypatch.setattr(device, "_respond", lambda *_: pytest.fail("not in C"))
     fault = Fault("exception", code=6)
     with serving(stage, "tcp", fault, of=2, units=units) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]

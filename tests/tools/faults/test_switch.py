@@ -18,7 +18,7 @@ YOURS = Fault("exception", code=6)
 
 
 def made_server(*given: Fault) -> Server:
-    return Server({1: Device(Mapping(holding_registers={0: [7]}))}, {1: given})
+    return Server({1: Device(Mapping(holding_registers={0: [7]}))}, faults={1: given})
 
 
 def happening(server: Server) -> list[tuple[int | None, int | None]]:
@@ -66,10 +66,10 @@ def test_one_fault_is_turned_off_and_on_in_its_place() -> None:
 def test_replace_changes_what_was_given_and_nothing_else() -> None:
     server = made_server(GIVEN)
     mine = server.fault_switch.switch_on(MINE, unit=1)
-    server.replace(server.devices, {1: [YOURS]})
+    server.replace(server.devices, faults={1: [YOURS]})
     assert happening(server) == [(1, 5), (1, 6)]
     assert server.faults == {1: [YOURS]}
-    server.replace(server.devices, server.faults)
+    server.replace(server.devices, faults=server.faults)
     assert happening(server) == [(1, 5), (1, 6)]
     mine.switch_off()
     assert happening(server) == [(1, 6)]
@@ -108,7 +108,7 @@ def test_a_wrong_argument_changes_nothing(faults: Any, unit: Any, message: str) 
 def test_devices_that_are_refused_change_no_fault() -> None:
     server = made_server(GIVEN)
     with pytest.raises(TypeError, match="must be a Device"):
-        server.replace({1: 5}, {1: [YOURS]})  # type: ignore[dict-item]
+        server.replace({1: 5}, faults={1: [YOURS]})  # type: ignore[dict-item]
     assert happening(server) == [(1, 4)]
     assert server.faults == {1: [GIVEN]}
 

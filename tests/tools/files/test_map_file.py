@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import MapError, Point, RegisterMap, load_map
-from libmodbus_py.tools.files.map_file import contents_of, remarks
+from libmodbus_py.maps.map_file import contents_of, remarks
 from libmodbus_py.tools.files.map_texts import csv_text, toml_text
 from tests.support.cases import each_case
 from tests.support.golden import Refused

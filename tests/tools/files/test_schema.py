@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import load
+from libmodbus_py.files.csv_text import CELLS
+from libmodbus_py.files.schema import in_bytes, in_seconds
+from libmodbus_py.maps.map_file import POINT, READERS
 from libmodbus_py.services.fleet import files as fleet_files
-from libmodbus_py.tools.files.csv_text import CELLS
-from libmodbus_py.tools.files.map_file import POINT, READERS
-from libmodbus_py.tools.files.schema import in_bytes, in_seconds
 from tests.support.cases import each_case
 
 

@@ -203,7 +203,7 @@ def test_others_may_change_devices_and_faults() -> None:
         visitor.look(1, "holding_registers", 0, 8)
         visitor.receive(lambda: visitor.cells("1/holding_registers"))
         mapping = Mapping(holding_registers={0: [77] * 8})
-        server.replace({1: Device(mapping)}, {1: [Fault("no_answer")]})
+        server.replace({1: Device(mapping)}, faults={1: [Fault("no_answer")]})
         visitor.receive(
             lambda: visitor.cells("1/holding_registers")[0] == 77 and visitor.seen["faults"]
         )

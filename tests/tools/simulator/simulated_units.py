@@ -26,7 +26,7 @@ class Clock:
 
 def unit(text: str, clock: Callable[[], float] = time.monotonic) -> Device:
     """The device of a file with one unit, whose keys are given."""
-    devices, _ = parse(f"[[unit]]\n{text}", clock=clock)
+    devices = parse(f"[[unit]]\n{text}", clock=clock).devices
     assert isinstance(devices, Device)
     return devices
 

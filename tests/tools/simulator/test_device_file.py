@@ -74,7 +74,7 @@ def test_a_table_without_ranges_does_not_exist() -> None:
 
 
 def test_units_are_told_apart_and_faults_are_collected() -> None:
-    devices, faults = parse("""
+    simulation = parse("""
         fault = [{ kind = "no_answer", every = 9 }]
         [[unit]]
         id = 247
@@ -84,12 +84,13 @@ def test_units_are_told_apart_and_faults_are_collected() -> None:
         id = 0
         exception_status = 2
     """)
+    devices, faults = simulation.devices, simulation.faults
     assert isinstance(devices, dict)
     assert {number: device.exception_status for number, device in devices.items()} == {247: 1, 0: 2}
     assert faults == {None: [Fault("no_answer", every=9)], 247: [Fault("delay", seconds=2)]}
-    _, faults = parse(
+    faults = parse(
         "fault = [{ kind = 'wrong_unit' }]\n[[unit]]\nfault = [{ kind = 'no_answer' }]"
-    )
+    ).faults
     assert faults == {None: [Fault("wrong_unit"), Fault("no_answer")]}
 
 
@@ -98,7 +99,8 @@ def test_every_unit_of_a_file_without_id_is_served(tmp_path: Path) -> None:
     registers = "holding_registers = [{ address = 0, value = 42 }]"
     fault = "fault = [{ kind = 'exception', code = 3, function = 1 }]"
     path.write_text(f"[[unit]]\n{registers}\n{fault}\n")
-    with Server(*load(path)).background("tcp://127.0.0.1:0") as running:
+    plant = load(path)
+    with Server(plant.devices, faults=plant.faults).background("tcp://127.0.0.1:0") as running:
         for number in (0, 1, 255):
             with Client(running.urls[0], unit=number) as client:
                 assert client.read_holding_registers(0, 1) == [42]

@@ -24,7 +24,8 @@ PLANT = Path(__file__).parents[3] / "examples" / "plant.toml"
 
 @pytest.fixture(scope="module")
 def plant() -> Iterator[str]:
-    with Server(*load(PLANT)).background("tcp://127.0.0.1:0") as running:
+    plant = load(PLANT)
+    with Server(plant.devices, faults=plant.faults).background("tcp://127.0.0.1:0") as running:
         yield running.urls[0]
 
 

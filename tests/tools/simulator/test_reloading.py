@@ -128,7 +128,7 @@ def reloading(
     """Serve the file in a thread; yield what asks for another reading, a client, what is told."""
     told: list[str] = []
     simulation = load(path)
-    server = Server(*simulation)
+    server = Server(simulation.devices, faults=simulation.faults)
     reloader = Reloader(server, str(path), simulation, is_watching=is_watching, tell=told.append)
     begun: queue.Queue[tuple[asyncio.AbstractEventLoop, asyncio.Event, str]] = queue.Queue()
 

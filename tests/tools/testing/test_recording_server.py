@@ -18,7 +18,7 @@ from libmodbus_py import (
     ModbusTimeoutError,
     ServerDeviceBusy,
 )
-from libmodbus_py.tools.faults.fault import FaultSwitch
+from libmodbus_py.server.faults import FaultSwitch
 from libmodbus_py.tools.testing.recording import RecordingServer, ServerMaker
 from libmodbus_py.tools.testing.wires import SerialWire
 

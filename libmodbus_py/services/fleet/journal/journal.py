@@ -21,9 +21,9 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 
+from ....files.schema import in_bytes, in_seconds
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongType
-from ....tools.files.schema import in_bytes, in_seconds
 from ...tasks import Pauses, WriterThread, end_tasks, finish
 from ..outputs.output import file_at
 from ..readings import Reading

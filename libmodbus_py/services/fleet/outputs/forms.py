@@ -11,9 +11,9 @@ from functools import lru_cache
 from math import isfinite
 from typing import Any
 
+from ....files.csv_text import csv_rows
 from ....protocol.json_text import JSON, json_text
 from ....protocol.plain import plain, time_text
-from ....tools.files.csv_text import csv_rows
 from ..readings import Reading
 from .output import ReadingsRefused
 

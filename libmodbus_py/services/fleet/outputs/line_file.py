@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import BinaryIO, NamedTuple
 
+from ....files.csv_text import csv_rows
 from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import without_controls
-from ....tools.files.csv_text import csv_rows
 from ...tasks import WriterThread, finish
 from ..readings import MOST_KEPT, Reading
 from .forms import COLUMNS, as_csv, as_json

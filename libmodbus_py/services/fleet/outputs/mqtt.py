@@ -9,10 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, groupby
 from typing import TYPE_CHECKING
 
+from ....files.schema import flag
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
 from ....protocol.mistakes import WrongValue
-from ....tools.files.schema import flag
 from ...other_servers import SecretFile, server_url
 from ..commands import Commands
 from ..config import DeviceConfig

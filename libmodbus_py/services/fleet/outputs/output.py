@@ -11,7 +11,7 @@ from importlib import import_module
 from itertools import combinations
 from typing import Any, NamedTuple, Protocol
 
-from ....tools.files.schema import Keys, keys_of
+from ....files.schema import Keys, keys_of
 from ..readings import Reading
 
 # fmt: off

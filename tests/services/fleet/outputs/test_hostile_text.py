@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Device, Mapping
+from libmodbus_py.files.csv_text import csv_rows
 from libmodbus_py.fleet import Reading
 from libmodbus_py.protocol.plain import without_controls
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput, LineFile
-from libmodbus_py.tools.files.csv_text import csv_rows
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.support.cases import each_case
 from tests.support.commands import on_terminal, run

@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from typing import Any, Literal, NamedTuple
 
-from ...protocol.mistakes import WrongValue
-from ...protocol.plain import CONTROL
+from ..protocol.mistakes import WrongValue
+from ..protocol.plain import CONTROL
 from .texts import FileError, FilePlace
 
 __all__ = ["CELLS", "CsvRow", "CsvText", "csv_rows", "flag_in", "number_in", "whole_in"]

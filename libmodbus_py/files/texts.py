@@ -15,7 +15,7 @@ from os import PathLike, fspath
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple, Self, TypeVar
 
-from ...protocol.mistakes import Mistake, Path, WrongValue, placed
+from ..protocol.mistakes import Mistake, Path, WrongValue, placed
 
 # fmt: off
 __all__ = [

@@ -22,21 +22,20 @@ from os import PathLike, fspath
 from pathlib import PurePath
 from typing import Any, NamedTuple
 
-from ...maps.point import Point
-from ...maps.point_checks import BYTES, SCALES
-from ...maps.point_plan import scale_mistakes
-from ...maps.register_map import RegisterMap
-from ...protocol.mistakes import Path, WrongValue, inside, placed
-from ...protocol.values import parse_reference
-from ...protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, by_word, plain, type_named
-from .csv_text import CsvRow, CsvText, flag_in, number_in, whole_in
-from .schema import Key, Keys, keys_of, table, tables
-from .texts import FileError, FilePlace, line_of, read_table, read_text, read_toml
+from ..files.csv_text import CsvRow, CsvText, flag_in, number_in, whole_in
+from ..files.schema import Key, Keys, keys_of, table, tables
+from ..files.texts import FileError, FilePlace, line_of, read_table, read_text, read_toml
+from ..protocol.mistakes import Path, WrongValue, inside, placed
+from ..protocol.values import parse_reference
+from ..protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, by_word, plain, type_named
+from .point import Point
+from .point_checks import BYTES, SCALES
+from .point_plan import scale_mistakes
 
 # fmt: off
 __all__ = [
     "FORMS", "PADDINGS", "POINT", "Contents", "MapError", "contents_of", "contents_of_text",
-    "load_map", "remarks",
+    "remarks",
 ]
 # fmt: on
 
@@ -102,31 +101,6 @@ def collected(contents: Contents, entries: Iterable[MapEntry], most: int) -> Con
     if not points and not mistakes:
         mistakes.append(MapError((), "it has no points"))
     return contents
-
-
-def load_map(path: str | PathLike[str], *, columns: Mapping[str, str] | None = None) -> RegisterMap:
-    """
-    Return the register map of a file.
-
-    Args:
-        path: the path of the file. If it ends with ``.toml``, the file has a table ``[[point]]``
-            for each point, with the arguments of `Point` as keys. If it ends with ``.csv``,
-            ``.tsv`` or ``.txt``, it has a row for each point, and columns that are recognised by
-            their headings, as vendors name them. It may be as Excel saves it: in UTF-8, UTF-16 or
-            cp1252, with a title above the headings, and with decimal commas where semicolons
-            separate the cells.
-        columns: the headings of columns that are not recognised, by the arguments of `Point` or
-            headings that are, such as ``{"name": "Bezeichnung"}``; only for files with columns.
-
-    Raises:
-        MapError: the file cannot be read, or contains a mistake. The message describes the first
-            one, with file, line, column and what is allowed.
-        ValueError: `columns` has a name that is no argument of `Point`, or the file no columns.
-    """
-    contents = contents_of(path, most=1, columns=columns)
-    if contents.mistakes:
-        raise contents.mistakes[0]
-    return RegisterMap(contents.points.values())
 
 
 def contents_of(

@@ -14,16 +14,14 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ...device.access import Access
-from ...device.authorization import Allow, Rules
-from ...protocol.checks import integer, shown
-from ...protocol.mistakes import Path, WrongType, WrongValue, close_option, inside, item
+from ..protocol.checks import integer, shown
+from ..protocol.mistakes import Path, WrongType, WrongValue, close_option, inside, item
 from .texts import shown_key
 
 # fmt: off
 __all__ = [
     "REQUIRED", "Check", "Key", "Keys", "a_list", "anything", "bytes_or_text", "flag", "in_bytes",
-    "in_seconds", "keys_of", "one_of", "parts_of_tables", "roles", "table", "tables", "text",
+    "in_seconds", "keys_of", "one_of", "table", "tables", "text",
     "whole",
 ]
 # fmt: on
@@ -211,38 +209,3 @@ def _in_units(text: str, units: dict[str, int]) -> float:
     """Return an amount in its smallest unit; nan if it is none."""
     found = _AMOUNT.fullmatch(text)
     return float(found[1]) * units.get(found[2], math.nan) if found else math.nan
-
-
-def roles(path: Path, given: object) -> Rules:
-    """Return the rules of all roles; the empty name stands for clients without a role."""
-    if isinstance(given, Rules):  # those of the file, for a unit without its own
-        return given
-    named = table(path, given)
-    found = {
-        name or None: ALLOW.read((*path, shown_key(name)), each) for name, each in named.items()
-    }
-    with inside(*path):
-        return Rules(found)
-
-
-def parts_of_tables(path: Path, given: object) -> Any:
-    """Return names of tables, and an `Access` for each part of a table."""
-    if not isinstance(given, list):
-        return given
-    return [
-        PART.read(item(path, at), each) if isinstance(each, dict) else each
-        for at, each in enumerate(given)
-    ]
-
-
-ALLOW = keys_of(Allow, read=parts_of_tables, write=parts_of_tables)
-
-PART = Keys(
-    (
-        Key("table", anything, "the table", REQUIRED),
-        Key("address", anything, "the first address or record", REQUIRED),
-        Key("count", anything, "how many", REQUIRED),
-        Key("file", anything, "the number of the file", 0),
-    ),
-    Access,
-)

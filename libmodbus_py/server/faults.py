@@ -1,0 +1,326 @@
+"""
+Faults in the answers of a server: which one is due for a request, when its bytes are sent, and the
+switch of a running server, whose users do not undo each other.
+
+The faults themselves, with their bytes, come from the caller (`ServerFault`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import count
+from typing import NamedTuple, Protocol, runtime_checkable
+
+from ..protocol.checks import integer
+from ..protocol.framing import Frame, Framer, TcpFramer
+from .service import Intercepted
+
+# fmt: off
+__all__ = [
+    "FaultSwitch", "Faults", "FaultsByUnit", "FaultyAnswers",
+    "Fragment", "ServerFault",
+]
+# fmt: on
+
+MAX_WAITING_BYTES = 1 << 17
+"""On a connection, fewer bytes wait: the answers to one read. On a serial line this limits the
+answers to a client that does not wait for them."""
+
+
+class Fragment(NamedTuple):
+    """Bytes to send, and the seconds to wait after the previous fragment."""
+
+    wait: float
+    data: bytes
+    is_last: bool = False  # the connection is closed behind it
+    traced: tuple[tuple[bytes, Frame | None], ...] = ()  # None for bytes that are no frame
+
+
+@runtime_checkable
+class ServerFault(Protocol):
+    """A mistake in answers, such as `Fault`; one that replaces an equal one goes on counting."""
+
+    @property
+    def code(self) -> int | None:
+        """The exception that refuses the request; None to execute it."""
+
+    def concerns(self, request: Frame, *, has_transaction: bool) -> bool:
+        """Return True if the fault counts a request, which may have a transaction id."""
+        ...
+
+    def counter(self) -> FaultCounter:
+        """Return a new counter of its requests."""
+        ...
+
+    def fragments(self, answer: Frame, framer: Framer) -> list[Fragment]:
+        """Return what is sent in place of an answer."""
+        ...
+
+
+class FaultCounter(Protocol):
+    """Counts the requests that a fault concerns."""
+
+    def is_due(self) -> bool:
+        """Count a request, and return True if the fault happens to it."""
+        ...
+
+    def happening(self) -> ServerFault:
+        """Return the fault as it happens this time."""
+        ...
+
+
+class CountedFault(NamedTuple):
+    """A fault, and its count of requests."""
+
+    fault: ServerFault
+    counter: FaultCounter
+
+
+class Faults:
+    """The faults of a server by unit or alias; those equal to faults of `before` go on counting."""
+
+    def __init__(
+        self,
+        faults: Mapping[int | None, Iterable[ServerFault]],
+        before: Faults | None = None,
+        aliases: Mapping[int, int] | None = None,
+    ) -> None:
+        self._by_unit: dict[int | None, list[CountedFault]] = {}
+        for unit, given_faults in faults.items():
+            key = None if unit is None else integer("faults: unit", unit, 0, 255)
+            known = [] if before is None else list(before._by_unit.get(key, ()))
+            self._by_unit[key] = [_counted(fault, known) for fault in given_faults]
+        for alias, unit in (aliases or {}).items():
+            if unit in self._by_unit:
+                self._by_unit.setdefault(alias, self._by_unit[unit])
+
+    def __bool__(self) -> bool:
+        return any(self._by_unit.values())
+
+    def concerns(self, unit: int) -> bool:
+        return bool(self._by_unit.get(unit) or self._by_unit.get(None))
+
+    def intercept(self, session: Intercepted) -> FaultyAnswers:
+        return FaultyAnswers(session)
+
+    def due(self, request: Frame, *, has_transaction: bool) -> ServerFault | None:
+        """Count a request that is going to be answered, and return its fault, or None."""
+        due = [
+            each
+            for each in (*self._by_unit.get(request.unit, ()), *self._by_unit.get(None, ()))
+            if each.fault.concerns(request, has_transaction=has_transaction)
+            and each.counter.is_due()
+        ]
+        return due[0].counter.happening() if due else None
+
+
+def _counted(fault: object, known: list[CountedFault]) -> CountedFault:
+    """Return the known counter of an equal fault, each once, or a new one."""
+    if not isinstance(fault, ServerFault):
+        raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {fault!r}")
+    for at, each in enumerate(known):
+        if each.fault == fault:
+            return known.pop(at)
+    return CountedFault(fault, fault.counter())
+
+
+def _sent(fault: ServerFault | None, answer: Frame, framer: Framer) -> list[Fragment]:
+    if fault is not None:
+        return fault.fragments(answer, framer)
+    adu = framer.encode(answer)
+    return [Fragment(0, adu, traced=((adu, answer),))]
+
+
+class FaultyAnswers:
+    """The answers of one session: in order, late, wrong, in fragments or not at all."""
+
+    def __init__(self, session: Intercepted) -> None:
+        self.is_waiting: bool = False
+        self.is_over: bool = False
+        self._session = session
+        self._queue: deque[Fragment] = deque()
+        self._queued = 0  # bytes
+        self._timer: asyncio.TimerHandle | None = None
+
+    def answer(self, request: Frame) -> None:
+        """Execute a request, and deliver its answer as the fault that is due makes it."""
+        session = self._session
+        fault: ServerFault | None = None
+        faults = session.interceptor
+        if isinstance(faults, Faults) and session.is_answered(request):
+            has_transaction = isinstance(session.framer, TcpFramer)
+            fault = faults.due(request, has_transaction=has_transaction)
+        answer = session.answer(request, 0 if fault is None else fault.code or 0)
+        if answer is not None:
+            session.statistics.refused += answer.pdu[0] >> 7
+            self.send(_sent(fault, answer, session.framer))
+
+    def send(self, answer: list[Fragment]) -> None:
+        """Send an answer after the previous ones; it is dropped if too much waits already."""
+        if self._queued >= MAX_WAITING_BYTES or self.is_over:
+            return
+        self._queue += answer
+        self._queued += sum(len(fragment.data) for fragment in answer)
+        if self._timer is None:
+            self._go_on()
+
+    def close(self) -> None:
+        """Drop all fragments that were not sent."""
+        self._queue.clear()
+        self._queued = 0
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _go_on(self) -> None:
+        """Send the fragments that are due, then wait for the next."""
+        while self._queue:
+            if self._queue[0].wait:
+                loop = asyncio.get_running_loop()
+                self._timer = loop.call_later(self._queue[0].wait, self._send_next)
+                break
+            self._send_first()
+        if self.is_waiting != bool(self._queue):
+            self.is_waiting = not self.is_waiting
+            self._session.channel.follow()
+
+    def _send_next(self) -> None:
+        self._timer = None
+        self._send_first()
+        self._go_on()
+
+    def _send_first(self) -> None:
+        fragment, session = self._queue.popleft(), self._session
+        self._queued -= len(fragment.data)
+        if session.trace is not None:
+            for adu, frame in fragment.traced:
+                facts = () if frame is None else (frame.unit, frame.pdu[0])
+                session.trace.tell("sent", adu, *facts)
+        if fragment.data or not fragment.is_last:
+            session.write(fragment.data)
+        if fragment.is_last and session.channel.hang_up():
+            self.is_over = True
+            self.close()
+
+
+# --- faults that are switched on and off ----------------------------------------------------------
+
+FaultsByUnit = dict[int | None, list[ServerFault]]
+"""Unit 0..255 -> the faults of its answers; None is every unit."""
+
+_numbers = count()
+
+
+@dataclass(eq=False, slots=True)
+class FaultState:
+    """One fault of a server, which is on or off."""
+
+    unit: int | None  # None for every unit
+    fault: ServerFault
+    is_given: bool  # to the server itself, not switched on
+    is_on: bool = True
+    number: int = field(default_factory=lambda: next(_numbers))  # greater than of earlier ones
+
+
+class FaultSwitch:
+    """
+    Switches faults of one server on and off, from any thread.
+
+    Each server has one, `Server.fault_switch`. It keeps the faults that were given to the server
+    and, before them, those that each user has switched on. A user can remove only its own faults,
+    and `Server.replace` only those that were given to the server.
+
+    Args:
+        apply: called with all faults that are on; if it raises an exception, nothing has changed.
+    """
+
+    def __init__(self, apply: Callable[[FaultsByUnit], object]) -> None:
+        self._apply = apply
+        self._states: list[FaultState] = []
+        # Reentrant, because a signal handler may switch faults in the middle of a change.
+        self._changing = threading.RLock()
+
+    def switch_on(self, *faults: ServerFault, unit: int | None = None) -> _Switched:
+        """
+        Switch faults on.
+
+        Args:
+            faults: the faults; they come before those that exist already.
+            unit: the unit whose responses have the faults, 0..255; None for every unit.
+
+        Returns:
+            An object that switches the faults off again; it does so by itself at the end of a
+            ``with`` block.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong; nothing has changed.
+        """
+        made = [FaultState(unit, fault, is_given=False) for fault in faults]
+        with self._changing:
+            self._change([*made, *self._states])
+        return _Switched(self, made)
+
+    def states(self) -> list[FaultState]:
+        """Return all faults, on or off: those switched on last come first, the given ones last."""
+        with self._changing:
+            return list(self._states)
+
+    def turn(self, state: FaultState, *, is_on: bool) -> None:
+        """
+        Switch one fault of `states` on or off; it stays in its place among them.
+
+        Raises:
+            ValueError: the server does not have this fault any more.
+        """
+        with self._changing:
+            if state not in self._states:
+                raise ValueError(f"the server does not have the fault {state.fault} any more")
+            state.is_on = is_on
+            self._change(self._states)
+
+    @contextlib.contextmanager
+    def giving(self, faults: FaultsByUnit) -> Iterator[FaultsByUnit]:
+        """Replace the faults given to the server if the block applies all that are on then."""
+        with self._changing:
+            states = [each for each in self._states if not each.is_given]
+            for unit, given in faults.items():
+                states += [FaultState(unit, fault, is_given=True) for fault in given]
+            yield _that_are_on(states)
+            self._states = states
+
+    def remove(self, states: list[FaultState]) -> None:
+        """Remove faults that were switched on; may be called any number of times."""
+        with self._changing:
+            self._change([each for each in self._states if each not in states])
+
+    def _change(self, states: list[FaultState]) -> None:
+        self._apply(_that_are_on(states))
+        self._states = states
+
+
+def _that_are_on(states: list[FaultState]) -> FaultsByUnit:
+    faults: FaultsByUnit = {}
+    for each in states:
+        if each.is_on:
+            faults.setdefault(each.unit, []).append(each.fault)
+    return faults
+
+
+class _Switched(contextlib.AbstractContextManager["_Switched"]):
+    """Faults that one user has switched on, until they are switched off."""
+
+    def __init__(self, switch: FaultSwitch, states: list[FaultState]) -> None:
+        self.states: list[FaultState] = states
+        self._switch = switch
+
+    def __exit__(self, *_: object) -> None:
+        self.switch_off()
+
+    def switch_off(self) -> None:
+        """Remove the faults again. May be called repeatedly."""
+        self._switch.remove(self.states)
