@@ -122,11 +122,11 @@ METERED_SERVER = "Server, metrics scraped each second"
 TRIVIAL_SERVER = "no Modbus: answers in C"
 
 DEFAULT = "Client"
-CONTEXT_BULK, ASYNC_BULK = "Client.execute_many", "AsyncClient.execute_many"
+CLIENT_BULK, ASYNC_BULK = "Client.execute_many", "AsyncClient.execute_many"
 
 TCP_CLIENTS = [
     Peer(C_CLIENT, "client", C),
-    Peer(DEFAULT, "tcp-context"),
+    Peer(DEFAULT, "tcp-client"),
     Peer("pylibmodbus", "pylibmodbus", "pylibmodbus"),
     Peer("pymodbus", "pymodbus", "pymodbus"),
     Peer("pyModbusTCP", "pyModbusTCP", "pyModbusTCP"),
@@ -134,8 +134,8 @@ TCP_CLIENTS = [
 ]
 RTU_CLIENTS = [
     Peer(C_CLIENT, "client", C),
-    Peer("Client, rtu", "rtu-context"),
-    Peer("Client, rtu, silence=0", "rtu-context-hasty"),
+    Peer("Client, rtu", "rtu-client"),
+    Peer("Client, rtu, silence=0", "rtu-client-hasty"),
     Peer("pymodbus", "pymodbus-rtu", "pymodbus"),
     Peer("minimalmodbus", "minimalmodbus", "minimalmodbus"),
     Peer("uModbus", "uModbus-rtu", "umodbus"),
@@ -148,7 +148,7 @@ ASYNC_CLIENTS = [
 ]
 BULK_CLIENTS = [
     Peer(C_CLIENT, "client", C),
-    Peer(CONTEXT_BULK, "context-execute-many"),
+    Peer(CLIENT_BULK, "client-execute-many"),
     Peer(ASYNC_BULK, "async-execute-many"),
     Peer("AsyncClient, gather", "async-gather"),
     Peer("pymodbus, async", "pymodbus-async", "pymodbus"),

@@ -43,15 +43,15 @@ Connect = Callable[[str, list[Block]], AbstractContextManager[Read]]
 
 
 @contextmanager
-def tcp_context(place: str, blocks: list[Block], **options: bool) -> Iterator[Read]:
+def tcp_client(place: str, blocks: list[Block]) -> Iterator[Read]:
     from libmodbus_py import Client
 
-    with Client(f"tcp://{HOST}:{int(place)}", **options) as context:
+    with Client(f"tcp://{HOST}:{place}") as context:
         yield lambda: [context.read_holding_registers(*block) for block in blocks]
 
 
 @contextmanager
-def rtu_context(place: str, blocks: list[Block], **options: Any) -> Iterator[Read]:
+def rtu_client(place: str, blocks: list[Block], **options: Any) -> Iterator[Read]:
     from libmodbus_py import Client
 
     with Client(f"rtu://{place}", baudrate=BAUDRATE, parity="N", unit=1, **options) as context:
@@ -59,11 +59,11 @@ def rtu_context(place: str, blocks: list[Block], **options: Any) -> Iterator[Rea
 
 
 @contextmanager
-def context_execute_many(place: str, blocks: list[Block]) -> Iterator[Read]:
+def client_execute_many(place: str, blocks: list[Block]) -> Iterator[Read]:
     from libmodbus_py import Client, pdu
 
     requests = [pdu.ReadHoldingRegisters(*block) for block in blocks]
-    with Client(f"tcp://{HOST}:{int(place)}", max_in_flight=IN_FLIGHT) as context:
+    with Client(f"tcp://{HOST}:{place}", max_in_flight=IN_FLIGHT) as context:
         yield lambda: context.execute_many(requests)
 
 
@@ -212,10 +212,10 @@ def minimalmodbus(place: str, blocks: list[Block]) -> Iterator[Read]:
 
 
 CLIENTS: dict[str, Connect] = {
-    "tcp-context": tcp_context,
-    "rtu-context": rtu_context,
-    "rtu-context-hasty": partial(rtu_context, silence=0),
-    "context-execute-many": context_execute_many,
+    "tcp-client": tcp_client,
+    "rtu-client": rtu_client,
+    "rtu-client-hasty": partial(rtu_client, silence=0),
+    "client-execute-many": client_execute_many,
     "async-execute-many": async_execute_many,
     "async-gather": async_gather,
     "async-gather-64": partial(async_gather, together=64),

@@ -14,7 +14,7 @@ from bench.cells import (
     BULK,
     C_CLIENT,
     C_SERVER,
-    CONTEXT_BULK,
+    CLIENT_BULK,
     DEFAULT,
     FREE,
     ONE_PROCESSOR,
@@ -75,7 +75,7 @@ TARGETS = [
     *(
         bulk(variant, ours, theirs, least)
         for ours, (variant, theirs, least) in product(
-            (CONTEXT_BULK, ASYNC_BULK),
+            (CLIENT_BULK, ASYNC_BULK),
             ((TO_OURS, C_CLIENT, 8), (TO_C, C_CLIENT, 6), (TO_OURS, "pymodbus, async", 8)),
         )
     ),

@@ -47,12 +47,12 @@ TRANSPORTS = ("tcp", "rtu")
 each_transport = pytest.mark.parametrize("transport", TRANSPORTS)
 
 
-# --- our contexts, C's server ------------------------------------------------------------
+# --- our clients, C's server ------------------------------------------------------------
 
 
 @contextlib.contextmanager
 def c_server(server: Path, transport: str, **options: Any) -> Iterator[Client]:
-    """Yield a context of ours that is connected to the C server."""
+    """Yield a client of ours that is connected to the C server."""
     with c_serving(server, transport) as url, connected(url, **options) as context:
         yield context
 

@@ -1,5 +1,5 @@
 """
-Our contexts on servers of pymodbus, over every transport. Where pymodbus errs, a test pins what it
+Our clients on servers of pymodbus, over every transport. Where pymodbus errs, a test pins what it
 does and what we make of it.
 """
 
@@ -59,7 +59,7 @@ from tests.support.pymodbus_peers import pymodbus_serving
 
 @contextlib.contextmanager
 def pymodbus_server(transport: str, **options: Any) -> Iterator[Client]:
-    """Yield a context of ours that is connected to a server of pymodbus."""
+    """Yield a client of ours that is connected to a server of pymodbus."""
     with pymodbus_serving(transport) as url, connected(url, **options) as context:
         yield context
 

@@ -86,7 +86,7 @@ def end(process: subprocess.Popen[str], number: signal.Signals) -> tuple[str, st
 
 
 def read(url: str) -> list[int]:
-    with Client(f"tcp://127.0.0.1:{parse(url).port}") as plc:
+    with Client(url) as plc:
         return plc.read_holding_registers(7, 1)
 
 

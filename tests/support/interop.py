@@ -1,6 +1,6 @@
 """
 What the interoperability tests share: the device that every server has, what a
-context asks of it, and the ids from which interop_report.py makes its table.
+client asks of it, and the ids from which interop_report.py makes its table.
 
 The same tables stand in c/server.c and c/client.c.
 """
@@ -228,16 +228,16 @@ def c_serving(server: Path, transport: str) -> Iterator[str]:
             yield f"tcp://127.0.0.1:{port}"
 
 
-# --- what our contexts ask -----------------------------------------------------------------
+# --- what our clients ask -----------------------------------------------------------------
 
 
 def connected(url: str, **options: Any) -> Client:
-    """Return a context of ours for the unit there."""
+    """Return a client of ours for the unit there."""
     return Client(url, **{"unit": UNIT, "timeout": TIMEOUT, **options})
 
 
 class Exchange(NamedTuple):
-    """One request of a context; what a write has done is seen by a read."""
+    """One request of a client; what a write has done is seen by a read."""
 
     function: int
     name: str
@@ -248,7 +248,7 @@ class Exchange(NamedTuple):
 
 
 def call(method: str, *arguments: Any) -> Callable[[Client], Any]:
-    """Return what calls a method of a context."""
+    """Return what calls a method of a client."""
     return methodcaller(method, *arguments)
 
 
@@ -307,7 +307,7 @@ def refusals() -> Iterator[Exchange]:
 
 
 def check_all(context: Client) -> None:
-    """Assert that a context gets the answers and the refusals of the standard functions."""
+    """Assert that a client gets the answers and the refusals of the standard functions."""
     for check, exchange in each(exchanges(), lambda case: f"{case.function}-{case.name}"):
         with check:
             assert exchange.ask(context) == exchange.answer
@@ -318,7 +318,7 @@ def check_all(context: Client) -> None:
             exchange.ask(context)
 
 
-# --- our contexts and a server of others -----------------------------------------------------
+# --- our clients and a server of others -----------------------------------------------------
 
 
 def of_a_client(
@@ -330,7 +330,7 @@ def of_a_client(
 
 
 def check_answers(url: str, peer: str, cases: Iterable[Exchange], record: Record) -> None:
-    """Assert that contexts get each answer of a server, and that it does what it is asked."""
+    """Assert that clients get each answer of a server, and that it does what it is asked."""
     for check, exchange in tried(record, of_a_client(peer, parse(url).scheme, cases)):
         with check, connected(url) as context:
             for _ in range(2):
@@ -340,7 +340,7 @@ def check_answers(url: str, peer: str, cases: Iterable[Exchange], record: Record
 
 
 def check_refusals(url: str, peer: str, record: Record) -> None:
-    """Assert that contexts raise what a server refuses, and go on."""
+    """Assert that clients raise what a server refuses, and go on."""
     for check, exchange in tried(record, of_a_client(peer, parse(url).scheme, refusals())):
         # A line is silent for a timeout where an answer could be that of the request before.
         with check, connected(url, timeout=2.0) as context:

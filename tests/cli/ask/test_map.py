@@ -43,7 +43,7 @@ def test_a_skeleton_reads_what_the_device_has(url: str, tmp_path: Path, suffix: 
     done = mapped("from-device", url.removeprefix("tcp://"), "-u", "3", "-o", file)
     assert done.out == ""
     assert done.err == f"{file}: 5 points; fill in names, types and units\n"
-    with Client(f"tcp://127.0.0.1:{int(url.rpartition(':')[2])}", unit=3, timeout=5) as plc:
+    with Client(url, unit=3, timeout=5) as plc:
         assert plc.read_map(load_map(file)) == {
             "coil_0": False,
             "coil_1": False,
