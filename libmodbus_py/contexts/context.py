@@ -157,6 +157,8 @@ class ContextBase(ABC):
     def _get_waker(self) -> Waker:
         if self._waker is None:
             self._waker = Waker()
+        if self._is_closed:  # `close` sets this, and then wakes
+            raise closed_meanwhile()
         return self._waker
 
     def _close_waker(self) -> None:
@@ -348,6 +350,11 @@ class ContextBase(ABC):
         with self._lock:
             check(lib.modbus_set_debug(self._modbus, is_on))
             self._debug = is_on
+
+    @property
+    def modbus(self) -> Any:
+        """The modbus_t itself, for `libmodbus_py.low_level`; valid as long as the context."""
+        return self._modbus
 
     @property
     def socket(self) -> int:

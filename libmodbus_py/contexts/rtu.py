@@ -41,12 +41,12 @@ class RtuContext(Slave):
 
     It opens the port when it is entered (``with``) or first used, and locks it, so that no two
     programs use it at once. After any failure but an ExceptionResponse the next request is not sent
-    before the line was silent for one `response_timeout`. An answer that comes later than that, two
-    timeouts after its request, is taken for the answer to the next one, and so may those after it:
-    nothing in a frame tells. The timeout has to be longer than the slowest unit takes. Calls of other
-    threads wait for each other. Ctrl-C takes effect when a call ends, at the latest after
-    `response_timeout`. After a fork, the child has to make its own context; its parent's is not
-    affected.
+    before the line was silent for one `response_timeout`. An answer that comes later than two
+    timeouts after its request is taken for that to the next one, and so may those be that follow,
+    because nothing in a frame tells. The timeout has to be longer than the slowest unit takes.
+    Calls of other threads wait for each other. Ctrl-C takes effect when a call ends, at the latest
+    after `response_timeout`. After a fork, the child has to make its own context; its parent's is
+    not affected.
 
     libmodbus checks the CRC, unit, function and count of an answer; up to 3.1.7 not the echo of a
     write, and never that of a mask write. It has no retries, no ASCII, and removes no local echo.
