@@ -68,6 +68,15 @@ def adapted(name: str, folder: Path, changes: dict[str, str]) -> Path:
 # --- its client -------------------------------------------------------------------------------
 
 
+LONGER_WAITS = {
+    "modbus_set_response_timeout(ctx, 0, 600000)": "modbus_set_response_timeout(ctx, 0, 950000)",
+    "modbus_set_byte_timeout(ctx, 0, 7000)": "modbus_set_byte_timeout(ctx, 0, 500000)",
+    "usleep(400000)": "usleep(900000)",
+    "usleep(11 * 5000)": "usleep(11 * 50000)",
+}
+"""On a busy machine the answers of the slave come later, all of them."""
+
+
 class UnitTestSlave:
     """Answers as unit-test-server.c does, which misbehaves at certain addresses."""
 
@@ -120,7 +129,7 @@ def passed(lines: list[str]) -> int:
 def test_the_client_passes_against_a_slave_by_hand(kind: str, host: str, tmp_path: Path) -> None:
     slave = TcpContext(host, 0)
     with slave_by_hand(slave, UnitTestSlave()):
-        changes = {
+        changes = LONGER_WAITS | {
             'new_tcp("127.0.0.1", 1502)': f'new_tcp("127.0.0.1", {slave.port})',
             'new_tcp_pi("::1", "1502")': f'new_tcp_pi("::1", "{slave.port}")',
         }
@@ -139,7 +148,9 @@ def test_the_client_passes_on_a_line_up_to_a_frame_that_is_none(tmp_path: Path) 
     with SerialWire() as wire:
         slave = RtuContext(wire.server, BAUDRATE, "N", unit=UNIT)
         with slave_by_hand(slave, UnitTestSlave()):
-            client = adapted("unit-test-client", tmp_path, {"/dev/ttyUSB1": wire.client})
+            client = adapted(
+                "unit-test-client", tmp_path, LONGER_WAITS | {"/dev/ttyUSB1": wire.client}
+            )
             lines = lines_of(client, "rtu")
     (error,) = (at for at, line in enumerate(lines) if "assertion error" in line)
     assert any("function 0x10: write 0 values" in line for line in lines[error - 4 : error])
