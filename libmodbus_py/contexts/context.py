@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, Literal, Self, TypeVar
 
 from ..binding.library import check, ffi, lib
-from ..ports.port import abandoned_in_children
+from ..ports.port import abandoned_in_children, lost
 from ..ports.waiting import READ, Waker, Woken
 from ..protocol.checks import integer, seconds
 from ..protocol.errors import (
@@ -156,7 +156,10 @@ class ContextBase(ABC):
 
     def _get_waker(self) -> Waker:
         if self._waker is None:
-            self._waker = Waker()
+            try:
+                self._waker = Waker()
+            except OSError as error:  # no descriptor is left
+                raise lost(error) from error
         if self._is_closed:  # `close` sets this, and then wakes
             raise closed_meanwhile()
         return self._waker

@@ -81,8 +81,8 @@ class TcpContext(Slave):
         TcpPort(host, self.port or 1, None)  # checks the host
         self.host: str = host
         try:
-            service = str(self.port).encode()
-            modbus = make(lib.modbus_new_tcp_pi(host.encode("idna"), service))
+            node = host.encode("ascii" if host.isascii() else "idna")
+            modbus = make(lib.modbus_new_tcp_pi(node, str(self.port).encode()))
         except (ModbusError, UnicodeError):
             raise ValueError(f"host must be a name or an address, not {host!r}") from None
         super().__init__(modbus, unit, timeout)

@@ -27,6 +27,7 @@ from libmodbus_py import (
     ModbusTimeoutError,
 )
 from libmodbus_py.contexts import RtuContext, TcpContext
+from libmodbus_py.low_level import lib, loaded_version
 from tests.support.contexts import context_at
 from tests.support.peers import OnRequest, TcpPeer, Write, answer, dead, ignore, peer_at, until
 from tests.support.reads import good, good_at
@@ -490,6 +491,46 @@ def test_settings_are_those_of_libmodbus() -> None:
     assert (context.header_length, context.socket) == (7, -1)
     assert repr(context) == "<TcpContext tcp://127.0.0.1:502, unit 255>"
     assert RtuContext("/dev/ttyUSB0").header_length == 1
+
+
+def test_quirks_are_enabled_where_the_library_has_them() -> None:
+    context = TcpContext("127.0.0.1")
+    if loaded_version() < (3, 1, 9):
+        for act in (context.enable_quirks, context.disable_quirks):
+            with pytest.raises(NotImplementedError, match=r"3\.1\.9"):
+                act(lib.MODBUS_QUIRK_MAX_SLAVE)
+        return
+    context.enable_quirks(lib.MODBUS_QUIRK_MAX_SLAVE)
+    context.unit = 250
+    assert context.unit == 250
+    context.disable_quirks(lib.MODBUS_QUIRK_MAX_SLAVE)
+    with pytest.raises(ValueError, match="unit"):
+        context.unit = 251
+
+
+def test_a_process_without_descriptors_is_told_so() -> None:
+    source = """
+import resource
+from libmodbus_py import ModbusConnectionError
+from libmodbus_py.contexts import TcpContext
+
+context = TcpContext("127.0.0.1", 1)
+resource.setrlimit(resource.RLIMIT_NOFILE, (3, 3))
+try:
+    context.read_coils(0, 1)
+except ModbusConnectionError as error:
+    print(error.errno)
+"""
+    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True)
+    assert done.stdout == f"{errno.EMFILE}\n", done.stderr
+
+
+def test_names_of_hosts_are_names() -> None:
+    for host in ("m\xfchle.example", "plc_1", "::1", "127.0.0.1"):
+        assert TcpContext(host).host == host
+    for host in ("m\xfchle" * 30, "a" * 2000):
+        with pytest.raises(ValueError, match="host must be a name"):
+            TcpContext(host)
 
 
 def test_a_broadcast_waits_for_no_answer_and_reads_are_refused() -> None:
