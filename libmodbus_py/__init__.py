@@ -19,6 +19,7 @@ Addresses are 0-based and times are in seconds everywhere. The names that most p
 ====================== ==========================================================================
 Client                 a client for any URL, such as "tcp://192.0.2.10" or "rtu:///dev/ttyUSB0"
 AsyncClient            the same for asyncio, with the same methods as coroutines
+TcpContext             libmodbus itself: each method is one call of C; also RtuContext
 Server                 answers requests over any number of transports
 Device                 one unit of a server: its tables, its files, and what may be done with them
 Mapping                the tables of a device: coils, discrete inputs, holding and input registers

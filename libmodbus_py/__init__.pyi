@@ -12,6 +12,8 @@ from .client.asynchronous import AsyncClient as AsyncClient
 from .client.blocking import Client as Client
 from .client.reconnecting import State as State
 from .client.statistics import Statistics as Statistics
+from .contexts.rtu import RtuContext as RtuContext
+from .contexts.tcp import TcpContext as TcpContext
 from .device.access import Access as Access
 from .device.authorization import Allow as Allow
 from .device.authorization import Rules as Rules

@@ -484,7 +484,8 @@ def test_a_class_name_exists_once_in_the_package() -> None:
         for node in ast.walk(module.tree):
             if isinstance(node, ast.ClassDef):
                 places[node.name].append(str(module.path))
-    assert {name: found for name, found in places.items() if len(found) > 1} == {}
+    twice = {name for name, found in places.items() if len(found) > 1}
+    assert twice == set()
 
 
 def _docstrings(path: Path) -> Iterator[str]:

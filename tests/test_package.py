@@ -145,7 +145,7 @@ class TestMap:
         rulers = [number for number, line in enumerate(head) if line.strip().startswith("====")]
         assert 'with Client("tcp://192.0.2.10"' in "\n".join(head[: rulers[0]])
         names = [line.split()[0] for line in head[rulers[0] + 1 : rulers[1]]]
-        assert len(names) == 8
+        assert len(names) == 9
         assert set(names) <= set(libmodbus_py.__all__)
 
     def test_the_example_of_help_compiles(self) -> None:

@@ -1,0 +1,286 @@
+"""
+The functions of Modbus as methods: those of libmodbus, and those that it lacks.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeVar
+
+from ..binding.library import check, ffi, lib
+from ..ports.waiting import READ
+from ..protocol import pdu
+from ..protocol.checks import integer
+from ..protocol.errors import FrameError, InvalidResponse, ModbusError
+from ..protocol.frames import Framer
+from ..protocol.tables import TABLE_SIZE
+from .context import BUSY, READY, ContextBase
+
+__all__ = ["Functions"]
+
+Result = TypeVar("Result")
+
+TURNAROUND = 0.1
+"""Seconds in which units carry out a broadcast (serial line, 2.4.1)."""
+
+_unpack = ffi.unpack
+
+
+class Functions(ContextBase):
+    """One method for each function; addresses are 0-based, 0..65535."""
+
+    def read_coils(self, address: int, count: int) -> list[bool]:
+        """Read 1..2000 coils (function 1, modbus_read_bits)."""
+        bits = self._read(pdu.ReadCoils, lib.modbus_read_bits, self._bits, address, count)
+        return list(map(bool, bits))
+
+    def read_discrete_inputs(self, address: int, count: int) -> list[bool]:
+        """Read 1..2000 discrete inputs (function 2, modbus_read_input_bits)."""
+        kind, function = pdu.ReadDiscreteInputs, lib.modbus_read_input_bits
+        return list(map(bool, self._read(kind, function, self._bits, address, count)))
+
+    def read_holding_registers(self, address: int, count: int) -> list[int]:
+        """Read 1..125 holding registers (function 3, modbus_read_registers)."""
+        return self._read(HOLDING_REGISTERS, READ_REGISTERS, self._registers, address, count)
+
+    def read_input_registers(self, address: int, count: int) -> list[int]:
+        """Read 1..125 input registers (function 4, modbus_read_input_registers)."""
+        kind, function = pdu.ReadInputRegisters, lib.modbus_read_input_registers
+        return self._read(kind, function, self._registers, address, count)
+
+    def write_coil(self, address: int, value: bool) -> None:
+        """Write one coil (function 5, modbus_write_bit)."""
+        asked = pdu.WriteCoil(address, value)
+        self._write(asked, lib.modbus_write_bit, asked.address, asked.value)
+
+    def write_register(self, address: int, value: int) -> None:
+        """Write one holding register, 0..65535 (function 6, modbus_write_register)."""
+        asked = pdu.WriteRegister(address, value)
+        self._write(asked, lib.modbus_write_register, asked.address, asked.value)
+
+    def write_coils(self, address: int, values: Iterable[bool]) -> None:
+        """Write 1..1968 coils (function 15, modbus_write_bits)."""
+        asked = pdu.WriteCoils(address, values)  # type: ignore[arg-type]
+        bits = bytes(asked.values)
+        self._write(asked, lib.modbus_write_bits, asked.address, len(bits), bits)
+
+    def write_registers(self, address: int, values: Iterable[int]) -> None:
+        """Write 1..123 holding registers, each 0..65535 (function 16, modbus_write_registers)."""
+        asked = pdu.WriteRegisters(address, values)  # type: ignore[arg-type]
+        words = asked.values
+        self._write(asked, lib.modbus_write_registers, asked.address, len(words), words)
+
+    def mask_write_register(self, address: int, and_mask: int, or_mask: int) -> None:
+        """
+        Set a holding register to (current AND and_mask) OR (or_mask AND NOT and_mask).
+
+        Function 22, modbus_mask_write_register; both masks are 0..65535.
+        """
+        asked = pdu.MaskWriteRegister(address, and_mask, or_mask)
+        function = lib.modbus_mask_write_register
+        self._write(asked, function, asked.address, asked.and_mask, asked.or_mask)
+
+    def read_write_registers(
+        self, read_address: int, read_count: int, write_address: int, values: Iterable[int]
+    ) -> list[int]:
+        """
+        Write 1..121 holding registers, then read 1..125.
+
+        Function 23, modbus_write_and_read_registers.
+        """
+        asked = pdu.ReadWriteRegisters(read_address, read_count, write_address, values)  # type: ignore[arg-type]
+        written = asked.write_address, len(asked.values), asked.values
+        read = asked.read_address, asked.read_count, self._registers
+
+        def act() -> list[int]:
+            check(lib.modbus_write_and_read_registers(self._modbus, *written, *read))
+            words: list[int] = _unpack(self._registers, asked.read_count)
+            return words
+
+        return self._transact(asked, act)
+
+    def report_server_id(self) -> pdu.ServerId:
+        """
+        Read the identifier and the run status of the device (function 17, modbus_report_slave_id).
+
+        Returns:
+            The response, split after an identifier of one byte; use
+            ``pdu.ServerId.split(result.data, length)`` for a device whose identifier is longer.
+        """
+
+        def act() -> pdu.ServerId:
+            size = check(lib.modbus_report_slave_id(self._modbus, len(self._bits), self._bits))
+            if size < 2:
+                raise InvalidResponse(f"answered with {size} bytes of data")
+            return pdu.ServerId.split(bytes(_unpack(self._bits, size)))
+
+        return self._transact(pdu.ReportServerId(), act)
+
+    # --- what libmodbus lacks ----------------------------------------------------------------
+
+    def execute(self, request: pdu.Request[Result]) -> Result:
+        """
+        Send any request, and return its result; None for a broadcast.
+
+        libmodbus sends it (modbus_send_raw_request); this package receives and checks the answer:
+        its unit, too, and all that its class checks.
+
+        Args:
+            request: an object of `libmodbus_py.pdu`, or of a class of the program.
+
+        Raises:
+            TypeError: it is none.
+        """
+        if not isinstance(request, pdu.Request):
+            raise TypeError(f"request must be a Request of pdu, not {type(request).__name__}")
+        encoded = request.encode()
+        result: Result = self._transact(request, lambda: self._exchange(request, encoded))
+        return result
+
+    def read_exception_status(self) -> int:
+        """Read the eight exception status outputs, lowest in bit 0 (function 7)."""
+        return self.execute(pdu.ReadExceptionStatus())
+
+    def diagnostics(self, sub_function: int, data: int = 0) -> int:
+        """
+        Run a diagnostic sub-function (function 8), `pdu.SubFunction`; both are 0..65535.
+
+        Returns:
+            The data of the response; `data` itself if the sub-function gets no response.
+        """
+        word = integer("data", data, 0, 0xFFFF).to_bytes(2, "big")
+        answer = self.execute(pdu.Diagnostics(sub_function, word))
+        return data if answer is None else int.from_bytes(answer, "big")
+
+    def read_comm_event_counter(self) -> pdu.CommEventCounter:
+        """Read the status word and the event counter (function 11)."""
+        return self.execute(pdu.ReadCommEventCounter())
+
+    def read_comm_event_log(self) -> pdu.CommEventLog:
+        """Read the counters and up to 64 events, newest first (function 12)."""
+        return self.execute(pdu.ReadCommEventLog())
+
+    def read_file_records(self, records: Sequence[tuple[int, int, int]]) -> list[list[int]]:
+        """
+        Read records of files (function 20).
+
+        Args:
+            records: 1..35 tuples (file 1..65535, first record 0..9999, number of records
+                1..124). All records together must fit into one response.
+        """
+        return self.execute(pdu.ReadFileRecords(records))  # type: ignore[arg-type]
+
+    def write_file_records(self, records: Sequence[tuple[int, int, Iterable[int]]]) -> None:
+        """
+        Write records of files (function 21).
+
+        Args:
+            records: tuples (file 1..65535, first record 0..9999, values), with 1..122 values of
+                0..65535 each. All of them must fit into one request.
+        """
+        self.execute(pdu.WriteFileRecords(records))  # type: ignore[arg-type]
+
+    def read_fifo_queue(self, address: int) -> list[int]:
+        """Read the 0..31 registers of a FIFO queue without removing them (function 24)."""
+        return self.execute(pdu.ReadFifoQueue(address))
+
+    def read_device_identification(self, level: str | int = "basic") -> pdu.DeviceIdentification:
+        """
+        Read the identification of a device (function 43/14), with as many requests as needed.
+
+        Args:
+            level: "basic", "regular" or "extended"; or the id of a single object, 0..255.
+
+        Raises:
+            InvalidResponse: the device sends the same objects again and again, or fewer than it
+                announced, and one of the three mandatory objects is missing.
+        """
+        from ..protocol.pdu.interface import identify
+
+        steps = identify(level)
+        with self._lock, self._errors():
+            try:
+                request = next(steps)
+                while True:
+                    request = steps.send(self.execute(request))
+            except StopIteration as done:
+                identification: pdu.DeviceIdentification = done.value
+                return identification
+
+    def encapsulated_transport(self, mei_type: int, data: bytes) -> bytes:
+        """Send up to 251 bytes to the interface `mei_type`, 0..255, and receive such (43)."""
+        return self.execute(pdu.EncapsulatedTransport(mei_type, data))
+
+    # --- how ---------------------------------------------------------------------------------
+
+    def _read(self, kind: Any, function: Any, cells: Any, address: int, count: int) -> list[int]:
+        """As `_transact`, without what most calls do not need: each read goes through here."""
+        if not (
+            type(address) is int
+            and type(count) is int
+            and 0 <= address <= TABLE_SIZE - count
+            and 1 <= count <= kind.limit
+        ):
+            request = kind(address, count)
+            address, count = request.address, request.count
+        with self._lock:
+            if self._state is not READY:
+                try:
+                    self._prepare()
+                except ModbusError as error:
+                    self._describe(error, kind(address, count))
+                    raise
+            self._state = BUSY
+            try:
+                if function(self._modbus, address, count, cells) == count:
+                    values: list[int] = _unpack(cells, count)
+                    self._state = self._after
+                    return values
+                try:
+                    check(-1)
+                except ModbusError as error:
+                    self._judge(error)
+                    self._describe(error, kind(address, count))
+                    raise
+                raise AssertionError
+            finally:
+                if self._state is BUSY:
+                    self._spoil()
+
+    def _write(self, request: pdu.Request[None], function: Callable[..., int], *data: Any) -> None:
+        if self._is_serial and self.unit == 0:  # libmodbus would wait for an answer
+            self.execute(request)
+        else:
+            self._transact(request, lambda: check(function(self._modbus, *data)))
+
+    def _exchange(self, request: pdu.Request[Result], encoded: bytes) -> Any:
+        self._discard_input()
+        unit = self.unit
+        body = bytes([unit]) + encoded
+        check(lib.modbus_send_raw_request(self._modbus, body, len(body)))
+        if self._is_serial and unit == 0:
+            self._wait(-1, READ, time.monotonic() + TURNAROUND)
+            return None
+        if not request.expects_response:
+            return None
+        frames = self._receive_frames(
+            self._client_framer(), time.monotonic() + self.response_timeout
+        )
+        frame = frames[0]
+        if isinstance(frame, FrameError):
+            raise frame
+        if frame.unit != unit or frame.transaction:  # libmodbus sends raw requests with id 0
+            raise InvalidResponse(f"answered by unit {frame.unit} with id {frame.transaction}")
+        return request.decode_response(frame.pdu)
+
+    @abstractmethod
+    def _client_framer(self) -> Framer: ...
+
+    @abstractmethod
+    def _discard_input(self) -> None: ...
+
+
+HOLDING_REGISTERS, READ_REGISTERS = pdu.ReadHoldingRegisters, lib.modbus_read_registers
+"""Of the most frequent request, found once."""
