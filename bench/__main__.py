@@ -7,6 +7,8 @@ rounds. Nobody else should use the machine meanwhile.
 Two states of the package: --before DIR measures both in one run, which is what small
 differences want; or --package DIR --save FILE, and later --against FILE. DIR is a checkout
 in which ./run demo was run.
+
+--instructions has valgrind count the instructions for one request instead.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from bench import instructions
 from bench.cells import SECTIONS, Tools, cells_of
 from bench.children import compile_all
 from bench.compare import saved, side_by_side, taken_turns
@@ -33,6 +36,8 @@ ALL = [*SECTIONS, MEMORY, TLS, STARTUP]
 
 def main() -> None:
     options = parse()
+    if options.instructions:
+        sys.exit(instructions.main(check=options.check, update=options.update))
     sections = options.only or ALL
     earlier = saved(options.against) if options.against else None
     package, before = options.package or sys.executable, options.before or ""
@@ -82,7 +87,17 @@ def parse() -> argparse.Namespace:
         help="measure the package of another checkout, too, in turns, and compare",
     )
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw them there, as PNG")
-    return parser.parse_args()
+    parser.add_argument(
+        "--instructions", action="store_true", help="count instructions, with valgrind"
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="... of ours; fail 5 %% above those in the tree"
+    )
+    parser.add_argument("--update", action="store_true", help="... and write them to the tree")
+    options = parser.parse_args()
+    if not options.instructions and (options.check or options.update):
+        parser.error("--check and --update belong to --instructions")
+    return options
 
 
 def interpreter(checkout: str) -> str:

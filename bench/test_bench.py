@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -14,7 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from bench import gateway
+from bench import gateway, instructions
+from bench.cells import C_CLIENT, Tools
+from bench.children import compile_all
 from tests.support.attacks import ATTACKS
 
 BENCH = Path(__file__).parent
@@ -115,6 +118,43 @@ def test_gateways_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 8
     assert "'wrong': 0" in lines[-1]
+
+
+def test_instructions_of_ours_may_not_grow(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tree = {instructions.here(): {"Client": 60_000, "AsyncClient": 120_000}}
+    monkeypatch.setattr(instructions, "in_tree", lambda: tree)
+
+    def check(measured: dict[str, int | str]) -> tuple[int, list[str]]:
+        cases = [case for case in instructions.CASES if case.name in measured]
+        monkeypatch.setattr(instructions, "CASES", cases)
+        monkeypatch.setattr(instructions, "measure", lambda cases: measured)
+        status = instructions.main(check=True, update=False)
+        return status, capsys.readouterr().out.partition("in the tree:\n")[2].splitlines()[:-1]
+
+    assert check({"Client": 63_000, "AsyncClient": 1}) == (0, [])
+    for measured, sentence in (
+        ({"Client": 63_001, "AsyncClient": 1}, "Client: 63,001 instructions, 5.0% above 60,000"),
+        ({"Client": 1, "AsyncClient": "did nothing"}, "AsyncClient: did nothing"),
+        ({"Client": 1}, "AsyncClient: not measured"),
+    ):
+        assert check(measured) == (1, [sentence])
+    assert instructions.growth({}, {"Server": 1}) == [
+        "Server: 1 instructions, and no number in the tree"
+    ]
+
+
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="valgrind is not installed")
+def test_instructions_are_counted(tmp_path: Path) -> None:
+    compile_all(tmp_path)
+    figures = {
+        case.name: instructions.of_one_request(case, Tools(tmp_path), 20, 60)
+        for case in instructions.CASES
+        if case.name in (C_CLIENT, "Client")
+    }
+    assert 500 < figures[C_CLIENT] < 5_000
+    assert 20_000 < figures["Client"] < 200_000
 
 
 @pytest.mark.parametrize(
