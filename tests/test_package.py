@@ -348,7 +348,7 @@ class TestLateImports:
             (
                 "from libmodbus_py import TcpContext",
                 # The compiled modules are wanted, so that it fails at once where they lack.
-                {"client.requests", "binding._libmodbus", "protocol._scan"},
+                {"client.functions_blocking", "binding._libmodbus", "protocol._scan"},
                 {
                     *("client.options", "client.line", "client.asyncio_driver"),
                     *("maps", "ports.endpoint", "ports.serial", "ports.tls", "security"),
@@ -363,7 +363,7 @@ class TestLateImports:
             ),
             (
                 "from libmodbus_py import AsyncClient",
-                {"client.requests", "client.asyncio_driver"},
+                {"client.functions_async", "client.asyncio_driver"},
                 {"client.options", "client.line", "maps", "ports.endpoint", "protocol.values"},
             ),
             (

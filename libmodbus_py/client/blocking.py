@@ -5,16 +5,13 @@ The blocking client: a context for each kind of endpoint.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, Unpack
 
 from ..ports.schemes import DEFAULT_PORT, PARITIES, SECURE_PORT, Scheme, options_of
-from ..protocol import pdu
+from ..protocol.mistakes import named_arguments
 from .blocking_driver import BlockingDriver
 from .call import MAX_IN_FLIGHT
-from .handle import Handle
-from .procedures import Procedures
-from .requests import Blocking
+from .values_blocking import BlockingValues
 
 if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
@@ -40,10 +37,8 @@ __all__ = [
     "UdpContext",
 ]
 
-Result = TypeVar("Result")
 
-
-class Context(Handle[BlockingDriver], Procedures, Blocking):
+class Context(BlockingValues):
     """
     The base of the blocking clients, each of which talks to one unit.
 
@@ -125,34 +120,8 @@ class Context(Handle[BlockingDriver], Procedures, Blocking):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def execute(
-        self,
-        request: pdu.Request[Result],
-        *,
-        timeout: float | None = None,
-        retries: int | None = None,
-    ) -> Result:
-        call = self._call(self._unit, request, timeout, retries)
-        self._driver.run(call)
-        result: Result = call.outcome
-        if isinstance(result, BaseException):
-            raise result
-        return result
 
-    def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
-        jobs = self._jobs(make(self, *arguments, **named))
-        with ExitStack() as stack:
-            try:
-                while True:
-                    job = next(jobs)
-                    if job is None:
-                        stack.enter_context(self._driver.lock)
-                    else:
-                        self._driver.run(job)
-            except StopIteration as done:
-                return done.value
-
-
+@named_arguments
 class Client(Context):
     """
     A blocking client for any URL; its counterpart for asyncio is `AsyncClient`.
