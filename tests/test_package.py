@@ -349,7 +349,7 @@ class TestLateImports:
                 "from libmodbus_py import Client",
                 # What is compiled is wanted, so that it fails at once where it lacks; libmodbus is
                 # for serial ports and servers.
-                {"client.requests", "protocol._scan"},
+                {"client.functions_blocking", "protocol._scan"},
                 {
                     *("binding", "client.options", "client.line", "client.asyncio_driver"),
                     *("maps", "ports.endpoint", "ports.serial", "ports.tls", "security"),
@@ -364,7 +364,7 @@ class TestLateImports:
             ),
             (
                 "from libmodbus_py import AsyncClient",
-                {"client.requests", "client.asyncio_driver"},
+                {"client.functions_async", "client.asyncio_driver"},
                 {"client.options", "client.line", "maps", "ports.endpoint", "protocol.values"},
             ),
             (

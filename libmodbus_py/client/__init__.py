@@ -3,10 +3,11 @@ The clients. One connection makes the decisions, and two drivers wait, read and 
 
 From the caller to the wire:
 
-    procedures         methods of several requests, once for both clients: many, plans, maps
-      requests         methods of one request; how methods of both clients are made, and their
-                       types for type checkers
-      polling          reads at a steady pace, for watch()
+    values_async       typed values, and register maps
+      many_async       many requests together, plans of few, and reads at a steady pace
+      functions_async  connect, execute, and the methods of one request
+    values_blocking    the same of blocking clients, which packaging/generate_blocking.py makes;
+                       so are many_blocking and functions_blocking
     handle             a unit, its timeouts, and the connection that it shares
     blocking           the blocking client, `Client`
     asynchronous       AsyncClient

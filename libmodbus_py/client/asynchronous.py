@@ -5,29 +5,26 @@ The asyncio client.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AsyncExitStack
-from typing import TYPE_CHECKING, Any, Self, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from ..protocol import pdu
 from ..protocol.checks import integer
+from ..protocol.mistakes import named_arguments
 from .asyncio_driver import AsyncioDriver
 from .call import Call, Phase
-from .handle import Handle
-from .procedures import Procedures
-from .requests import Awaiting
+from .values_async import AsyncValues
 
 if TYPE_CHECKING:
     from .options import AsyncOptions
 
 __all__ = ["MAX_PAUSE", "AsyncClient", "Submitted"]
 
-Result = TypeVar("Result")
-
 # Seconds: a device that was switched on again is back after half a minute at most.
 MAX_PAUSE = 30.0
 
 
-class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
+@named_arguments
+class AsyncClient(AsyncValues):
     """
     A client of one unit for asyncio, whose methods are coroutines.
 
@@ -102,20 +99,6 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
     async def __aexit__(self, *_: object) -> None:
         await self.close()
 
-    async def execute(
-        self,
-        request: pdu.Request[Result],
-        *,
-        timeout: float | None = None,
-        retries: int | None = None,
-    ) -> Result:
-        call = self._call(self._unit, request, timeout, retries)
-        await self._driver.run(call)
-        result: Result = call.outcome
-        if isinstance(result, BaseException):
-            raise result
-        return result
-
     def submit(
         self, unit: int, request: pdu.Request[Any], on_done: Callable[[], object]
     ) -> Submitted:
@@ -140,7 +123,7 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
         """
         if type(unit) is not int or not 0 <= unit <= 255:
             unit = integer("unit", unit, 0, 255)
-        call = self._call(unit, request, None, None)
+        call = Call(unit, request, self._timeouts, unit == 0 and self._has_broadcast)
         self._driver.ask(call, on_done)
         return Submitted(call, self._driver)
 
@@ -171,19 +154,6 @@ class AsyncClient(Handle[AsyncioDriver], Procedures, Awaiting):
             function: the function code, 1..127; None for all functions of the unit.
         """
         return self._connection.matching.ready_at(unit, function)
-
-    async def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
-        jobs = self._jobs(make(self, *arguments, **named))
-        async with AsyncExitStack() as stack:
-            try:
-                while True:
-                    job = next(jobs)
-                    if job is None:
-                        await stack.enter_async_context(self._driver.lock)
-                    else:
-                        await self._driver.run(job)
-            except StopIteration as done:
-                return done.value
 
 
 class Submitted:

@@ -76,7 +76,10 @@ class AsyncioDriver:
 
     async def run(self, job: Call | Batch) -> None:
         """Send requests; returns when they are over."""
-        done = self._bind().create_future()
+        loop = asyncio.get_running_loop()
+        if loop is not self._loop:
+            self._bind()
+        done = loop.create_future()
         try:
             self.ask(job, done)
             if not job.is_done:

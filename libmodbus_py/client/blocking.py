@@ -5,15 +5,12 @@ The blocking client.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, Self, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from ..ports.schemes import PARITIES, options_of
-from ..protocol import pdu
+from ..protocol.mistakes import named_arguments
 from .blocking_driver import BlockingDriver
-from .handle import Handle
-from .procedures import Procedures
-from .requests import Blocking
+from .values_blocking import BlockingValues
 
 if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
@@ -26,10 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Client"]
 
-Result = TypeVar("Result")
 
-
-class Client(Handle[BlockingDriver], Procedures, Blocking):
+@named_arguments
+class Client(BlockingValues):
     """
     A blocking client of one unit; its counterpart for asyncio is `AsyncClient`.
 
@@ -107,33 +103,6 @@ class Client(Handle[BlockingDriver], Procedures, Blocking):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def execute(
-        self,
-        request: pdu.Request[Result],
-        *,
-        timeout: float | None = None,
-        retries: int | None = None,
-    ) -> Result:
-        call = self._call(self._unit, request, timeout, retries)
-        self._driver.run(call)
-        result: Result = call.outcome
-        if isinstance(result, BaseException):
-            raise result
-        return result
-
-    def _follow(self, make: Any, arguments: Any, named: Any) -> Any:
-        jobs = self._jobs(make(self, *arguments, **named))
-        with ExitStack() as stack:
-            try:
-                while True:
-                    job = next(jobs)
-                    if job is None:
-                        stack.enter_context(self._driver.lock)
-                    else:
-                        self._driver.run(job)
-            except StopIteration as done:
-                return done.value
 
 
 def _parsed(url: str, options: Mapping[str, Any]) -> tuple[Endpoint, Mapping[str, Any]]:

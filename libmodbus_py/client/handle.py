@@ -1,51 +1,139 @@
 """
-A handle to one unit on a connection, blocking or not.
+A handle to one unit on a connection, blocking or not; and the errors for keyword arguments that its
+methods do not have.
+
+A method ends with ``**wrong: Unpack[NoOthers]``, which costs a call less than a decorator that
+catches errors. Type checkers refuse every such argument, and `public_methods` hides it from help()
+and from mocks.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Generic, Self, Unpack, overload
+from typing import TYPE_CHECKING, Any, Self, TypedDict, TypeVar, Unpack
 
-from ..protocol import pdu
 from ..protocol.checks import integer, seconds
-from ..protocol.errors import InvalidResponse, ModbusError
-from .call import MAX_IN_FLIGHT, Batch, Call, raised
-from .polling import Driving, Polls, watched
+from ..protocol.mistakes import OTHER_SPELLINGS, close_option, close_to
+from .call import MAX_IN_FLIGHT, Batch
 from .reconnecting import State
-from .requests import LOCK, Several, Step, Steps
 
 if TYPE_CHECKING:
     from ..maps.holes import Holes, Unreadable
-    from ..maps.plan import Item, Items, Key, Named, Plan, PlanOptions, Strict, Tolerant, Values
+    from ..maps.plan import Plan
     from ..maps.register_map import AnyMap
-    from ..maps.watched import PolledValues
     from ..ports.endpoint import Endpoint
     from ..ports.port import Port
-    from .asyncio_driver import AsyncioDriver
-    from .blocking_driver import BlockingDriver
+    from ..protocol import pdu
     from .connection import Transactions
     from .options import CheckedOptions
-    from .requests import Later
     from .statistics import Statistics
 
-__all__ = ["Handle"]
+__all__ = ["Handle", "Missing", "NoOthers", "check_plan_options", "public_methods", "unexpected"]
+
+Class = TypeVar("Class", bound=type)
+
+# Of code: it has **keywords. The module inspect, which names it, takes long to import.
+CO_VARKEYWORDS = 0x08
 
 
-class Handle(Generic[Driving]):
+class NoOthers(TypedDict):
+    """The keyword arguments that a method takes besides those of its signature: none."""
+
+
+def unexpected(method: Any, given: Iterable[str], known: Collection[str] = ()) -> TypeError:
+    """
+    Return the error for keyword arguments that a method does not take.
+
+    Args:
+        method: the method of a client.
+        given: the names of arguments; the first one that is not `known` is wrong.
+        known: names that the method takes besides those of its signature.
+    """
+    from .options import Options
+
+    name = next(each for each in given if each not in known)
+    code = method.__func__.__code__
+    own = [*code.co_varnames[1 : code.co_argcount + code.co_kwonlyargcount], *known]
+    options = Options.__annotations__
+    meant = OTHER_SPELLINGS.get(name.lower(), name)
+    if meant not in own and meant in options:
+        close = "; " if meant == name else f"; did you mean {meant}? "
+        close += "it is an argument of the client"
+    elif not (close := close_option(name, own)) and (close := close_to(name, options)):
+        close += " it is an argument of the client"
+    called = f"{type(method.__self__).__name__}.{method.__name__}()"
+    return TypeError(f"{called} got an unexpected keyword argument {name!r}{close}")
+
+
+def check_plan_options(method: Any, options: Mapping[str, Any]) -> None:
+    """Raise the error for the first option that is none of a `Plan`."""
+    from ..maps.plan import PlanOptions
+
+    known = PlanOptions.__annotations__
+    if not options.keys() <= known.keys():
+        raise unexpected(method, options, known)
+
+
+def public_methods(owner: str | None = None) -> Callable[[Class], Class]:
+    """
+    Decorate a class whose methods end with ``**wrong``; the class is called `owner` in errors.
+
+    An argument without a default gets one, `Missing`, so that a misspelt argument is not reported
+    as the lack of another one; the checks of arguments refuse it. help(), inspect.signature() and
+    mocks with a specification see the signatures as they are written, without ``**wrong``: they
+    follow `__wrapped__`, which is never called.
+    """
+
+    def decorated(cls: Class) -> Class:
+        for function in vars(cls).values():
+            code = getattr(function, "__code__", None)
+            if code is None or code.co_name.startswith("__"):
+                continue
+            if owner:
+                function.__qualname__ = f"{owner}.{function.__name__}"
+            if code.co_flags & CO_VARKEYWORDS:
+                function.__wrapped__ = _signed(function)
+                _add_defaults(function)
+        return cls
+
+    return decorated
+
+
+def _signed(function: Any) -> Any:
+    """Return a function with the signature of another one, without ``**wrong``."""
+    code, annotations = function.__code__, {**function.__annotations__}
+    if annotations.pop("wrong", None):
+        code = code.replace(co_flags=code.co_flags & ~CO_VARKEYWORDS)
+    signed = type(function)(code, {}, function.__name__, function.__defaults__)
+    signed.__kwdefaults__, signed.__annotations__ = function.__kwdefaults__, annotations
+    return signed
+
+
+def _add_defaults(function: Any) -> None:
+    code, missing = function.__code__, Missing()
+    defaults = function.__defaults__ or ()
+    function.__defaults__ = (missing,) * (code.co_argcount - 1 - len(defaults)) + defaults
+    named = code.co_varnames[code.co_argcount : code.co_argcount + code.co_kwonlyargcount]
+    function.__kwdefaults__ = {**dict.fromkeys(named, missing), **(function.__kwdefaults__ or {})}
+
+
+class Missing:
+    """The value of an argument that was not given."""
+
+
+@public_methods()
+class Handle:
     """The base of both clients: a unit, its timeouts, and the connection that handles share."""
 
-    if TYPE_CHECKING:
-        _poll: Any  # of `Procedures`
-        _read_many: Any
+    _driver: Any
 
     def __init__(
         self,
         endpoint: Endpoint,
         options: Mapping[str, Any],
-        make_driver: Callable[[Endpoint, CheckedOptions, Port, Transactions], Driving],
+        make_driver: Callable[[Endpoint, CheckedOptions, Port, Transactions], object],
         **usual: Any,
     ) -> None:
         """
@@ -93,7 +181,12 @@ class Handle(Generic[Driving]):
         self._holes: dict[int, Holes] = {}
 
     def for_unit(
-        self, unit: int, *, timeout: float | None = None, retries: int | None = None
+        self,
+        unit: int,
+        *,
+        timeout: float | None = None,
+        retries: int | None = None,
+        **wrong: Unpack[NoOthers],
     ) -> Self:
         """
         Return a handle to another unit on the same connection.
@@ -109,6 +202,8 @@ class Handle(Generic[Driving]):
         Raises:
             TypeError, ValueError: an argument of the wrong type or range.
         """
+        if wrong:
+            raise unexpected(self.for_unit, wrong)
         handle = copy.copy(self)
         handle.unit = unit
         handle._timeouts = self._timeouts.but(timeout, retries)
@@ -173,7 +268,7 @@ class Handle(Generic[Driving]):
         """The number of responses that were dropped because their request had been given up."""
         return self.statistics.late_answers
 
-    def unreadable(self, what: AnyMap | Plan) -> list[Unreadable]:
+    def unreadable(self, what: AnyMap | Plan, **wrong: Unpack[NoOthers]) -> list[Unreadable]:
         """
         Return the items that this client leaves out, because the unit refused them.
 
@@ -189,6 +284,8 @@ class Handle(Generic[Driving]):
             TypeError: `what` is none of them.
             MapError: as for `load_map`.
         """
+        if wrong:
+            raise unexpected(self.unreadable, wrong)
         from ..maps.plan import Plan, unreadable_of
         from ..maps.register_map import RegisterMap, map_of
 
@@ -202,187 +299,7 @@ class Handle(Generic[Driving]):
         name = type(self).__name__
         return f"<{name} {self._endpoint}, unit {self.unit}, {self.state.value}>"
 
-    # --- implemented by each client; documented here ------------------------------------------
-
-    def execute(self, *args: Any, **kwargs: Any) -> Any:
-        """
-        Send any request object of `libmodbus_py.pdu`, and return its result.
-
-        Args:
-            request: the request object.
-            timeout: seconds for this request, 0.001..86400; None for the handle's.
-            retries: retries of this request, 0..100; None for the handle's.
-
-        Returns:
-            The result that the client's method for the same function returns.
-        """
-        raise NotImplementedError
-
-    @overload
-    def read_many(  # type: ignore[overload-overlap]
-        self: Handle[BlockingDriver], items: Named[Key], **options: Unpack[Strict]
-    ) -> dict[Key, Values]: ...
-    @overload
-    def read_many(  # type: ignore[overload-overlap]
-        self: Handle[BlockingDriver], items: Named[Key], **options: Unpack[Tolerant]
-    ) -> dict[Key, Values | ModbusError]: ...
-    @overload
-    def read_many(
-        self: Handle[BlockingDriver], items: Iterable[Item], **options: Unpack[Strict]
-    ) -> list[Values]: ...
-    @overload
-    def read_many(
-        self: Handle[BlockingDriver], items: Iterable[Item], **options: Unpack[Tolerant]
-    ) -> list[Values | ModbusError]: ...
-    @overload
-    def read_many(
-        self: Handle[BlockingDriver],
-        items: Plan,
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-    ) -> Any: ...
-    @overload
-    def read_many(  # type: ignore[overload-overlap]
-        self: Handle[AsyncioDriver], items: Named[Key], **options: Unpack[Strict]
-    ) -> Later[dict[Key, Values]]: ...
-    @overload
-    def read_many(  # type: ignore[overload-overlap]
-        self: Handle[AsyncioDriver], items: Named[Key], **options: Unpack[Tolerant]
-    ) -> Later[dict[Key, Values | ModbusError]]: ...
-    @overload
-    def read_many(
-        self: Handle[AsyncioDriver], items: Iterable[Item], **options: Unpack[Strict]
-    ) -> Later[list[Values]]: ...
-    @overload
-    def read_many(
-        self: Handle[AsyncioDriver], items: Iterable[Item], **options: Unpack[Tolerant]
-    ) -> Later[list[Values | ModbusError]]: ...
-    @overload
-    def read_many(
-        self: Handle[AsyncioDriver],
-        items: Plan,
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-    ) -> Later[Any]: ...
-    def read_many(
-        self,
-        items: Plan | Items,
-        *,
-        max_in_flight: int = 16,
-        return_exceptions: bool = False,
-        **options: Unpack[PlanOptions],
-    ) -> Any:
-        """
-        Read many items with few requests.
-
-        Args:
-            items: a `Plan`, or the items of one, such as
-                ``{"level": ("holding_registers", 100, 1, "float32"), "valves": ("coils", 0, 8)}``.
-            max_in_flight, return_exceptions: as for `execute_many`; each item of a failed
-                request gets a ModbusError in place of its values.
-            options: the options of `Plan`, unless `items` is one: `gap`, `forbidden`,
-                `max_registers`, `max_bits`.
-
-        Returns:
-            A list of values for each item, in the order of the items; a dict by name if `items`
-            is a mapping.
-
-        Raises:
-            TypeError, ValueError: an argument is wrong, as for `Plan`; or registers hold no value
-                of the type of an item.
-            IllegalDataAddress: a merged request covers cells that the device
-                lacks. With a `Plan`, the items that the device refuses are found by halving the
-                request; with `return_exceptions` they are left out (`unreadable`), otherwise
-                the first of them is named in `names` of the error.
-        """
-        return self._read_many(items, max_in_flight, return_exceptions, options)
-
-    @overload
-    def watch(
-        self,
-        what: AnyMap,
-        *,
-        every: float,
-        names: Iterable[str] | None = None,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> Polls[Driving, PolledValues]: ...
-    @overload
-    def watch(  # type: ignore[overload-overlap]
-        self,
-        what: Named[Key],
-        *,
-        every: float,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> Polls[Driving, dict[Key, Values | ModbusError]]: ...
-    @overload
-    def watch(
-        self,
-        what: Iterable[Item],
-        *,
-        every: float,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> Polls[Driving, list[Values | ModbusError]]: ...
-    @overload
-    def watch(
-        self, what: Plan, *, every: float, max_in_flight: int = 16
-    ) -> Polls[Driving, Any]: ...
-    def watch(
-        self,
-        what: AnyMap | Plan | Items,
-        *,
-        every: float,
-        names: Iterable[str] | None = None,
-        max_in_flight: int = 16,
-        **options: Unpack[PlanOptions],
-    ) -> Polls[Driving, Any]:
-        """
-        Read the same points or items again and again, at a steady pace.
-
-        ``for values in plc.watch(meter, every=1)``; ``async for`` with an `AsyncClient`.
-
-        The first values are read at once; later polls start at whole multiples of the interval
-        after the first one. If the device or the program takes longer than that, the polls that it
-        misses are skipped.
-
-        If the device does not answer, the loop goes on: it yields errors in place of values,
-        and the client connects again by itself. The loop ends when the client is closed, even by
-        another thread or task, and may be left at any time.
-
-        Args:
-            what: a `RegisterMap` or the path of its file, a `Plan`, or the items of one, as for
-                `read_many`.
-            every: seconds from one poll to the next, 0.01..86400. A point with an interval of its
-                own (`Point.interval`) is read at that interval instead: polls then come at the
-                shortest interval, and points that are not due keep their values.
-            names: the names of the points of the map to read; None for all readable points.
-            max_in_flight: as for `execute_many`.
-            options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
-
-        Returns:
-            An iterator. For a map, it yields what `read_map` returns with
-            ``return_exceptions=True``, in a dict whose attribute `fell` has the names of totals
-            (`Point.never_falls`) that are smaller than before, even when they were read a second
-            time. Otherwise it yields what `read_many` returns with ``return_exceptions=True``.
-
-        Raises:
-            TypeError, ValueError: an argument is wrong; nothing was sent. If `what` is no map, the
-                iterator itself raises ValueError for registers that hold no value of their type.
-        """
-        interval = seconds("every", every, 0.01)
-        polled = watched(what, names, interval, options)
-        integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
-        return Polls(
-            self,
-            getattr(polled, "interval", interval),
-            lambda at: self._poll(polled, max_in_flight, at),
-        )
-
-    # --- for procedures ----------------------------------------------------------------
+    # --- for the methods ----------------------------------------------------------------
 
     @property
     def device(self) -> str:
@@ -398,23 +315,14 @@ class Handle(Generic[Driving]):
 
     def now(self) -> float:
         """Return the time in seconds, of the clock by which timeouts are measured."""
-        return self._driver.now()
+        time: float = self._driver.now()
+        return time
 
-    # --- for the clients ----------------------------------------------------------------
-
-    def _call(
-        self, unit: int, request: pdu.Request[Any], timeout: float | None, retries: int | None
-    ) -> Call:
-        """Check and encode a request."""
-        timeouts = self._timeouts
-        if timeout is not None or retries is not None:
-            timeouts = timeouts.but(timeout, retries)
-        return Call(unit, request, timeouts, unit == 0 and self._has_broadcast)
-
-    def _batch(self, several: Several) -> Batch:
-        """Check and encode all before the first is sent."""
-        limit = integer("max_in_flight", several.max_in_flight, 1, MAX_IN_FLIGHT)
-        requests = several.requests
+    def _batch(
+        self, requests: Iterable[pdu.Request[Any]], max_in_flight: int, return_exceptions: bool
+    ) -> Batch:
+        """Check and encode all requests before the first is sent."""
+        limit = integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
         if not isinstance(requests, Iterable):
             raise TypeError(f"requests must be a list, not {type(requests).__name__}")
         return Batch(
@@ -424,35 +332,11 @@ class Handle(Generic[Driving]):
             name="requests[{}]",
             is_broadcast=self._unit == 0 and self._has_broadcast,
             limit=min(limit, self.max_in_flight),
-            go_on=bool(several.return_exceptions),
+            go_on=bool(return_exceptions),
         )
 
-    def _jobs(self, steps: Steps[Any]) -> Generator[Call | Batch | None, None, Any]:
-        """Follow a procedure: yield what is to be run; None to hold the lock from then on."""
-        job: Call | Batch
-        outcome: Any = None
-        try:
-            while True:
-                step = steps.send(outcome)
-                if step is LOCK:
-                    yield None
-                    continue
-                if isinstance(step, Several):
-                    job = self._batch(step)
-                    yield job
-                    outcome = job.outcomes
-                    is_tolerant = step.return_exceptions or step.stops
-                    raised(outcome, (ModbusError,) if is_tolerant else ())
-                    continue
-                if isinstance(step, Step):  # CONNECT
-                    job = Call(self._unit, None, self._timeouts)
-                else:
-                    job = self._call(self._unit, step, None, None)
-                yield job
-                outcome = job.outcome
-                raised([outcome])
-        except StopIteration as done:
-            return done.value
-        except InvalidResponse as error:
-            error.unit, error.endpoint = self.unit, self.url
-            raise error from None
+    def _tell_of_hole(self, which: str) -> None:
+        """Log what the unit refuses."""
+        from ..protocol.logs import HarmlessLogger
+
+        HarmlessLogger(__name__).info("%s: cannot be read: %s", self.device, which)

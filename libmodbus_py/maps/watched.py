@@ -1,5 +1,6 @@
 """
-The points of a map from poll to poll: which are due, and totals that are read again.
+The points of a map from poll to poll: which are due, and totals that are read again; and the pace
+of the polls of a client.
 
 No clock: times are seconds of any steady clock.
 """
@@ -8,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Generator, Iterable, Sequence
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 from ..protocol.errors import ModbusError
@@ -16,11 +18,16 @@ from .holes import is_refusal
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from .plan import PlanOptions
+    from .plan import Plan, PlanOptions
     from .point_plan import PointPlan
     from .register_map import RegisterMap
 
-__all__ = ["PartialPlans", "PointIntervals", "PolledValues", "Totals", "WatchedPoints"]
+# fmt: off
+__all__ = [
+    "Pace", "PartialPlans", "PointIntervals", "PolledValues", "Totals", "WatchedPoints", "polled",
+    "watched",
+]
+# fmt: on
 
 TOLERANCE = 0.001
 """The part of the time between two polls that sums of times may be inexact by."""
@@ -192,3 +199,54 @@ class WatchedPoints:
 def _is_lost(value: object) -> bool:
     """Return True if there is an error in place of a value that the next poll may have."""
     return isinstance(value, ModbusError) and not is_refusal(value)
+
+
+# --- what clients watch ---------------------------------------------------------------------
+
+
+class Pace:
+    """
+    When each poll is due, in seconds of any steady clock.
+
+    The n-th poll is due n intervals after the first one, so that the times do not drift. A poll
+    that is late, because the device or the program took longer, is left out.
+    """
+
+    def __init__(self, interval: float) -> None:
+        self._interval = interval
+        self._begun: float | None = None  # when the first poll began
+        self._polls = 0
+
+    def due(self, now: float) -> float:
+        """Return when the next poll is due."""
+        if self._begun is None:
+            return now
+        first_not_missed = math.ceil((now - self._begun) / self._interval)
+        return self._begun + max(self._polls, first_not_missed) * self._interval
+
+    def begin(self, due: float) -> None:
+        """Note that the poll that was due at this time begins."""
+        if self._begun is None:
+            self._begun = due
+        self._polls = round((due - self._begun) / self._interval) + 1
+
+
+def watched(what: Any, names: Any, every: float, options: Any) -> WatchedPoints | Plan:
+    """Return what is polled; raise TypeError or ValueError as `RegisterMap.plan` and `Plan` do."""
+    from .plan import planned
+    from .register_map import RegisterMap, map_of
+
+    if isinstance(what, RegisterMap | str | PathLike):
+        return WatchedPoints(map_of(what), names, every, **options)
+    if names is not None:
+        raise ValueError("names are for a RegisterMap only")
+    return planned(what, options)
+
+
+def polled(plan: Plan, answers: list[Any]) -> Any:
+    """Return the values of a poll, with the reason in place of a value that could not be read."""
+    from .point_plan import PointPlan
+
+    if isinstance(plan, PointPlan):
+        return plan.results(answers, return_exceptions=True)
+    return plan.results(answers)

@@ -16,9 +16,9 @@ from typing import Any, ParamSpec, Self, TypeVar
 
 # fmt: off
 __all__ = [
-    "SERIAL_SETTINGS", "Mistake", "Path", "WrongType", "WrongValue", "close_option", "close_to",
-    "inside", "item", "named_arguments", "named_parameters", "path_text", "placed",
-    "unknown_option",
+    "OTHER_SPELLINGS", "SERIAL_SETTINGS", "Mistake", "Path", "WrongType", "WrongValue",
+    "close_option", "close_to", "inside", "item", "named_arguments", "named_parameters",
+    "path_text", "placed", "unknown_option",
 ]
 # fmt: on
 
@@ -181,7 +181,10 @@ def _refused(function: Callable[..., object], named: Iterable[str]) -> TypeError
     from inspect import Parameter, signature
 
     parameters = [*signature(function).parameters.values()]
-    if any(each.kind is Parameter.VAR_KEYWORD for each in parameters):
-        return None
-    known = [each.name for each in parameters if each.name != "self"]
-    return next((unknown_option(name, known) for name in named if name not in known), None)
+    several = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
+    known = [each.name for each in parameters if each.name != "self" and each.kind not in several]
+    wrong = [name for name in named if name not in known]
+    if any(each.kind is Parameter.VAR_KEYWORD for each in parameters):  # which has its own check
+        close = ((name, close_option(name, known)) for name in wrong)
+        return next((TypeError(f"there is no {name!r}{end}") for name, end in close if end), None)
+    return next((unknown_option(name, known) for name in wrong), None)

@@ -14,14 +14,15 @@ from operator import attrgetter
 from typing import Any, Literal, NamedTuple
 
 from . import pdu
-from .mistakes import WrongValue
+from .mistakes import WrongType, WrongValue
 from .pdu.request import MAX_WRITTEN, TABLE_SIZE
 from .words import TABLE_WORDS, close_word, table_named
 
 # fmt: off
 __all__ = [
     "REGISTER_TABLES", "TABLES", "TABLE_SIZE", "RegisterTable", "Table", "WritableTable",
-    "checked_ranges", "checked_table", "contains", "joined", "touches", "without",
+    "check_writable", "checked_ranges", "checked_table", "contains", "joined", "register_table",
+    "touches", "without",
 ]
 # fmt: on
 
@@ -61,6 +62,35 @@ def checked_table(table: object) -> Any:
         close = close_word(table, TABLES, TABLE_WORDS)
         raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {table!r}{close}")
     return name
+
+
+def register_table(given: object) -> Any:
+    """
+    Return the name of a table of registers, which may be written as vendors do.
+
+    Raises:
+        TypeError, ValueError: there is no such table, or its cells are bits.
+    """
+    _check_name(given)
+    name = table_named(given)
+    if name not in REGISTER_TABLES:
+        words = [word for word, meaning in TABLE_WORDS.items() if meaning in REGISTER_TABLES]
+        close = close_word(given, REGISTER_TABLES, words)
+        wanted = ", ".join(REGISTER_TABLES)
+        raise ValueError(f"table must be one of {wanted}, not {given!r}{close}")
+    return name
+
+
+def _check_name(table: object) -> None:
+    if not isinstance(table, str):
+        raise WrongType("table", f"must be a string, not {type(table).__name__}")
+
+
+def check_writable(table: object) -> None:
+    """Raise a TypeError or ValueError for any other table than that of holding registers."""
+    _check_name(table)
+    if table != "holding_registers" and table_named(table) != "holding_registers":
+        raise ValueError(f"table must be holding_registers, not {table!r}")
 
 
 # --- ranges of addresses -------------------------------------------------------------------

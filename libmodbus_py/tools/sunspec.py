@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple, overload
+from typing import Any, NamedTuple, TypeAlias, TypeVar, overload
 
-from ..client.requests import Awaiting, Blocking, Several, Steps
+from ..client.functions_async import AsyncFunctions
+from ..client.functions_blocking import BlockingFunctions
 from ..maps.point import Point
 from ..maps.point_checks import MAX_DESCRIPTION
 from ..maps.register_map import RegisterMap
@@ -47,6 +48,12 @@ MOST_MODELS = 256
 MOST_BASES = 16
 
 
+Result = TypeVar("Result")
+
+# A walk yields requests, and is sent their results; what fails is raised in it.
+_Steps: TypeAlias = Generator[pdu.ReadHoldingRegisters, Any, Result]
+
+
 class SunSpecError(ModbusError):
     """The device has no chain of SunSpec models at the given addresses."""
 
@@ -72,7 +79,7 @@ class _Chain:
     notes: list[str] = field(default_factory=list)
 
 
-def walk(bases: Iterable[int]) -> Steps[_Chain]:
+def walk(bases: Iterable[int]) -> _Steps[_Chain]:
     """Find the marker, and follow the chain to its end."""
     reasons = []
     for base in bases:
@@ -86,7 +93,7 @@ def walk(bases: Iterable[int]) -> Steps[_Chain]:
     raise SunSpecError(f"the device has no SunSpec models: {'; '.join(reasons)}")
 
 
-def _followed(chain: _Chain) -> Steps[list[str]]:
+def _followed(chain: _Chain) -> _Steps[list[str]]:
     """Add the headers and the end of a chain; return what is wrong with it."""
     address = chain.base + len(MARKER)
     while len(chain.headers) < MOST_MODELS:
@@ -109,12 +116,12 @@ def _followed(chain: _Chain) -> Steps[list[str]]:
     return [f"the chain has more than {MOST_MODELS} models; the rest is left out"]
 
 
-def _asked(address: int, count: int) -> Generator[Any, Any, list[int] | ExceptionResponse]:
+def _asked(address: int, count: int) -> _Steps[list[int] | ExceptionResponse]:
     """Ask for registers; return them, or the exception response."""
-    (answer,) = yield Several([pdu.ReadHoldingRegisters(address, count)], 1, True)
-    if isinstance(answer, ModbusError) and not isinstance(answer, ExceptionResponse):
-        raise answer
-    return answer  # type: ignore[no-any-return]
+    try:
+        return (yield pdu.ReadHoldingRegisters(address, count))  # type: ignore[no-any-return]
+    except ExceptionResponse as refusal:
+        return refusal
 
 
 # --- what is found --------------------------------------------------------------------------------
@@ -229,10 +236,10 @@ def folder() -> Path:
 
 
 @overload
-def discover(client: Blocking, *, bases: Iterable[int] = BASES) -> SunSpecDevice: ...
+def discover(client: BlockingFunctions, *, bases: Iterable[int] = BASES) -> SunSpecDevice: ...
 @overload
 def discover(
-    client: Awaiting, *, bases: Iterable[int] = BASES
+    client: AsyncFunctions, *, bases: Iterable[int] = BASES
 ) -> Coroutine[Any, Any, SunSpecDevice]: ...
 def discover(client: Any, *, bases: Iterable[int] = BASES) -> Any:
     """
@@ -256,10 +263,10 @@ def discover(client: Any, *, bases: Iterable[int] = BASES) -> Any:
         SunSpecError: the registers at none of the bases hold "SunS".
         ModbusError: a request failed.
     """
-    if not isinstance(client, Blocking | Awaiting):
+    if not isinstance(client, BlockingFunctions | AsyncFunctions):
         raise WrongType("client", f"must be a client, not {type(client).__name__}")
     folder()  # before anything is sent
-    return client._follow(_discovery, (_checked_bases(bases),), {})
+    return client._carry_out(_discovery(_checked_bases(bases)))
 
 
 def _checked_bases(bases: Iterable[int]) -> tuple[int, ...]:
@@ -272,7 +279,7 @@ def _checked_bases(bases: Iterable[int]) -> tuple[int, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _discovery(_: object, bases: Iterable[int]) -> Steps[SunSpecDevice]:
+def _discovery(bases: Iterable[int]) -> _Steps[SunSpecDevice]:
     chain = yield from walk(bases)
     models: list[SunSpecModel] = []
     room = MOST_POINTS
@@ -298,7 +305,7 @@ def _discovery(_: object, bases: Iterable[int]) -> Steps[SunSpecDevice]:
     return SunSpecDevice(chain.base, tuple(models), chain.end, tuple(chain.notes))
 
 
-def _counts(chain: _Chain, header: _Header, group: Mapping[str, Any]) -> Steps[dict[str, int]]:
+def _counts(chain: _Chain, header: _Header, group: Mapping[str, Any]) -> _Steps[dict[str, int]]:
     """Read the points by which groups are repeated, which are neighbours in all definitions."""
     offsets = counters_of(group)
     offsets = {name: at for name, at in offsets.items() if at < HEADER + header.length}

@@ -162,8 +162,8 @@ def test_a_loop_that_was_closed_under_a_client_leaves_a_client_that_can_be_dropp
 def test_values_of_a_watch_come_in_the_way_of_its_client() -> None:
     plc, other = Client("tcp://192.0.2.1"), AsyncClient("tcp://192.0.2.1")
     items = [("coils", 0, 8)]
-    with pytest.raises(TypeError, match="async for"):
-        next(other.watch(items, every=1))  # type: ignore[arg-type, misc]
-    with pytest.raises(TypeError, match="plain for"):
-        anext(plc.watch(items, every=1)).send(None)  # type: ignore[arg-type, misc]
+    with pytest.raises(TypeError, match="'AsyncPolls' object is not an iterator"):
+        next(other.watch(items, every=1))  # type: ignore[call-overload]
+    with pytest.raises(TypeError, match="'BlockingPolls' object is not an async iterator"):
+        anext(plc.watch(items, every=1))  # type: ignore[call-overload]
     plc.close()

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.client.requests import Several
-from libmodbus_py.protocol.errors import IllegalDataAddress
+from libmodbus_py.protocol.errors import IllegalDataAddress, ModbusError
 
 MARKER = [0x5375, 0x6E53]
 END = [0xFFFF, 0]
@@ -60,12 +59,12 @@ class Walked:
     def __init__(self, steps: Generator[Any, Any, Any], cells: dict[int, int]) -> None:
         self.requests: list[tuple[int, int]] = []
         self.result: Any = None
-        answers = None
         try:
+            step = next(steps)
             while True:
-                step = steps.send(answers)
-                assert isinstance(step, Several)
-                answers = [self._answer(each, cells) for each in step.requests]
+                answer = self._answer(step, cells)
+                is_error = isinstance(answer, ModbusError)
+                step = steps.throw(answer) if is_error else steps.send(answer)
         except StopIteration as done:
             self.result = done.value
 

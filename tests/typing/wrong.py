@@ -53,6 +53,9 @@ def blocking(plc: Client) -> None:
     plc.read_values("holding_registers", 0, "flaot32")  # wrong
     plc.read_values("holding_registers", 0, "float32", order="ABDC")  # wrong
     plc.read_values("coils", 0, "float32")  # wrong
+    plc.read_coils(0, 1, device_id=3)  # wrong
+    plc.read_coils(adress=0, count=1)  # wrong
+    plc.for_unit(3, timout=1)  # wrong
     plc.write_value("holding_registers", 0, 1.5, "flaot32")  # wrong
     plc.write_values("input_registers", 0, [1.5], "float32")  # wrong
     plc.read_coils("0", 8)  # wrong
@@ -81,6 +84,10 @@ def confused(plc: Client) -> list[bool]:
 async def asking(plc: AsyncClient) -> None:
     plc.read_coils(0, 8)  # wrong
     await plc.read_values("holding_regs", 0, "float32")  # wrong
+    await plc.read_coils(0, 1, device_id=3)  # wrong
+    await plc.read_value("holding_registers", 0, "float32", word_order="ABCD")  # wrong
+    await plc.execute(pdu.ReadCoils(0, 8), unit=3)  # wrong
+    await plc.read_map(load_map("meter.csv"), gaps=3)  # wrong
     await plc.read_coils("0", 8)  # wrong
     await plc.read_many({"level": ("coil", 0, 8)})  # wrong
     await plc.read_map(5)  # wrong

@@ -217,7 +217,7 @@ def test_model_160_has_as_many_modules_as_its_length_has() -> None:
     fixed = [0xFFFF, 0, 0xFFFF, 3, 0, 0, 2, 0xFFFF]
     module = [1, *([0] * 8), 500, 4000, 0x8000, 0, 77, 0, 0, 25, 4, 0, 2]
     cells = chain([160, 48, *fixed, *module, 2, *module[1:]])
-    found = walked(_discovery(None, [40000]), cells)
+    found = walked(_discovery([40000]), cells)
     points = found.result[160].map
     assert found.result.notes == ()
     assert [points[f"module.{at}.ID"].address for at in (1, 2)] == [40012, 40032]
@@ -235,7 +235,7 @@ def test_model_160_has_as_many_modules_as_its_length_has() -> None:
     ],
 )
 def test_a_length_that_fits_no_whole_group_is_noted(length: int, note: str) -> None:
-    found = walked(_discovery(None, [40000]), chain([160, length, *([0] * length)])).result
+    found = walked(_discovery([40000]), chain([160, length, *([0] * length)])).result
     assert found.notes == (f"model 160 at address 40002 has the length {length}: {note}",)
     assert found.end == 40004 + length
     assert all(point.cells.stop <= 40004 + length for point in found[160].map.values())
@@ -245,7 +245,7 @@ def test_a_length_that_fits_no_whole_group_is_noted(length: int, note: str) -> N
 def test_a_count_that_does_not_fit_makes_no_storm(count: int) -> None:
     # 705: NPt and NCrv are the registers 5 and 6 of the model.
     model = [705, 20, 0, 0, 0, count, count, *([0] * 15)]
-    found = walked(_discovery(None, [40000]), chain(model))
+    found = walked(_discovery([40000]), chain(model))
     assert len(found.requests) == 4
     assert len(found.result[705].map) < 30
 
@@ -260,7 +260,7 @@ def test_no_more_points_are_made_than_there_is_room_for() -> None:
 
 def test_values_are_scaled_named_and_missing() -> None:
     cells = chain([101, 50, 123, 0xFFFF, 0xFFFF, 0xFFFF, 0xFFFE, *([0x8000] * 45)])
-    points = walked(_discovery(None, [40000]), cells).result[101].map
+    points = walked(_discovery([40000]), cells).result[101].map
     assert points["A"].scale_from == "A_SF"
     assert points["A"].decode([123], source=-2) == 1.23
     assert points["A"].decode([0xFFFF], source=-2) is None
@@ -276,7 +276,7 @@ def test_values_are_scaled_named_and_missing() -> None:
 
 
 def test_a_mac_address_is_text_when_read_and_written() -> None:
-    point = walked(_discovery(None, [40000]), chain([11, 13, *[0] * 13])).result[11].map["MAC"]
+    point = walked(_discovery([40000]), chain([11, 13, *[0] * 13])).result[11].map["MAC"]
     registers = [0, 0x0DD7, 0x4CC6, 0x448E]
     assert point.decode(registers) == "0D:D7:4C:C6:44:8E"
     assert point.encode("0D:D7:4C:C6:44:8E") == registers

@@ -1,5 +1,5 @@
 """
-For mkdocstrings: the results of client methods, and the public names of packages with a stub.
+For mkdocstrings: the arguments of client methods, and the public names of packages with a stub.
 """
 
 from __future__ import annotations
@@ -8,19 +8,16 @@ import re
 from pathlib import Path
 from typing import Any
 
-from griffe import ExprSubscript, Extension, Function, Module
-
-MAKERS = {"asks", "follows"}
+from griffe import Extension, Function, Module
 
 
-class ResultsOfRequests(Extension):
-    """Show the result of a client method: X for ``pdu.Request[X]`` and ``Steps[X]``."""
+class ArgumentsOfMethods(Extension):
+    """Show the arguments of a client method without ``**wrong``, which takes none."""
 
     def on_function(self, *, func: Function, **_: Any) -> None:
-        """Replace the annotation of a method that a decorator turns into a request."""
-        made_by = {str(decorator.value) for decorator in func.decorators}
-        if made_by & MAKERS and isinstance(func.returns, ExprSubscript):
-            func.returns = func.returns.slice
+        """Drop the parameter that only serves errors."""
+        if "wrong" in func.parameters:
+            del func.parameters["wrong"]
 
 
 class NamesOfStubs(Extension):

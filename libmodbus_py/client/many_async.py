@@ -1,0 +1,328 @@
+"""
+The methods of clients that send many requests: together, as request objects or by a plan, and at a
+steady pace.
+
+`packaging/generate_blocking.py` makes those of the blocking client of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, Unpack, overload
+
+from ..protocol.checks import integer, seconds
+from ..protocol.errors import ModbusError
+from .call import MAX_IN_FLIGHT, raised
+from .functions_async import AsyncFunctions
+from .handle import NoOthers, check_plan_options, public_methods, unexpected
+
+# What only some methods need is imported by them.
+if TYPE_CHECKING:
+    from ..maps.plan import Item, Items, Key, Named, Plan, PlanOptions, Strict, Tolerant, Values
+    from ..maps.register_map import AnyMap
+    from ..maps.watched import Pace, PolledValues, WatchedPoints
+    from ..protocol import pdu
+
+__all__ = ["AsyncMany"]
+
+Polled = TypeVar("Polled")
+
+
+@public_methods("AsyncClient")
+class AsyncMany(AsyncFunctions):
+    """The methods that send many requests together, once or at a steady pace."""
+
+    async def execute_many(
+        self,
+        requests: Iterable[pdu.Request[Any]],
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+        **wrong: Unpack[NoOthers],
+    ) -> list[Any]:
+        """
+        Send many request objects, several at a time if frames carry transaction ids.
+
+        With the framings "tcp" and "udp", up to `max_in_flight` of these requests are pending at
+        the same time, within the client's own `max_in_flight`, which applies to all its requests
+        together. The `timeout` of each request begins when it is sent. On a blocking client,
+        other threads wait until all requests are done; on an `AsyncClient`, requests of other
+        tasks are sent in between. A server may execute the requests in any order, so writes that
+        depend on each other need ``max_in_flight=1``. Requests are sent one after the other with
+        ``max_in_flight=1``, with all other framings, and if one of them gets no response.
+
+        With `return_exceptions`, a failure does not stop the remaining requests. If the
+        connection is lost, the pending requests fail, and the remaining ones are sent over a new
+        connection; if that cannot be established, they fail, too.
+
+        A request that is repeated (`retries`, `busy_retries`) counts as pending all the
+        time, so that no other request overtakes it with ``max_in_flight=1``.
+
+        Args:
+            requests: request objects of `libmodbus_py.pdu`; all are checked before the
+                first is sent.
+            max_in_flight: 1..256; servers need not accept more than 16 (TCP guide,
+                section 4.3).
+            return_exceptions: True to return a ModbusError in place of the result of a request
+                that failed. False to raise the first of them, in the order of the requests: then
+                nothing more is sent, and the responses that are still pending are dropped.
+
+        Returns:
+            The results in the order of the requests.
+
+        Raises:
+            TypeError, ValueError: `max_in_flight` or a request is wrong; a request is named
+                by its index (``requests[3]``).
+        """
+        if wrong:
+            raise unexpected(self.execute_many, wrong)
+        return await self._run_batch(requests, max_in_flight, return_exceptions)
+
+    @overload
+    async def read_many(  # type: ignore[overload-overlap]
+        self, items: Named[Key], **options: Unpack[Strict]
+    ) -> dict[Key, Values]: ...
+    @overload
+    async def read_many(  # type: ignore[overload-overlap]
+        self, items: Named[Key], **options: Unpack[Tolerant]
+    ) -> dict[Key, Values | ModbusError]: ...
+    @overload
+    async def read_many(self, items: Iterable[Item], **options: Unpack[Strict]) -> list[Values]: ...
+    @overload
+    async def read_many(
+        self, items: Iterable[Item], **options: Unpack[Tolerant]
+    ) -> list[Values | ModbusError]: ...
+    @overload
+    async def read_many(
+        self, items: Plan, *, max_in_flight: int = 16, return_exceptions: bool = False
+    ) -> Any: ...
+    async def read_many(
+        self,
+        items: Plan | Items,
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+        **options: Unpack[PlanOptions],
+    ) -> Any:
+        """
+        Read many items with few requests.
+
+        Args:
+            items: a `Plan`, or the items of one, such as
+                ``{"level": ("holding_registers", 100, 1, "float32"), "valves": ("coils", 0, 8)}``.
+            max_in_flight, return_exceptions: as for `execute_many`; each item of a failed
+                request gets a ModbusError in place of its values.
+            options: the options of `Plan`, unless `items` is one: `gap`, `forbidden`,
+                `max_registers`, `max_bits`.
+
+        Returns:
+            A list of values for each item, in the order of the items; a dict by name if `items`
+            is a mapping.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong, as for `Plan`; or registers hold no value
+                of the type of an item.
+            IllegalDataAddress: a merged request covers cells that the device
+                lacks. With a `Plan`, the items that the device refuses are found by halving the
+                request; with `return_exceptions` they are left out (`unreadable`), otherwise
+                the first of them is named in `names` of the error.
+        """
+        if options:
+            check_plan_options(self.read_many, options)
+        from ..maps.plan import planned
+
+        plan = planned(items, options)
+        if plan is not items:  # what would be learnt of the device would be lost
+            answers = await self._run_batch(plan.requests, max_in_flight, return_exceptions)
+        else:
+            answers = await self._answers(plan, max_in_flight, return_exceptions)
+        return plan.results(answers)
+
+    @overload
+    def watch(
+        self,
+        what: AnyMap,
+        *,
+        every: float,
+        names: Iterable[str] | None = None,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> AsyncPolls[PolledValues]: ...
+    @overload
+    def watch(  # type: ignore[overload-overlap]
+        self,
+        what: Named[Key],
+        *,
+        every: float,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> AsyncPolls[dict[Key, Values | ModbusError]]: ...
+    @overload
+    def watch(
+        self,
+        what: Iterable[Item],
+        *,
+        every: float,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> AsyncPolls[list[Values | ModbusError]]: ...
+    @overload
+    def watch(self, what: Plan, *, every: float, max_in_flight: int = 16) -> AsyncPolls[Any]: ...
+    def watch(
+        self,
+        what: AnyMap | Plan | Items,
+        *,
+        every: float,
+        names: Iterable[str] | None = None,
+        max_in_flight: int = 16,
+        **options: Unpack[PlanOptions],
+    ) -> AsyncPolls[Any]:
+        """
+        Read the same points or items again and again, at a steady pace.
+
+        ``for values in plc.watch(meter, every=1)``; ``async for`` with an `AsyncClient`.
+
+        The first values are read at once; later polls start at whole multiples of the interval
+        after the first one. If the device or the program takes longer than that, the polls that it
+        misses are skipped.
+
+        If the device does not answer, the loop goes on: it yields errors in place of values,
+        and the client connects again by itself. The loop ends when the client is closed, even by
+        another thread or task, and may be left at any time.
+
+        Args:
+            what: a `RegisterMap` or the path of its file, a `Plan`, or the items of one, as for
+                `read_many`.
+            every: seconds from one poll to the next, 0.01..86400. A point with an interval of its
+                own (`Point.interval`) is read at that interval instead: polls then come at the
+                shortest interval, and points that are not due keep their values.
+            names: the names of the points of the map to read; None for all readable points.
+            max_in_flight: as for `execute_many`.
+            options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
+
+        Returns:
+            An iterator. For a map, it yields what `read_map` returns with
+            ``return_exceptions=True``, in a dict whose attribute `fell` has the names of totals
+            (`Point.never_falls`) that are smaller than before, even when they were read a second
+            time. Otherwise it yields what `read_many` returns with ``return_exceptions=True``.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong; nothing was sent. If `what` is no map, the
+                iterator itself raises ValueError for registers that hold no value of their type.
+        """
+        if options:
+            check_plan_options(self.watch, options)
+        from ..maps.watched import Pace, watched
+
+        interval = seconds("every", every, 0.01)
+        polls = watched(what, names, interval, options)
+        integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
+        return AsyncPolls(
+            self,
+            Pace(getattr(polls, "interval", interval)),
+            lambda at: self._poll(polls, max_in_flight, at),
+        )
+
+    async def _poll(self, what: Plan | WatchedPoints, max_in_flight: int, at: float) -> Any:
+        """Read what is due at a time; what fails gets the reason in place of its values."""
+        from ..maps.plan import Plan
+        from ..maps.watched import polled
+
+        if isinstance(what, Plan):
+            return polled(what, await self._answers(what, max_in_flight, True))
+        polls = what.poll(at)
+        plan = next(polls)
+        while True:
+            values = polled(plan, await self._answers(plan, max_in_flight, True))
+            try:
+                plan = polls.send(values)
+            except StopIteration as done:
+                return done.value
+
+    async def _run_batch(
+        self,
+        requests: Iterable[pdu.Request[Any]],
+        max_in_flight: int,
+        return_exceptions: bool,
+        *,
+        stops: bool = False,
+    ) -> list[Any]:
+        """
+        Send requests together, as `execute_many` does.
+
+        With `stops`, nothing is sent after a ModbusError, which is returned among the results.
+        """
+        batch = self._batch(requests, max_in_flight, return_exceptions)
+        await self._driver.run(batch)
+        outcomes = batch.outcomes
+        raised(outcomes, (ModbusError,) if return_exceptions or stops else ())
+        return outcomes
+
+    async def _answers(self, plan: Plan, max_in_flight: int, return_exceptions: bool) -> list[Any]:
+        """Return the answers to a plan's requests, for its `results`; or raise the first error."""
+        from ..maps.holes import is_refusal, reading
+
+        holes = self.holes
+        answers: list[Any] = []
+        if not holes:
+            answers = await self._run_batch(
+                plan.requests, max_in_flight, return_exceptions, stops=True
+            )
+        if holes or any(map(is_refusal, answers)):
+            steps = reading(
+                plan.blocks,
+                holes,
+                self.now(),
+                self.statistics.connects,
+                is_strict=not return_exceptions,
+                tell=self._tell_of_hole,
+            )
+            try:
+                requests = next(steps)
+                # Another thread, or task, may have learnt something meanwhile.
+                outcomes = answers if requests == list(plan.requests) else None
+                while True:
+                    if not outcomes:
+                        outcomes = await self._run_batch(
+                            requests, max_in_flight, return_exceptions, stops=True
+                        )
+                    requests, outcomes = steps.send(outcomes), None
+            except StopIteration as done:
+                answers = done.value
+            finally:
+                steps.close()
+        if not return_exceptions:
+            raised(answers)
+        return answers
+
+
+# --- at a steady pace -----------------------------------------------------------------------
+
+
+class AsyncPolls(Generic[Polled]):
+    """
+    An endless iterator over the values of a device, made by `watch`.
+
+    It ends when the client is closed, which of a blocking client any thread and signal handlers may
+    do. It holds no resources between two values, so that a loop over it may be left at any time;
+    waiting for the next values may be cancelled and started again.
+    """
+
+    def __init__(self, client: AsyncMany, pace: Pace, poll: Callable[[float], Any]) -> None:
+        self._client = client
+        self._pace = pace
+        self._poll = poll
+
+    def __aiter__(self) -> AsyncPolls[Polled]:
+        return self
+
+    async def __anext__(self) -> Polled:
+        client = self._client
+        due = self._pace.due(client.now())
+        if not await client._driver.wait_until(due):
+            raise StopAsyncIteration
+        self._pace.begin(due)
+        values: Polled = await self._poll(due)
+        if client.closed:
+            raise StopAsyncIteration
+        return values

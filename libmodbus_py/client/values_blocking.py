@@ -1,0 +1,354 @@
+# Generated from values_async.py by packaging/generate_blocking.py; do not edit.
+"""
+The methods of clients that read and write values: of a type, such as "float32", and of the points
+of register maps.
+
+`packaging/generate_blocking.py` makes those of the blocking client of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Unpack, overload
+
+from ..protocol import pdu
+from ..protocol.checks import integer
+from ..protocol.errors import IllegalFunction
+from .handle import NoOthers, check_plan_options, public_methods, unexpected
+from .many_blocking import BlockingMany
+
+# What only some methods need is imported by them.
+if TYPE_CHECKING:
+    from ..maps.plan import PlanOptions
+    from ..maps.register_map import AnyMap
+    from ..protocol.tables import RegisterTable, WritableTable
+    from ..protocol.words import (
+        BitsType,
+        FloatType,
+        IntegerType,
+        Layout,
+        Order,
+        TextType,
+        TypeName,
+    )
+
+__all__ = ["BlockingValues"]
+
+
+@public_methods("Client")
+class BlockingValues(BlockingMany):
+    """The methods for typed values and register maps; addresses are 0-based, 0..65535."""
+
+    @overload
+    def read_value(  # type: ignore[overload-overlap]
+        self, table: RegisterTable, address: int, type: IntegerType, **layout: Unpack[Layout]
+    ) -> int: ...
+    @overload
+    def read_value(  # type: ignore[overload-overlap]
+        self, table: RegisterTable, address: int, type: FloatType, **layout: Unpack[Layout]
+    ) -> float: ...
+    @overload
+    def read_value(  # type: ignore[overload-overlap]
+        self, table: RegisterTable, address: int, type: BitsType, **layout: Unpack[Layout]
+    ) -> list[bool]: ...
+    @overload
+    def read_value(
+        self, table: RegisterTable, address: int, type: TextType, **layout: Unpack[Layout]
+    ) -> str: ...
+    @overload
+    def read_value(
+        self, table: RegisterTable, address: int, type: TypeName, **layout: Unpack[Layout]
+    ) -> Any: ...
+    def read_value(
+        self,
+        table: RegisterTable,
+        address: int,
+        type: TypeName,
+        *,
+        order: Order = "ABCD",
+        encoding: str = "ascii",
+        padding: str = "\0",
+        **wrong: Unpack[NoOthers],
+    ) -> Any:
+        """
+        Read one number, string, time or list of bits from registers.
+
+        Args:
+            table: "holding_registers" or "input_registers".
+            address: the address of the first register.
+            type: the type of the value, such as "float32"; see `libmodbus_py.values`.
+            order: ABCD, CDAB, BADC or DCBA.
+            encoding, padding: the layout of strings, as for `values.value_type`.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong, or the registers hold no such value.
+        """
+        if wrong:
+            raise unexpected(self.read_value, wrong)
+        from ..protocol.tables import TABLES, register_table
+        from ..protocol.values import value_type
+
+        kind = value_type(type, order=order, encoding=encoding, padding=padding)
+        request: pdu.Request[Any] = TABLES[register_table(table)].read(address, kind.registers)
+        return kind.decode(self.execute(request))
+
+    @overload
+    def read_values(  # type: ignore[overload-overlap]
+        self,
+        table: RegisterTable,
+        address: int,
+        type: IntegerType,
+        count: int = 1,
+        **layout: Unpack[Layout],
+    ) -> list[int]: ...
+    @overload
+    def read_values(  # type: ignore[overload-overlap]
+        self,
+        table: RegisterTable,
+        address: int,
+        type: FloatType,
+        count: int = 1,
+        **layout: Unpack[Layout],
+    ) -> list[float]: ...
+    @overload
+    def read_values(  # type: ignore[overload-overlap]
+        self,
+        table: RegisterTable,
+        address: int,
+        type: BitsType,
+        count: int = 1,
+        **layout: Unpack[Layout],
+    ) -> list[list[bool]]: ...
+    @overload
+    def read_values(
+        self,
+        table: RegisterTable,
+        address: int,
+        type: TextType,
+        count: int = 1,
+        **layout: Unpack[Layout],
+    ) -> list[str]: ...
+    @overload
+    def read_values(
+        self,
+        table: RegisterTable,
+        address: int,
+        type: TypeName,
+        count: int = 1,
+        **layout: Unpack[Layout],
+    ) -> list[Any]: ...
+    def read_values(
+        self,
+        table: RegisterTable,
+        address: int,
+        type: TypeName,
+        count: int = 1,
+        *,
+        order: Order = "ABCD",
+        encoding: str = "ascii",
+        padding: str = "\0",
+        **wrong: Unpack[NoOthers],
+    ) -> list[Any]:
+        """
+        Read values of one type from consecutive registers, with one request.
+
+        Args:
+            table: "holding_registers" or "input_registers".
+            address: the address of the first register.
+            type: the type of the values, such as "float32"; see `libmodbus_py.values`.
+            count: the number of values, 1 or more; they take up to 125 registers.
+            order: ABCD, CDAB, BADC or DCBA.
+            encoding, padding: the layout of strings, as for `values.value_type`.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong, or the registers hold no such values.
+        """
+        if wrong:
+            raise unexpected(self.read_values, wrong)
+        from ..protocol.tables import TABLES, register_table
+        from ..protocol.values import value_type
+
+        name = register_table(table)
+        kind = value_type(type, order=order, encoding=encoding, padding=padding)
+        registers = kind.registers * integer("count", count, 1, 125 // kind.registers)
+        request: pdu.Request[Any] = TABLES[name].read(address, registers)
+        return kind.decode_many(self.execute(request))
+
+    def write_value(
+        self,
+        table: WritableTable,
+        address: int,
+        value: Any,
+        type: TypeName,
+        *,
+        order: Order = "ABCD",
+        encoding: str = "ascii",
+        padding: str = "\0",
+        **wrong: Unpack[NoOthers],
+    ) -> None:
+        """
+        Write one number, string, time or list of bits to holding registers, with function 16.
+
+        Args:
+            table: "holding_registers", the only table of registers that can be written.
+            address: the address of the first register.
+            value: the value, as `read_value` returns it.
+            type, order, encoding, padding: as for `read_value`.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong; nothing was sent.
+        """
+        if wrong:
+            raise unexpected(self.write_value, wrong)
+        from ..protocol.tables import check_writable
+        from ..protocol.values import value_type
+
+        check_writable(table)
+        kind = value_type(type, order=order, encoding=encoding, padding=padding)
+        self.execute(pdu.WriteRegisters(address, kind.encode(value)))  # type: ignore[arg-type]
+
+    def write_values(
+        self,
+        table: WritableTable,
+        address: int,
+        values: Iterable[Any],
+        type: TypeName,
+        *,
+        order: Order = "ABCD",
+        encoding: str = "ascii",
+        padding: str = "\0",
+        **wrong: Unpack[NoOthers],
+    ) -> None:
+        """
+        Write values of one type to consecutive holding registers, with one request.
+
+        Args:
+            table: "holding_registers", the only table of registers that can be written.
+            address: the address of the first register.
+            values: one or more values, which take up to 123 registers.
+            type, order, encoding, padding: as for `read_values`.
+
+        Raises:
+            TypeError, ValueError: an argument is wrong; nothing was sent.
+        """
+        if wrong:
+            raise unexpected(self.write_values, wrong)
+        from ..protocol.tables import check_writable
+        from ..protocol.values import value_type
+
+        check_writable(table)
+        kind = value_type(type, order=order, encoding=encoding, padding=padding)
+        self.execute(pdu.WriteRegisters(address, kind.encode_many(values)))  # type: ignore[arg-type]
+
+    # --- register maps ------------------------------------------------------------------
+
+    def read_map(
+        self,
+        map: AnyMap,
+        names: Iterable[str] | None = None,
+        *,
+        max_in_flight: int = 16,
+        return_exceptions: bool = False,
+        **options: Unpack[PlanOptions],
+    ) -> dict[str, Any]:
+        """
+        Read points of a register map with few requests.
+
+        Points that touch or overlap share a request; cells between points are only read if `gap`
+        allows it. A device refuses a whole request because of a single cell that it lacks. The
+        points that it refuses are found once, by halving the request. With `return_exceptions`
+        they are then left out (`unreadable` lists them), and tried again, one at each call, after
+        ten minutes and after a new connection. Without it, the refusal of the first of these
+        points is raised, with the name of the point in `names`.
+
+        Args:
+            map: the register map, such as `load_map` returns; or the path of its file, which is
+                then loaded at each call.
+            names: the names of the points to read; None for all readable points. A program that
+                often reads the same few points should make a `RegisterMap` of them.
+            max_in_flight: as for `execute_many`.
+            return_exceptions: True to return, in place of a value, a ModbusError if the point
+                could not be read, a ValueError if its registers hold no value of its type, and a
+                `NoValue` with the reason where there is no value. False to raise the first
+                ModbusError or ValueError, and to return None where there is no value.
+            options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
+
+        Returns:
+            The scaled values by name, as `Point.decode` returns them; None if the device reports
+            that there is no value, or if the value is not plausible.
+
+        Raises:
+            TypeError, ValueError: there is no such point, or it cannot be read; an option is wrong;
+                registers hold no value of the point's type.
+            MapError: as for `load_map`.
+        """
+        if options:
+            check_plan_options(self.read_map, options)
+        from ..maps.register_map import map_of
+
+        plan = map_of(map).plan(names, **options)
+        answers = self._answers(plan, max_in_flight, return_exceptions)
+        return plan.results(answers, return_exceptions=return_exceptions)
+
+    def write_map(
+        self,
+        map: AnyMap,
+        values: Mapping[str, Any],
+        *,
+        multiple: bool = False,
+        **wrong: Unpack[NoOthers],
+    ) -> None:
+        """
+        Write values to points of a register map.
+
+        Names, access, types and ranges are all checked before the first byte is sent. Requests
+        are sent in the order of the map, and adjacent points share one. If a request fails, its
+        error is raised, and the requests after it are not sent.
+
+        Points with `scale_from` are written with the factor that the device has at that time: the
+        points that hold the factors are read first. Parts of registers are written with function 22
+        (mask write register). If the device lacks that function, the register is read, changed and
+        written, and no other such change on this connection comes in between.
+
+        Args:
+            map: the register map, or the path of its file, as for `read_map`.
+            values: the values by name, such as ``{"setpoint": 21.5}``; each is rounded to the
+                nearest value that its scale can represent (`Point.encode`).
+            multiple: True to write even single coils and registers with functions 15 and
+                16, for devices that lack functions 5 and 6.
+
+        Raises:
+            TypeError, ValueError: there is no such point, or it cannot be written; a value does
+                not fit its point; points share cells.
+            MapError: as for `load_map`.
+            NoValue: a point named by `scale_from` has no value that can be a scale.
+        """
+        if wrong:
+            raise unexpected(self.write_map, wrong)
+        from ..maps.register_map import map_of
+
+        points = map_of(map)
+        sources = points.scale_sources(values)
+        read: dict[str, Any] = {}
+        if sources:
+            plan = points.plan(sources)
+            read = plan.results(self._run_batch(plan.requests, 1, False))
+        lacks_masks = False
+        for request in points.writes(values, multiple=multiple, sources=read):
+            if not isinstance(request, pdu.MaskWriteRegister):
+                self.execute(request)
+            elif lacks_masks:
+                self._change_register(request)
+            else:
+                try:
+                    self.execute(request)
+                except IllegalFunction:
+                    lacks_masks = True
+                    self._change_register(request)
+
+    def _change_register(self, mask: pdu.MaskWriteRegister) -> None:
+        """Change a register as section 6.16 of the specification says, with functions 3 and 6."""
+        with self._driver.lock:
+            (register,) = self.execute(pdu.ReadHoldingRegisters(mask.address, 1))
+            value = register & mask.and_mask | mask.or_mask & ~mask.and_mask
+            self.execute(pdu.WriteRegister(mask.address, value & 0xFFFF))

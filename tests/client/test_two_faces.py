@@ -1,0 +1,220 @@
+"""
+The methods of both clients: written once as coroutines, and made blocking by a generator.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import importlib
+import inspect
+import pydoc
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+from unittest.mock import create_autospec
+
+import pytest
+
+from libmodbus_py import AsyncClient, Client
+from libmodbus_py.client.handle import Missing
+from libmodbus_py.client.options import Options
+from tests.support.cases import each, each_case
+
+ROOT = Path(__file__).parents[2]
+
+NOT_AWAITED = {"for_unit", "now", "ready_at", "submit", "unreadable", "watch"}
+"""Methods of `AsyncClient` that send nothing, or that nothing awaits."""
+
+
+def methods(client: type) -> dict[str, Any]:
+    """Return the public methods of a client by name."""
+    found = inspect.getmembers(client, inspect.isfunction)
+    others = ("_", "from_url")  # which is static
+    return {name: method for name, method in found if not name.startswith(others)}
+
+
+def generated(*arguments: str, root: Path = ROOT) -> tuple[int, str]:
+    command = [sys.executable, str(root / "packaging" / "generate_blocking.py"), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.stderr == ""
+    return done.returncode, done.stdout
+
+
+def test_the_blocking_methods_are_those_of_their_sources() -> None:
+    assert generated("--check") == (0, "")
+
+
+def test_what_the_generator_makes(tmp_path: Path) -> None:
+    folder = tmp_path / "libmodbus_py" / "client"
+    folder.mkdir(parents=True)
+    (tmp_path / "packaging").mkdir()
+    shutil.copy(ROOT / "packaging" / "generate_blocking.py", tmp_path / "packaging")
+    (folder / "one_async.py").write_text(
+        '"""Await each AsyncClient."""\n'
+        "from .two_async import AsyncTwo\n"
+        '__all__ = ["AsyncOne"]\n'
+        'class AsyncOne(AsyncTwo, owner="AsyncClient"):\n'
+        "    _driver: AsyncioDriver\n"
+        "    async def __anext__(self):  # await no one\n"
+        "        async with self.lock, await self.a(await b(1)):\n"
+        "            raise StopAsyncIteration\n"
+        "        async for each in self: print('async', await each)\n"
+    )
+    written = "libmodbus_py/client/one_blocking.py"
+    reason = "not what generate_blocking.py makes"
+    assert generated("--check", root=tmp_path) == (1, f"{written}: {reason}\n")
+    assert generated(root=tmp_path) == (0, f"{written}: written\n")
+    assert (tmp_path / written).read_text() == (
+        "# Generated from one_async.py by packaging/generate_blocking.py; do not edit.\n"
+        '"""Await each AsyncClient."""\n'
+        "from .two_blocking import BlockingTwo\n"
+        '__all__ = ["BlockingOne"]\n'
+        'class BlockingOne(BlockingTwo, owner="Client"):\n'
+        "    _driver: BlockingDriver\n"
+        "    def __next__(self):  # await no one\n"
+        "        with self.lock, self.a(b(1)):\n"
+        "            raise StopIteration\n"
+        "        for each in self: print('async', each)\n"
+    )
+    assert generated("--check", root=tmp_path) == (0, "")
+
+
+def test_both_clients_have_the_same_methods() -> None:
+    blocking, awaited = methods(Client), methods(AsyncClient)
+    assert awaited.keys() - blocking.keys() == {"ready_at", "submit"}
+    for check, (name, method) in each(sorted(awaited.items())):
+        with check:
+            assert inspect.iscoroutinefunction(method) == (name not in NOT_AWAITED)
+            if name in blocking and name != "watch":
+                assert not inspect.iscoroutinefunction(blocking[name])
+                assert inspect.signature(blocking[name]) == inspect.signature(method)
+
+
+def test_a_definition_is_what_is_called() -> None:
+    """Whoever looks for the definition finds the method itself, and what it does."""
+    for client, name in ((Client, "functions_blocking"), (AsyncClient, "functions_async")):
+        source = importlib.import_module(f"libmodbus_py.client.{name}").__file__
+        assert inspect.getsourcefile(client.read_coils) == source
+        assert "pdu.ReadCoils(address, count)" in inspect.getsource(client.read_coils)
+        assert client.read_coils.__qualname__ == f"{client.__name__}.read_coils"
+
+
+def test_mocks_are_awaited_and_refuse_what_the_client_refuses() -> None:
+    async def main() -> None:
+        plc = create_autospec(AsyncClient, instance=True)
+        plc.read_coils.return_value = [True]
+        assert await plc.read_coils(0, 1) == [True]
+        plc.read_coils.assert_awaited_once_with(0, 1)
+        with pytest.raises(TypeError, match="device_id"):
+            await plc.read_coils(0, 1, device_id=3)
+
+    asyncio.run(main())
+    assert create_autospec(Client, instance=True).read_coils.return_value is not None
+
+
+@each_case("client", [Client, AsyncClient])
+def test_help_lists_all_methods_and_options(client: type) -> None:
+    text = pydoc.plain(pydoc.render_doc(client))
+    for name in methods(client):
+        assert f" {name}(self" in text
+    for option in Options.__annotations__:
+        assert f"{option}=" in text
+    assert "**wrong" not in text
+    line = "read_coils(self, address: 'int', count: 'int') -> 'list[bool]'"
+    assert line in text
+
+
+# --- wrong names ----------------------------------------------------------------------------
+
+
+def called(plc: Any, name: str, *arguments: Any, **named: Any) -> str:
+    """Return the message of the TypeError with which a method refuses its arguments."""
+
+    async def main() -> None:
+        result = getattr(plc, name)(*arguments, **named)
+        if inspect.isawaitable(result):
+            await result
+
+    with pytest.raises(TypeError) as raised:
+        asyncio.run(main())
+    return str(raised.value)
+
+
+CLIENT = "? it is an argument of the client"
+
+
+@each_case("make", [Client, AsyncClient])
+@each_case(
+    ("name", "arguments", "wrong", "close"),
+    [
+        ("read_holding_registers", (0, 1), "device_id", f"; did you mean unit{CLIENT}"),
+        ("read_holding_registers", (0, 1), "unit", "; it is an argument of the client"),
+        ("read_holding_registers", (0, 1), "timout", f"; did you mean timeout{CLIENT}"),
+        ("read_coils", (), "adress", "; did you mean address?"),
+        ("read_coils", (0,), "cuont", "; did you mean count?"),
+        ("read_coils", (0, 1), "nonsense", ""),
+        ("write_register", (0,), "vaule", "; did you mean value?"),
+        ("write_coil", (0, True), "slave", f"; did you mean unit{CLIENT}"),
+        ("diagnostics", (0,), "dta", "; did you mean data?"),
+        ("report_server_id", (), "device_id", f"; did you mean unit{CLIENT}"),
+        ("execute", (), "requst", "; did you mean request?"),
+        ("execute_many", ([],), "return_exception", "; did you mean return_exceptions?"),
+        ("read_value", ("hr", 0, "float32"), "word_order", "; did you mean order?"),
+        ("read_values", ("hr", 0), "data_type", "; did you mean type?"),
+        ("write_value", ("hr", 0, 1, "uint16"), "byteorder", "; did you mean order?"),
+        ("write_values", ("hr", 0, [1], "string:2"), "pading", "; did you mean padding?"),
+        ("read_many", ([],), "gpa", "; did you mean gap?"),
+        ("read_map", ({},), "max_register", "; did you mean max_registers or max_bits?"),
+        ("write_map", ({}, {}), "multipel", "; did you mean multiple?"),
+        ("read_map", (), "mpa", "; did you mean map?"),
+        ("watch", ({},), "evry", "; did you mean every?"),
+        ("unreadable", (), "waht", "; did you mean what?"),
+        ("for_unit", (), "device_id", "; did you mean unit?"),
+    ],
+)
+def test_a_wrong_name_in_a_call(
+    make: Any, name: str, arguments: tuple[Any, ...], wrong: str, close: str
+) -> None:
+    plc = make("tcp://127.0.0.1:1")
+    told = f"{make.__name__}.{name}() got an unexpected keyword argument {wrong!r}{close}"
+    assert called(plc, name, *arguments, **{wrong: 3}) == told
+    assert plc.statistics.connects == 0
+
+
+@each_case("make", [Client, AsyncClient])
+def test_no_method_takes_other_names(make: Any) -> None:
+    plc = make("tcp://127.0.0.1:1")
+    for name in methods(make).keys() - {"close", "now", "ready_at", "submit"}:
+        told = called(plc, name, slave_id=3)
+        assert told.startswith(f"{make.__name__}.{name}() got an unexpected keyword")
+        assert "did you mean unit?" in told
+
+
+@each_case("make", [Client, AsyncClient])
+def test_what_is_missing_is_named(make: Any) -> None:
+    plc = make("tcp://127.0.0.1:1")
+    for name, method in methods(make).items():
+        needed = [
+            each
+            for each in inspect.signature(method).parameters.values()
+            if each.default is each.empty and each.kind is not each.VAR_KEYWORD
+        ][1:]
+        if needed:
+            assert any(each.name in called(plc, name) for each in needed), name
+    assert called(plc, "read_coils", 0) == "count must be an integer in 1..2000, not Missing"
+    assert called(plc, "read_coils", 0, 1, 2) == (
+        f"{make.__name__}.read_coils() takes from 1 to 3 positional arguments but 4 were given"
+    )
+    assert Missing.__doc__
+
+
+@each_case("make", [Client, AsyncClient])
+def test_a_wrong_name_of_the_url(make: Any) -> None:
+    with pytest.raises(TypeError, match="there is no 'host'; did you mean url\\?"):
+        make(host="192.0.2.1")
+    with pytest.raises(TypeError, match="missing 1 required positional argument: 'url'"):
+        make(unit=1)
+    with pytest.raises(TypeError, match=r"'device_id' must be one of unit, .*; did you mean unit"):
+        make("tcp://192.0.2.1", device_id=1)
