@@ -52,7 +52,7 @@ def execute_many(place: str, requests: int) -> None:
 
     with Client(f"tcp://{HOST}:{place}", max_in_flight=IN_FLIGHT) as client:
         reads = [pdu.ReadHoldingRegisters(0, REGISTERS)] * requests
-        check(client.execute_many(reads, max_in_flight=IN_FLIGHT)[-1])
+        check(client.execute_many(reads)[-1])
 
 
 async def async_execute_many(place: str, requests: int) -> None:
@@ -60,7 +60,7 @@ async def async_execute_many(place: str, requests: int) -> None:
 
     async with AsyncClient(f"tcp://{HOST}:{place}", max_in_flight=IN_FLIGHT) as client:
         reads = [pdu.ReadHoldingRegisters(0, REGISTERS)] * requests
-        check((await client.execute_many(reads, max_in_flight=IN_FLIGHT))[-1])
+        check((await client.execute_many(reads))[-1])
 
 
 async def async_client(place: str, requests: int) -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self, TypedDict, TypeVar, Unpack
 
 from ..protocol.checks import integer, seconds
 from ..protocol.mistakes import OTHER_SPELLINGS, close_option, close_to
-from .call import MAX_IN_FLIGHT, Batch
+from .call import Batch
 from .reconnecting import State
 
 if TYPE_CHECKING:
@@ -318,11 +318,8 @@ class Handle:
         time: float = self._driver.now()
         return time
 
-    def _batch(
-        self, requests: Iterable[pdu.Request[Any]], max_in_flight: int, return_exceptions: bool
-    ) -> Batch:
+    def _batch(self, requests: Iterable[pdu.Request[Any]], return_exceptions: bool) -> Batch:
         """Check and encode all requests before the first is sent."""
-        limit = integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
         if not isinstance(requests, Iterable):
             raise TypeError(f"requests must be a list, not {type(requests).__name__}")
         return Batch(
@@ -331,7 +328,7 @@ class Handle:
             self._timeouts,
             name="requests[{}]",
             is_broadcast=self._unit == 0 and self._has_broadcast,
-            limit=min(limit, self.max_in_flight),
+            limit=self.max_in_flight,
             go_on=bool(return_exceptions),
         )
 

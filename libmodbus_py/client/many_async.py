@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, Unpack, overload
 
-from ..protocol.checks import integer, seconds
+from ..protocol.checks import seconds
 from ..protocol.errors import ModbusError
-from .call import MAX_IN_FLIGHT, raised
+from .call import raised
 from .functions_async import AsyncFunctions
 from .handle import NoOthers, check_plan_options, public_methods, unexpected
 
@@ -36,33 +36,24 @@ class AsyncMany(AsyncFunctions):
         self,
         requests: Iterable[pdu.Request[Any]],
         *,
-        max_in_flight: int = 16,
         return_exceptions: bool = False,
         **wrong: Unpack[NoOthers],
     ) -> list[Any]:
         """
         Send many request objects, several at a time if frames carry transaction ids.
 
-        With the framings "tcp" and "udp", up to `max_in_flight` of these requests are pending at
-        the same time, within the client's own `max_in_flight`, which applies to all its requests
-        together. The `timeout` of each request begins when it is sent. On a blocking client,
-        other threads wait until all requests are done; on an `AsyncClient`, requests of other
-        tasks are sent in between. A server may execute the requests in any order, so writes that
-        depend on each other need ``max_in_flight=1``. Requests are sent one after the other with
-        ``max_in_flight=1``, with all other framings, and if one of them gets no response.
+        Up to `max_in_flight` of the client's reads are pending at the same time. A write is alone,
+        and the requests keep the order around it in which they are given. The `timeout` of each
+        request begins when it is sent. On a blocking client, other threads wait until all requests
+        are done; on an `AsyncClient`, requests of other tasks are sent in between.
 
         With `return_exceptions`, a failure does not stop the remaining requests. If the
         connection is lost, the pending requests fail, and the remaining ones are sent over a new
         connection; if that cannot be established, they fail, too.
 
-        A request that is repeated (`retries`, `busy_retries`) counts as pending all the
-        time, so that no other request overtakes it with ``max_in_flight=1``.
-
         Args:
             requests: request objects of `libmodbus_py.pdu`; all are checked before the
                 first is sent.
-            max_in_flight: 1..256; servers need not accept more than 16 (TCP guide,
-                section 4.3).
             return_exceptions: True to return a ModbusError in place of the result of a request
                 that failed. False to raise the first of them, in the order of the requests: then
                 nothing more is sent, and the responses that are still pending are dropped.
@@ -71,12 +62,11 @@ class AsyncMany(AsyncFunctions):
             The results in the order of the requests.
 
         Raises:
-            TypeError, ValueError: `max_in_flight` or a request is wrong; a request is named
-                by its index (``requests[3]``).
+            TypeError, ValueError: a request is wrong; it is named by its index (``requests[3]``).
         """
         if wrong:
             raise unexpected(self.execute_many, wrong)
-        return await self._run_batch(requests, max_in_flight, return_exceptions)
+        return await self._run_batch(requests, return_exceptions)
 
     @overload
     async def read_many(  # type: ignore[overload-overlap]
@@ -93,14 +83,11 @@ class AsyncMany(AsyncFunctions):
         self, items: Iterable[Item], **options: Unpack[Tolerant]
     ) -> list[Values | ModbusError]: ...
     @overload
-    async def read_many(
-        self, items: Plan, *, max_in_flight: int = 16, return_exceptions: bool = False
-    ) -> Any: ...
+    async def read_many(self, items: Plan, *, return_exceptions: bool = False) -> Any: ...
     async def read_many(
         self,
         items: Plan | Items,
         *,
-        max_in_flight: int = 16,
         return_exceptions: bool = False,
         **options: Unpack[PlanOptions],
     ) -> Any:
@@ -110,7 +97,7 @@ class AsyncMany(AsyncFunctions):
         Args:
             items: a `Plan`, or the items of one, such as
                 ``{"level": ("holding_registers", 100, 1, "float32"), "valves": ("coils", 0, 8)}``.
-            max_in_flight, return_exceptions: as for `execute_many`; each item of a failed
+            return_exceptions: as for `execute_many`; each item of a failed
                 request gets a ModbusError in place of its values.
             options: the options of `Plan`, unless `items` is one: `gap`, `forbidden`,
                 `max_registers`, `max_bits`.
@@ -133,9 +120,9 @@ class AsyncMany(AsyncFunctions):
 
         plan = planned(items, options)
         if plan is not items:  # what would be learnt of the device would be lost
-            answers = await self._run_batch(plan.requests, max_in_flight, return_exceptions)
+            answers = await self._run_batch(plan.requests, return_exceptions)
         else:
-            answers = await self._answers(plan, max_in_flight, return_exceptions)
+            answers = await self._answers(plan, return_exceptions)
         return plan.results(answers)
 
     @overload
@@ -145,7 +132,6 @@ class AsyncMany(AsyncFunctions):
         *,
         every: float,
         names: Iterable[str] | None = None,
-        max_in_flight: int = 16,
         **options: Unpack[PlanOptions],
     ) -> AsyncPolls[PolledValues]: ...
     @overload
@@ -154,7 +140,6 @@ class AsyncMany(AsyncFunctions):
         what: Named[Key],
         *,
         every: float,
-        max_in_flight: int = 16,
         **options: Unpack[PlanOptions],
     ) -> AsyncPolls[dict[Key, Values | ModbusError]]: ...
     @overload
@@ -163,18 +148,16 @@ class AsyncMany(AsyncFunctions):
         what: Iterable[Item],
         *,
         every: float,
-        max_in_flight: int = 16,
         **options: Unpack[PlanOptions],
     ) -> AsyncPolls[list[Values | ModbusError]]: ...
     @overload
-    def watch(self, what: Plan, *, every: float, max_in_flight: int = 16) -> AsyncPolls[Any]: ...
+    def watch(self, what: Plan, *, every: float) -> AsyncPolls[Any]: ...
     def watch(
         self,
         what: AnyMap | Plan | Items,
         *,
         every: float,
         names: Iterable[str] | None = None,
-        max_in_flight: int = 16,
         **options: Unpack[PlanOptions],
     ) -> AsyncPolls[Any]:
         """
@@ -197,7 +180,6 @@ class AsyncMany(AsyncFunctions):
                 own (`Point.interval`) is read at that interval instead: polls then come at the
                 shortest interval, and points that are not due keep their values.
             names: the names of the points of the map to read; None for all readable points.
-            max_in_flight: as for `execute_many`.
             options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Returns:
@@ -216,24 +198,23 @@ class AsyncMany(AsyncFunctions):
 
         interval = seconds("every", every, 0.01)
         polls = watched(what, names, interval, options)
-        integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
         return AsyncPolls(
             self,
             Pace(getattr(polls, "interval", interval)),
-            lambda at: self._poll(polls, max_in_flight, at),
+            lambda at: self._poll(polls, at),
         )
 
-    async def _poll(self, what: Plan | WatchedPoints, max_in_flight: int, at: float) -> Any:
+    async def _poll(self, what: Plan | WatchedPoints, at: float) -> Any:
         """Read what is due at a time; what fails gets the reason in place of its values."""
         from ..maps.plan import Plan
         from ..maps.watched import polled
 
         if isinstance(what, Plan):
-            return polled(what, await self._answers(what, max_in_flight, True))
+            return polled(what, await self._answers(what, True))
         polls = what.poll(at)
         plan = next(polls)
         while True:
-            values = polled(plan, await self._answers(plan, max_in_flight, True))
+            values = polled(plan, await self._answers(plan, True))
             try:
                 plan = polls.send(values)
             except StopIteration as done:
@@ -242,7 +223,6 @@ class AsyncMany(AsyncFunctions):
     async def _run_batch(
         self,
         requests: Iterable[pdu.Request[Any]],
-        max_in_flight: int,
         return_exceptions: bool,
         *,
         stops: bool = False,
@@ -252,22 +232,20 @@ class AsyncMany(AsyncFunctions):
 
         With `stops`, nothing is sent after a ModbusError, which is returned among the results.
         """
-        batch = self._batch(requests, max_in_flight, return_exceptions)
+        batch = self._batch(requests, return_exceptions)
         await self._driver.run(batch)
         outcomes = batch.outcomes
         raised(outcomes, (ModbusError,) if return_exceptions or stops else ())
         return outcomes
 
-    async def _answers(self, plan: Plan, max_in_flight: int, return_exceptions: bool) -> list[Any]:
+    async def _answers(self, plan: Plan, return_exceptions: bool) -> list[Any]:
         """Return the answers to a plan's requests, for its `results`; or raise the first error."""
         from ..maps.holes import is_refusal, reading
 
         holes = self.holes
         answers: list[Any] = []
         if not holes:
-            answers = await self._run_batch(
-                plan.requests, max_in_flight, return_exceptions, stops=True
-            )
+            answers = await self._run_batch(plan.requests, return_exceptions, stops=True)
         if holes or any(map(is_refusal, answers)):
             steps = reading(
                 plan.blocks,
@@ -283,9 +261,7 @@ class AsyncMany(AsyncFunctions):
                 outcomes = answers if requests == list(plan.requests) else None
                 while True:
                     if not outcomes:
-                        outcomes = await self._run_batch(
-                            requests, max_in_flight, return_exceptions, stops=True
-                        )
+                        outcomes = await self._run_batch(requests, return_exceptions, stops=True)
                     requests, outcomes = steps.send(outcomes), None
             except StopIteration as done:
                 answers = done.value

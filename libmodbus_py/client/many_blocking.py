@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, Unpack, overload
 
-from ..protocol.checks import integer, seconds
+from ..protocol.checks import seconds
 from ..protocol.errors import ModbusError
-from .call import MAX_IN_FLIGHT, raised
+from .call import raised
 from .functions_blocking import BlockingFunctions
 from .handle import NoOthers, check_plan_options, public_methods, unexpected
 
@@ -37,33 +37,24 @@ class BlockingMany(BlockingFunctions):
         self,
         requests: Iterable[pdu.Request[Any]],
         *,
-        max_in_flight: int = 16,
         return_exceptions: bool = False,
         **wrong: Unpack[NoOthers],
     ) -> list[Any]:
         """
         Send many request objects, several at a time if frames carry transaction ids.
 
-        With the framings "tcp" and "udp", up to `max_in_flight` of these requests are pending at
-        the same time, within the client's own `max_in_flight`, which applies to all its requests
-        together. The `timeout` of each request begins when it is sent. On a blocking client,
-        other threads wait until all requests are done; on an `AsyncClient`, requests of other
-        tasks are sent in between. A server may execute the requests in any order, so writes that
-        depend on each other need ``max_in_flight=1``. Requests are sent one after the other with
-        ``max_in_flight=1``, with all other framings, and if one of them gets no response.
+        Up to `max_in_flight` of the client's reads are pending at the same time. A write is alone,
+        and the requests keep the order around it in which they are given. The `timeout` of each
+        request begins when it is sent. On a blocking client, other threads wait until all requests
+        are done; on an `AsyncClient`, requests of other tasks are sent in between.
 
         With `return_exceptions`, a failure does not stop the remaining requests. If the
         connection is lost, the pending requests fail, and the remaining ones are sent over a new
         connection; if that cannot be established, they fail, too.
 
-        A request that is repeated (`retries`, `busy_retries`) counts as pending all the
-        time, so that no other request overtakes it with ``max_in_flight=1``.
-
         Args:
             requests: request objects of `libmodbus_py.pdu`; all are checked before the
                 first is sent.
-            max_in_flight: 1..256; servers need not accept more than 16 (TCP guide,
-                section 4.3).
             return_exceptions: True to return a ModbusError in place of the result of a request
                 that failed. False to raise the first of them, in the order of the requests: then
                 nothing more is sent, and the responses that are still pending are dropped.
@@ -72,12 +63,11 @@ class BlockingMany(BlockingFunctions):
             The results in the order of the requests.
 
         Raises:
-            TypeError, ValueError: `max_in_flight` or a request is wrong; a request is named
-                by its index (``requests[3]``).
+            TypeError, ValueError: a request is wrong; it is named by its index (``requests[3]``).
         """
         if wrong:
             raise unexpected(self.execute_many, wrong)
-        return self._run_batch(requests, max_in_flight, return_exceptions)
+        return self._run_batch(requests, return_exceptions)
 
     @overload
     def read_many(  # type: ignore[overload-overlap]
@@ -94,14 +84,11 @@ class BlockingMany(BlockingFunctions):
         self, items: Iterable[Item], **options: Unpack[Tolerant]
     ) -> list[Values | ModbusError]: ...
     @overload
-    def read_many(
-        self, items: Plan, *, max_in_flight: int = 16, return_exceptions: bool = False
-    ) -> Any: ...
+    def read_many(self, items: Plan, *, return_exceptions: bool = False) -> Any: ...
     def read_many(
         self,
         items: Plan | Items,
         *,
-        max_in_flight: int = 16,
         return_exceptions: bool = False,
         **options: Unpack[PlanOptions],
     ) -> Any:
@@ -111,7 +98,7 @@ class BlockingMany(BlockingFunctions):
         Args:
             items: a `Plan`, or the items of one, such as
                 ``{"level": ("holding_registers", 100, 1, "float32"), "valves": ("coils", 0, 8)}``.
-            max_in_flight, return_exceptions: as for `execute_many`; each item of a failed
+            return_exceptions: as for `execute_many`; each item of a failed
                 request gets a ModbusError in place of its values.
             options: the options of `Plan`, unless `items` is one: `gap`, `forbidden`,
                 `max_registers`, `max_bits`.
@@ -134,9 +121,9 @@ class BlockingMany(BlockingFunctions):
 
         plan = planned(items, options)
         if plan is not items:  # what would be learnt of the device would be lost
-            answers = self._run_batch(plan.requests, max_in_flight, return_exceptions)
+            answers = self._run_batch(plan.requests, return_exceptions)
         else:
-            answers = self._answers(plan, max_in_flight, return_exceptions)
+            answers = self._answers(plan, return_exceptions)
         return plan.results(answers)
 
     @overload
@@ -146,7 +133,6 @@ class BlockingMany(BlockingFunctions):
         *,
         every: float,
         names: Iterable[str] | None = None,
-        max_in_flight: int = 16,
         **options: Unpack[PlanOptions],
     ) -> BlockingPolls[PolledValues]: ...
     @overload
@@ -155,7 +141,6 @@ class BlockingMany(BlockingFunctions):
         what: Named[Key],
         *,
         every: float,
-        max_in_flight: int = 16,
         **options: Unpack[PlanOptions],
     ) -> BlockingPolls[dict[Key, Values | ModbusError]]: ...
     @overload
@@ -164,18 +149,16 @@ class BlockingMany(BlockingFunctions):
         what: Iterable[Item],
         *,
         every: float,
-        max_in_flight: int = 16,
         **options: Unpack[PlanOptions],
     ) -> BlockingPolls[list[Values | ModbusError]]: ...
     @overload
-    def watch(self, what: Plan, *, every: float, max_in_flight: int = 16) -> BlockingPolls[Any]: ...
+    def watch(self, what: Plan, *, every: float) -> BlockingPolls[Any]: ...
     def watch(
         self,
         what: AnyMap | Plan | Items,
         *,
         every: float,
         names: Iterable[str] | None = None,
-        max_in_flight: int = 16,
         **options: Unpack[PlanOptions],
     ) -> BlockingPolls[Any]:
         """
@@ -198,7 +181,6 @@ class BlockingMany(BlockingFunctions):
                 own (`Point.interval`) is read at that interval instead: polls then come at the
                 shortest interval, and points that are not due keep their values.
             names: the names of the points of the map to read; None for all readable points.
-            max_in_flight: as for `execute_many`.
             options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Returns:
@@ -217,24 +199,23 @@ class BlockingMany(BlockingFunctions):
 
         interval = seconds("every", every, 0.01)
         polls = watched(what, names, interval, options)
-        integer("max_in_flight", max_in_flight, 1, MAX_IN_FLIGHT)
         return BlockingPolls(
             self,
             Pace(getattr(polls, "interval", interval)),
-            lambda at: self._poll(polls, max_in_flight, at),
+            lambda at: self._poll(polls, at),
         )
 
-    def _poll(self, what: Plan | WatchedPoints, max_in_flight: int, at: float) -> Any:
+    def _poll(self, what: Plan | WatchedPoints, at: float) -> Any:
         """Read what is due at a time; what fails gets the reason in place of its values."""
         from ..maps.plan import Plan
         from ..maps.watched import polled
 
         if isinstance(what, Plan):
-            return polled(what, self._answers(what, max_in_flight, True))
+            return polled(what, self._answers(what, True))
         polls = what.poll(at)
         plan = next(polls)
         while True:
-            values = polled(plan, self._answers(plan, max_in_flight, True))
+            values = polled(plan, self._answers(plan, True))
             try:
                 plan = polls.send(values)
             except StopIteration as done:
@@ -243,7 +224,6 @@ class BlockingMany(BlockingFunctions):
     def _run_batch(
         self,
         requests: Iterable[pdu.Request[Any]],
-        max_in_flight: int,
         return_exceptions: bool,
         *,
         stops: bool = False,
@@ -253,22 +233,20 @@ class BlockingMany(BlockingFunctions):
 
         With `stops`, nothing is sent after a ModbusError, which is returned among the results.
         """
-        batch = self._batch(requests, max_in_flight, return_exceptions)
+        batch = self._batch(requests, return_exceptions)
         self._driver.run(batch)
         outcomes = batch.outcomes
         raised(outcomes, (ModbusError,) if return_exceptions or stops else ())
         return outcomes
 
-    def _answers(self, plan: Plan, max_in_flight: int, return_exceptions: bool) -> list[Any]:
+    def _answers(self, plan: Plan, return_exceptions: bool) -> list[Any]:
         """Return the answers to a plan's requests, for its `results`; or raise the first error."""
         from ..maps.holes import is_refusal, reading
 
         holes = self.holes
         answers: list[Any] = []
         if not holes:
-            answers = self._run_batch(
-                plan.requests, max_in_flight, return_exceptions, stops=True
-            )
+            answers = self._run_batch(plan.requests, return_exceptions, stops=True)
         if holes or any(map(is_refusal, answers)):
             steps = reading(
                 plan.blocks,
@@ -284,9 +262,7 @@ class BlockingMany(BlockingFunctions):
                 outcomes = answers if requests == list(plan.requests) else None
                 while True:
                     if not outcomes:
-                        outcomes = self._run_batch(
-                            requests, max_in_flight, return_exceptions, stops=True
-                        )
+                        outcomes = self._run_batch(requests, return_exceptions, stops=True)
                     requests, outcomes = steps.send(outcomes), None
             except StopIteration as done:
                 answers = done.value

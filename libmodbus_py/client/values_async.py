@@ -246,7 +246,6 @@ class AsyncValues(AsyncMany):
         map: AnyMap,
         names: Iterable[str] | None = None,
         *,
-        max_in_flight: int = 16,
         return_exceptions: bool = False,
         **options: Unpack[PlanOptions],
     ) -> dict[str, Any]:
@@ -265,7 +264,6 @@ class AsyncValues(AsyncMany):
                 then loaded at each call.
             names: the names of the points to read; None for all readable points. A program that
                 often reads the same few points should make a `RegisterMap` of them.
-            max_in_flight: as for `execute_many`.
             return_exceptions: True to return, in place of a value, a ModbusError if the point
                 could not be read, a ValueError if its registers hold no value of its type, and a
                 `NoValue` with the reason where there is no value. False to raise the first
@@ -286,7 +284,7 @@ class AsyncValues(AsyncMany):
         from ..maps.register_map import map_of
 
         plan = map_of(map).plan(names, **options)
-        answers = await self._answers(plan, max_in_flight, return_exceptions)
+        answers = await self._answers(plan, return_exceptions)
         return plan.results(answers, return_exceptions=return_exceptions)
 
     async def write_map(
@@ -331,7 +329,7 @@ class AsyncValues(AsyncMany):
         read: dict[str, Any] = {}
         if sources:
             plan = points.plan(sources)
-            read = plan.results(await self._run_batch(plan.requests, 1, False))
+            read = plan.results(await self._run_batch(plan.requests, False))
         lacks_masks = False
         for request in points.writes(values, multiple=multiple, sources=read):
             if not isinstance(request, pdu.MaskWriteRegister):

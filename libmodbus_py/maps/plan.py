@@ -141,14 +141,12 @@ class PlanOptions(TypedDict, total=False):
 class Strict(PlanOptions, total=False):
     """The options of `read_many` when every failure is raised."""
 
-    max_in_flight: int
     return_exceptions: Literal[False]
 
 
 class Tolerant(PlanOptions, total=False):
     """The options of `read_many` when a failed item gets a ModbusError in place of its values."""
 
-    max_in_flight: int
     return_exceptions: Required[Literal[True]]
 
 
