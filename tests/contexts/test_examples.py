@@ -27,12 +27,12 @@ def slave() -> Iterator[int]:
         assert process.stdout is not None
         try:
             yield int(process.stdout.readline().split()[-1])
+            assert process.stdout.readline().startswith("a master: 127.0.0.1:")
+            assert "closed by the other side" in process.stdout.readline()
         finally:
             process.send_signal(signal.SIGINT)
-            printed = process.communicate(timeout=30)[0]
+            process.communicate(timeout=30)
     assert process.returncode == 0
-    assert "a master: 127.0.0.1:" in printed
-    assert "closed by the other side" in printed
 
 
 def test_the_random_client_reads_from_the_slave_what_it_has_written() -> None:

@@ -79,6 +79,6 @@ def test_other_mistakes_are_told_as_python_tells_them() -> None:
         Valve()  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="unsupported operand"):
         Valve("3")  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="missing 1 required"):
+    with pytest.raises(TypeError, match="there is no 'slave'; did you mean unit"):
         Tank(slave=3)  # type: ignore[call-arg]
     assert Tank(3, slave=4).options == {"slave": 4}

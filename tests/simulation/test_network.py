@@ -72,7 +72,7 @@ def test_nobody_listens() -> None:
 
 def test_on_a_stage_time_passes_only_while_the_test_waits() -> None:
     late = {None: [Fault("delay", seconds=500)]}
-    server = Server({17: Device(Mapping(holding_registers={2: [502]}))}, late)
+    server = Server({17: Device(Mapping(holding_registers={2: [502]}))}, faults=late)
     with Stage() as stage, server.background("tcp://10.0.0.1:0") as running:
         with stage.talk(running.urls[0], "10.0.0.2") as client:
             client.sendall(READ)
