@@ -8,6 +8,7 @@ import asyncio
 import importlib
 import inspect
 import pydoc
+import re
 import shutil
 import subprocess
 import sys
@@ -116,14 +117,14 @@ def test_mocks_are_awaited_and_refuse_what_the_client_refuses() -> None:
 
 @each_case("client", [Client, AsyncClient])
 def test_help_lists_all_methods_and_options(client: type) -> None:
-    text = pydoc.plain(pydoc.render_doc(client))
+    # Python 3.13 has a line for each argument of a long signature.
+    text = re.sub(r"[|'\s]+", "", pydoc.plain(pydoc.render_doc(client)))
     for name in methods(client):
-        assert f" {name}(self" in text
+        assert f"{name}(self" in text
     for option in Options.__annotations__:
         assert f"{option}=" in text
     assert "**wrong" not in text
-    line = "read_coils(self, address: 'int', count: 'int') -> 'list[bool]'"
-    assert line in text
+    assert "read_coils(self,address:int,count:int)->list[bool]" in text
 
 
 # --- wrong names ----------------------------------------------------------------------------
