@@ -297,7 +297,7 @@ def table_of(text: str) -> CsvText:
     def is_column(heading: str) -> bool:
         return heading in columns or heading.startswith(LABEL)
 
-    found = CsvText(text, is_column, FleetFileError, names_first=True)
+    found = CsvText(text, is_column, FleetFileError)
     headings = found.head.cells
     for at, heading in enumerate(headings):
         reason = ""

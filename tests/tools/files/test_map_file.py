@@ -110,6 +110,33 @@ TABLES = [
             Point("total", H, 6, type="uint32", missing=0),
         ],
     ),
+    (  # comments with quotes, which are no cells; a comment within a cell, which is part of it
+        "name,table,address,description\n"
+        "# units are: \"kWh\",\"W\" and, as \"\n"
+        "a,holding,0,\"first\n# second\"\n"
+        "  # \"b,holding,1,\n"
+        "c,holding,2,\n",
+        [Point("a", H, 0, description="first # second"), Point("c", H, 2)],
+    ),
+    (  # numbers of rows below a mere #
+        "#,Name,Table,Address,Type\n1,volt,holding,0,U16\n2,amp,holding,1,S16\n",
+        [Point("volt", H, 0), Point("amp", H, 1, type="int16")],
+    ),
+    (  # Markdown, with text around, a bar in a cell, and decimal commas
+        "# Meter\n\nAll registers of *revision 2*.\n\n"
+        "| Name | Table | Address | Type | Scale | Note |\n"
+        "|:---|---|--:|:-:|---|---|\n"
+        "| volt | holding | 0 | `U16` | 0,1 | a \\| b |\n"
+        "| **amp** | holding | 1 | S16 | 1e-2 |  |\n\nThe end.\n",
+        [
+            Point("volt", H, 0, scale=0.1, description="a | b"),
+            Point("amp", H, 1, type="int16", scale=0.01),
+        ],
+    ),
+    (  # decimal commas between tabs
+        "name\ttable\taddress\tscale\na\tholding\t0\t0,1\n",
+        [Point("a", H, 0, scale=0.1)],
+    ),
 ]  # fmt: skip
 
 
