@@ -70,6 +70,7 @@ class Point:
             fleets, 0.01..86400, in place of the interval of the other points; None for that
             one. The point is read at the first poll after the interval, never earlier.
         group: the name of a group of points that can be selected together, up to 100 characters.
+        initial: the value with which a simulated device begins, as `encode` takes it.
 
     Attributes:
         read: the `Read` of all cells, for a `Plan`.
@@ -108,6 +109,7 @@ class Point:
     time_zone: str = "UTC"
     interval: float | None = None
     group: str = ""
+    initial: Any = None
     read: Read = field(init=False, repr=False, compare=False)
     meaning: Meaning = field(init=False, repr=False, compare=False)
     _scaling: Scaling | None = field(init=False, repr=False, compare=False)

@@ -96,6 +96,11 @@ def check_point(point: Point) -> None:
     is_scaled = (point.scale, point.offset) != (1, 0)
     store(point, _scaling=Scaling(point.scale, point.offset) if is_scaled else None)
     _check_bounds(point, "minimum", "maximum")
+    if point.initial is not None and point.scale_from is None:
+        try:
+            point.cells_for([point.initial] if point.count == 1 else point.initial)
+        except (TypeError, ValueError) as error:
+            raise placed(error, ()).renamed(("initial",)) from None
 
 
 def _check_string(name: str | Path, value: object) -> None:
