@@ -53,8 +53,8 @@ def _access(text: str) -> str:
 
 
 def _writable(text: str) -> str:
-    yes = "yes y true 1 x w ja oui sí si 是".split()
-    no = "no n false 0 - nein non 否".split()
+    yes = ["yes", "y", "true", "1", "x", "w", "ja", "oui", "sí", "si", "是"]
+    no = ["no", "n", "false", "0", "-", "nein", "non", "否"]
     return _word(dict.fromkeys(yes, "read_write") | dict.fromkeys(no, "read"))(text)
 
 
