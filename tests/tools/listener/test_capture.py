@@ -187,14 +187,18 @@ class TestReader:
         monkeypatch.setattr("libmodbus_py.tools.listener.capture.READER_TIME_S", 0.01)
         os.mkfifo(tmp_path / "pipe")
         reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
-        with contextlib.closing(os.fdopen(reader, "rb")):
-            writer = CaptureWriter(tmp_path / "pipe", "a")
-            with (
-                contextlib.closing(writer),
-                pytest.raises(OSError, match="has stopped reading"),  # noqa: PT012
-            ):
-                for heard in itertools.chain.from_iterable(conversation() for _ in range(99)):
-                    writer.write(heard)
+        writer = CaptureWriter(tmp_path / "pipe", "a")
+
+        def fill() -> None:
+            for heard in itertools.chain.from_iterable(conversation() for _ in range(99)):
+                writer.write(heard)
+
+        with (
+            contextlib.closing(os.fdopen(reader, "rb")),
+            contextlib.closing(writer),
+            pytest.raises(OSError, match="has stopped reading"),
+        ):
+            fill()
 
     def test_a_capture_of_a_capture_is_the_same(self, tmp_path: Path) -> None:
         copy = tmp_path / "copy.pcapng"
