@@ -13,11 +13,11 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from os import PathLike, fspath
-from pathlib import Path as FilePath
 from typing import Any, NamedTuple, Self, TypeVar
 
 from ..protocol.extras import what_is_missing
 from ..protocol.mistakes import Mistake, Path, WrongValue, placed
+from ..system import open_file
 
 # fmt: off
 __all__ = [
@@ -80,7 +80,8 @@ Content = TypeVar("Content")
 
 def _content(path: str | PathLike[str], kind: type[FileError]) -> bytes:
     try:
-        return FilePath(path).read_bytes()
+        with open_file(path) as file:
+            return file.read()
     except OSError as error:
         raise kind((), f"cannot read {fspath(path)}: {error.strerror}") from error
 
@@ -105,7 +106,7 @@ def read_table(
 
     Without an encoding, it is UTF-8, or UTF-16 with a mark. A spreadsheet becomes CSV.
     """
-    if FilePath(path).suffix.lower() == ".xlsx":
+    if fspath(path).lower().endswith(".xlsx"):
         return _spreadsheet(path, kind, sheet)
     data = _content(path, kind)
     place = FilePlace(fspath(path))
