@@ -18,6 +18,7 @@ from ..protocol import checks
 from ..protocol.checks import are_registers, integer, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue
 from ..protocol.pdu.request import checked_bit
+from ..protocol.plain import SHORT_FLOATS, shortest
 from ..protocol.values import ValueType
 
 if TYPE_CHECKING:
@@ -219,7 +220,10 @@ class Meaning:
         if self.part is not None:
             to_number, of = kind.to_number, self.part.of
             return lambda data: of(to_number(data))
-        return kind.to_number if self.bits else kind.reader
+        if kind.name not in SHORT_FLOATS:
+            return kind.to_number if self.bits else kind.reader
+        read, name = kind.reader, kind.name
+        return lambda data: shortest(read(data), name)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -380,7 +384,7 @@ class Scaling:
             return scaled if self._divisor == 1 else scaled / self._divisor
         if not math.isfinite(raw):
             return raw * self._factor
-        above, below = raw.as_integer_ratio()
+        above, below = exact(raw).as_integer_ratio()
         scaled = above * self._factor + below * self._shift
         try:
             return scaled / (below * self._divisor)

@@ -12,6 +12,7 @@ from typing import Any
 from ..protocol.checks import integer, seconds, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue, placed
 from ..protocol.pdu.request import store
+from ..protocol.plain import shortest
 from ..protocol.tables import TABLES, checked_table
 from ..protocol.values import ValueType
 from .meaning import Meaning, Part, Scaling, number, part_of
@@ -335,7 +336,8 @@ def _raws(
         value = integer(path, given, -size // 2, size - 1)
         return [value if value <= kind.limits[1] else value - size]
     try:
-        return [kind.decode(kind.encode(given))]
+        raw = kind.decode(kind.encode(given))
+        return [shortest(raw, kind.name) if isinstance(raw, float) else raw]
     except (TypeError, ValueError) as error:
         raise placed(error, ()).renamed(path) from None
 

@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from ...protocol.errors import ModbusError
-from ...protocol.plain import clock_text, plain, text_of, time_text
+from ...protocol.plain import SHORT_FLOATS, clock_text, plain, shortest, text_of, time_text
 from ...protocol.values import Interpretation, ValueType, readings, value_type
 from ..output import Redrawn, print_csv, print_json
 from .items import ALL, HEX, REGISTERS, Item, reason_of
@@ -122,7 +122,8 @@ def _of_type(item: Item, kind: ValueType, cells: list[int]) -> _Shown:
         ValueText(item.number(at * item.size), *_texts(each, kind))
         for at, each in enumerate(values)
     ]
-    fields = {"type": kind.name, "order": kind.order, "values": plain(values)}
+    numbers = [shortest(each, kind.name) if kind.name in SHORT_FLOATS else each for each in values]
+    fields = {"type": kind.name, "order": kind.order, "values": plain(numbers)}
     # Which JSON has no numbers for: the values are null, and their texts stand here.
     texts = {
         str(item.address + item.base + at * item.size): str(value)
