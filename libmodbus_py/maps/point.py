@@ -71,6 +71,8 @@ class Point:
             fleets, 0.01..86400, in place of the interval of the other points; None for that
             one. The point is read at the first poll after the interval, never earlier.
         group: the name of a group of points that can be selected together, up to 100 characters.
+        rewrite: the seconds after which a fleet writes the last value that it wrote again, and
+            again, 0.01..86400, for devices that need it; None for never.
         initial: the value with which a simulated device begins, as `encode` takes it.
 
     Attributes:
@@ -110,6 +112,7 @@ class Point:
     time_zone: str = "UTC"
     interval: float | None = None
     group: str = ""
+    rewrite: float | None = None
     initial: Any = None
     read: Read = field(init=False, repr=False, compare=False)
     meaning: Meaning = field(init=False, repr=False, compare=False)

@@ -92,7 +92,11 @@ def check_point(point: Point) -> None:
         store(read, kind=_local(read.kind, point))
     if point.interval is not None:
         seconds("interval", point.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+    if point.rewrite is not None:
+        seconds("rewrite", point.rewrite, SHORTEST_INTERVAL, LONGEST_INTERVAL)
     store(point, access=_access(point), meaning=_meaning(point, read.kind))
+    if point.rewrite is not None and point.access == "read":
+        raise WrongValue("rewrite", "must be left out where access is read")
     for name in ("scale", "offset"):
         number(name, getattr(point, name))
     is_scaled = (point.scale, point.offset) != (1, 0)

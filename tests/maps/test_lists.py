@@ -496,3 +496,37 @@ def test_defaults_of_a_map_in_toml(tmp_path: Path) -> None:
         ("input_registers", "float32", "CDAB"),
         ("input_registers", "float32", "ABCD"),
     ]
+
+
+def test_what_a_map_says_beside_its_requests_is_checked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from libmodbus_py.cli.main import main
+
+    (tmp_path / "map.toml").write_text(
+        '[defaults]\ntable = "holding_registers"\n'
+        '[[point]]\nname = "a"\naddress = 0\nrewrite = 30\ninitial = 7\n'
+        '[[point]]\nname = "b"\naddress = 1\nstates = { 0 = "off", "1..9" = "on", default = "?" }\n'
+    )
+    assert main(["map", "check", str(tmp_path / "map.toml")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.strip() for line in lines[-3:]] == [
+        "1 point with initial values",
+        "a is written again each 30 s",
+        "b: 0 = off, 1..9 = on, default = ?",
+    ]
+
+
+def test_a_list_is_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from libmodbus_py.cli.main import main
+
+    path, output = written(tmp_path, MODPOLL), tmp_path / "map.toml"
+    assert main(["map", "import", str(path), "--from", "modpoll", "-o", str(output)]) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == f"{output}: 3 points, 1 left out"
+    assert said[-1].startswith("  left out: line 4, column type: ")
+    assert list(load_map(output).values()) == list(
+        contents_of(path, 9, ListOptions(origin="modpoll")).points.values()
+    )
+    assert main(["map", "import", str(path), "-o", str(tmp_path / "other.toml")]) == 2
+    assert "--from modpoll reads such lists" in capsys.readouterr().err

@@ -70,7 +70,7 @@ def _check_file(file: str, said: ListOptions, context: Client | None = None) -> 
         return 2
     points = RegisterMap(contents.points.values())
     print(f"{file}: {counted(len(points), 'point')}")
-    for line in [*_tables(points), *remarks(contents)]:
+    for line in [*_tables(points), *_more(points), *remarks(contents)]:
         print(f"  {line}")
     return 0 if context is None else _check_device(points, context)
 
@@ -88,6 +88,18 @@ def _tables(points: RegisterMap) -> Iterator[str]:
         for each in requests:
             if each.function == function:
                 yield f"  read {each.address} {each.count}"
+
+
+def _more(points: RegisterMap) -> Iterator[str]:
+    """Yield a line for what the requests do not show of points."""
+    if points.initial:
+        yield f"{counted(len(points.initial), 'point')} with initial values"
+    for point in points.values():
+        if point.rewrite is not None:
+            yield f"{point.name} is written again each {point.rewrite:g} s"
+        if point.states is not None and any(isinstance(key, str) for key in point.states):
+            names = ", ".join(f"{key} = {name}" for key, name in point.states.items())
+            yield f"{point.name}: {names}"
 
 
 def _check_device(points: RegisterMap, context: Client) -> int:

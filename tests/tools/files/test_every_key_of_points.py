@@ -53,6 +53,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "time_zone": {"type": "date48", "time_zone": "Europe/Berlin"},
     "interval": {"interval": 60.5},
     "group": {"group": "slow"},
+    "rewrite": {"rewrite": 30},
     "initial": {"initial": [1, 2], "count": 2},
 }
 
