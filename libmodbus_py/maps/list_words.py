@@ -9,19 +9,25 @@ from __future__ import annotations
 
 import tomllib
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path as FilePath
 from typing import Any, TypedDict
 
+from ..files.csv_text import CsvRow
 from ..files.schema import keys_of
 from ..protocol.checks import integer
 from ..protocol.mistakes import WrongType, WrongValue, close_to, named_arguments
 from ..protocol.pdu.request import store
 from ..protocol.words import ORDER_WORDS, TABLE_WORDS, order_named, plain, table_named
 
-__all__ = ["LIST", "ListKeys", "ListOptions", "Origin", "word_of", "words"]
+# fmt: off
+__all__ = [
+    "LIST", "MODPOLL", "REFERENCE", "ListKeys", "ListOptions", "Origin", "flat_rows", "word_of",
+    "words",
+]
+# fmt: on
 
 REFERENCE = "reference"
 """In place of a first address: each address is a reference, such as 40123."""
@@ -197,3 +203,45 @@ def _named(name: str, found: str | None, text: object, meanings: Mapping[str, st
         allowed = ", ".join(dict.fromkeys(meanings.values()))
         raise WrongValue(name, f"must be one of {allowed}, not {text!r}")
     return found
+
+
+# --- configurations of modpoll in Python, whose rows are of three kinds ---------------------------
+
+MODPOLL = ["device", "table", "order", "name", "address", "type", "access", "units", "scale"]
+"""The cells of the rows that `flat_rows` returns."""
+
+# The order of bytes in a register, then that of registers.
+ORDERS = {"BE_BE": "ABCD", "BE_LE": "CDAB", "LE_BE": "BADC", "LE_LE": "DCBA"}
+
+
+def flat_rows(rows: Iterable[CsvRow]) -> Iterator[CsvRow]:
+    """
+    Yield a row with all that is said of it for each point of modpoll. An older form names the
+    device in each poll::
+
+        device,NAME,UNIT                    poll,DEVICE,UNIT,START,SIZE,TABLE,ORDER
+        poll,TABLE,START,SIZE,ORDER         ref,NAME,UNITS,ADDRESS,TYPE,ACCESS,SCALE
+        ref,NAME,ADDRESS,TYPE,ACCESS,UNITS,SCALE
+    """
+    device = table = order = ""
+    is_old = False
+    for line, cells in rows:
+        cells = [*cells, *[""] * 7]
+        kind = cells[0].casefold()
+        if "device" in kind:
+            device = cells[1]
+        elif "poll" in kind:
+            is_old = word_of(cells[1]) not in words().tables
+            if is_old:
+                device, table, order = cells[1], cells[5], cells[6]
+            else:
+                table, order = cells[1], cells[4]
+        elif "ref" in kind:
+            if is_old:
+                _, name, units, address, type_, access, scale = cells[:7]
+            else:
+                _, name, address, type_, access, units, scale = cells[:7]
+            order = ORDERS.get(order.upper(), order)
+            yield CsvRow(
+                line, [device, table, order, name, address, type_, access or "r", units, scale]
+            )

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from ..protocol.mistakes import Path, WrongValue, close_to, inside
 from ..protocol.values import value_type
 from ..protocol.words import plain
 from .list_cells import RAW, READERS, address_in, type_keys
-from .list_words import REFERENCE, ListOptions, word_of, words
+from .list_words import MODPOLL, REFERENCE, ListOptions, flat_rows, word_of, words
 from .meaning import Scaling
 
 __all__ = ["MapEntry", "MapError", "RegisterList"]
@@ -108,7 +108,7 @@ class RegisterList:
         if self._text.skipped:
             self.notes.append(f"rows above the headings that are skipped: {self._text.skipped}")
         self._columns = self._find_columns()
-        rows = [*(_flat_rows(self._text.rows()) if is_modpoll else self._text.rows())]
+        rows = [*(flat_rows(self._text.rows()) if is_modpoll else self._text.rows())]
         self._rows = list(self._selected(rows))
         self._tells_table = {"table", "function"} & self._columns.keys() or self._table
         self._check_addresses()
@@ -177,7 +177,7 @@ class RegisterList:
         """Return the kind of a heading that is not named in the options; None if it has none."""
         if word_of(heading) in self._ignored:
             return None
-        for text in (word_of(heading), word):
+        for text in (word_of(heading), word, word.removeprefix("modbus ")):
             if text in self._origin.columns:
                 return self._origin.columns[text] or None
             known = HEADINGS_OF_KINDS.get(text, words().headings.get(text))
@@ -232,6 +232,8 @@ class RegisterList:
                 raise self._error(f"{reason}: say one, as in {example}")
         count = 0
         for row in rows:
+            if row.cells == self._text.head.cells:
+                continue  # the headings again, on another page
             if all(_cell(row, at) == value for at, value in wanted.items()) and any(
                 _cell(row, column.at) for column in self._columns.values()
             ):
@@ -438,6 +440,8 @@ def _without_base(word: str) -> tuple[str, int]:
         for end in ends:
             if word.endswith(end) and word != end.strip():
                 return word.removesuffix(end).strip(), base
+            if word.startswith(f"{end.strip()} "):
+                return word.removeprefix(f"{end.strip()} "), base
     return word, 0
 
 
@@ -453,45 +457,3 @@ def _settle_table(keys: dict[str, Any], texts: Mapping[str, str]) -> None:
     table = keys.pop("function", None)
     if table and keys.setdefault("table", table) != table:
         raise WrongValue("function", f"{texts['function']} is none of {keys['table']}")
-
-
-# --- configurations of modpoll in Python, whose rows are of three kinds ---------------------------
-
-MODPOLL = ["device", "table", "order", "name", "address", "type", "access", "units", "scale"]
-"""The cells of the rows that `_flat_rows` returns."""
-
-# The order of bytes in a register, then that of registers.
-ORDERS = {"BE_BE": "ABCD", "BE_LE": "CDAB", "LE_BE": "BADC", "LE_LE": "DCBA"}
-
-
-def _flat_rows(rows: Iterable[CsvRow]) -> Iterator[CsvRow]:
-    """
-    Yield a row with all that is said of it for each point of modpoll. An older form names the
-    device in each poll::
-
-        device,NAME,UNIT                    poll,DEVICE,UNIT,START,SIZE,TABLE,ORDER
-        poll,TABLE,START,SIZE,ORDER         ref,NAME,UNITS,ADDRESS,TYPE,ACCESS,SCALE
-        ref,NAME,ADDRESS,TYPE,ACCESS,UNITS,SCALE
-    """
-    device = table = order = ""
-    is_old = False
-    for line, cells in rows:
-        cells = [*cells, *[""] * 7]
-        kind = cells[0].casefold()
-        if "device" in kind:
-            device = cells[1]
-        elif "poll" in kind:
-            is_old = word_of(cells[1]) not in words().tables
-            if is_old:
-                device, table, order = cells[1], cells[5], cells[6]
-            else:
-                table, order = cells[1], cells[4]
-        elif "ref" in kind:
-            if is_old:
-                _, name, units, address, type_, access, scale = cells[:7]
-            else:
-                _, name, address, type_, access, units, scale = cells[:7]
-            order = ORDERS.get(order.upper(), order)
-            yield CsvRow(
-                line, [device, table, order, name, address, type_, access or "r", units, scale]
-            )

@@ -324,6 +324,7 @@ TWO_MEANINGS = [
         *("line 1", "--list first_address=0 or =reference"),
     ),
     ("name\ttable\taddress\tscale\na\tholding\t0\t1,000\n", "line 2, column scale", "thousand"),
+    (f"{HEAD},Write\na,holding,0,u16,W\n", "line 1", "--column access=Write"),
     (f"{HEAD},slave\na,holding,0,u16,1\nb,holding,0,u16,2\n", "line 1", "--list 'only=slave=1'"),
 ]
 
@@ -366,6 +367,8 @@ MEANINGS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("name,address,type\na,7,u16\n", {"table": "ir"}, {"table": "input_registers", "address": 7}),
     (f"{HEAD}\na,holding,0,u16\n", {"access": "read"}, {"access": "read"}),
     (f"{HEAD.replace('address', 'Address (hex)')}\na,holding,0010,u16\n", {}, {"address": 16}),
+    (f"{HEAD.replace('address', 'Hex address')}\na,holding,0010,u16\n", {}, {"address": 16}),
+    (f"{HEAD}\na,holding,7,u16\n{HEAD}\n", {}, {"address": 7}),  # headings of two pages
     ("name,address,type\na,40001-40002,int32\n", {}, {"address": 0, "type": "int32"}),
     ("name,address,type\na,3x0012,u16\n", {}, {"table": "input_registers", "address": 11}),
 ]
