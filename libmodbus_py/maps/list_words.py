@@ -18,14 +18,14 @@ from typing import Any, TypedDict
 from ..files.csv_text import CsvRow
 from ..files.schema import keys_of
 from ..protocol.checks import integer
-from ..protocol.mistakes import WrongType, WrongValue, close_to, named_arguments
+from ..protocol.mistakes import WrongType, WrongValue, close_to, inside, named_arguments
 from ..protocol.pdu.request import store
 from ..protocol.words import ORDER_WORDS, TABLE_WORDS, order_named, plain, table_named
 
 # fmt: off
 __all__ = [
-    "LIST", "MODPOLL", "REFERENCE", "ListKeys", "ListOptions", "Origin", "flat_rows", "word_of",
-    "words",
+    "LIST", "MODPOLL", "REFERENCE", "ListKeys", "ListOptions", "Origin", "flat_rows", "options_of",
+    "word_of", "words",
 ]
 # fmt: on
 
@@ -196,6 +196,12 @@ class ListOptions:
 
 LIST = keys_of(ListOptions).but("columns")
 """The options but for `columns`, as keys of files."""
+
+
+def options_of(given: Mapping[str, Any]) -> ListOptions:
+    """Return the options that the keys `columns` and `list` of a table in a file say."""
+    with inside("list"):
+        return ListOptions(columns=given.get("columns", {}), **given.get("list", {}))
 
 
 def _named(name: str, found: str | None, text: object, meanings: Mapping[str, str]) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, MapError, RegisterMap, load_map
+from libmodbus_py import Device, Fleet, MapError, RegisterMap, load, load_map
 from libmodbus_py.maps.list_words import ListOptions
 from libmodbus_py.maps.map_file import contents_of
 from tests.support.cases import each_case
@@ -533,3 +533,35 @@ def test_a_list_is_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     )
     assert main(["map", "import", str(path), "-o", str(tmp_path / "other.toml")]) == 2
     assert "--from modpoll reads such lists" in capsys.readouterr().err
+
+
+def test_device_files_and_fleets_read_lists_too(tmp_path: Path) -> None:
+    (tmp_path / "pump.csv").write_text(NIBE_F)
+    (tmp_path / "meter.csv").write_text(f"{HEAD},Factor\nvolts,holding,0,u16,10\n")
+    (tmp_path / "device.toml").write_text(
+        '[[unit]]\nid = 1\nmap = "pump.csv"\nlist = { origin = "nibe" }\n'
+        '[[unit]]\nid = 2\nmap = "meter.csv"\ncolumns = { divisor = "Factor" }\n'
+    )
+    devices = load(tmp_path / "device.toml").devices
+    assert isinstance(devices, dict)
+    assert devices[1]["Offset"] == 2
+    devices[2]["volts"] = 23.5
+    assert devices[2].mapping.holding_registers[0] == 235
+    (tmp_path / "fleet.toml").write_text(
+        '[defaults]\nlist = { origin = "nibe" }\n'
+        '[[device]]\nname = "pump"\nurl = "tcp://192.0.2.1"\nmap = "pump.csv"\n'
+        '[[device]]\nname = "meter"\nurl = "tcp://192.0.2.2"\nmap = "meter.csv"\nlist = {}\n'
+        'columns = { divisor = "Factor" }\n'
+    )
+    pump, meter = Fleet.from_file(tmp_path / "fleet.toml")._devices.values()
+    assert pump.map["BT1 Outdoor"].decode([215]) == 21.5
+    assert meter.map["volts"].scale == 0.1
+    (tmp_path / "fleet.toml").write_text(
+        '[[device]]\nname = "a"\nurl = "tcp://192.0.2.1"\nmap = "pump.csv"\n'
+        'list = { origin = "nib" }\n'
+    )
+    with pytest.raises(ValueError, match=r"line 5: device\[0\]\.list\.origin must be one of"):
+        Fleet.from_file(tmp_path / "fleet.toml")
+    (tmp_path / "device.toml").write_text('[[unit]]\nmap = "pump.csv"\nlist = { origin = "nib" }\n')
+    with pytest.raises(ValueError, match=r"line 3: unit\[0\]\.list\.origin must be one of"):
+        load(tmp_path / "device.toml")

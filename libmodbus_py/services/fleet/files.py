@@ -20,10 +20,10 @@ from typing import Any, cast
 from ...files.csv_text import CELLS, CsvRow, CsvText, number_in
 from ...files.schema import REQUIRED, Key, Keys, keys_of, table, tables, text
 from ...files.texts import FileError, FilePlace, line_of, load_file, read_table, read_toml
-from ...maps.list_words import LIST
+from ...maps.list_words import LIST, ListOptions, options_of
 from ...maps.map_file import POINT
 from ...maps.point_plan import scale_mistakes
-from ...maps.register_map import RegisterMap, load_map
+from ...maps.register_map import RegisterMap, map_with
 from ...protocol.mistakes import (
     Mistake,
     Path,
@@ -189,24 +189,24 @@ class _Reader:
         bands = usual.pop("dead_bands", {})
         keys = {**usual, **given}
         keys["labels"] = {**usual.get("labels", {}), **given.get("labels", {})}
-        said: dict[str, Any] = {key: keys.pop(key) for key in ("columns", "list") if key in keys}
+        options = options_of({key: keys.pop(key) for key in ("columns", "list") if key in keys})
         for key in DEVICE.values():
             if key.default is REQUIRED and key.name not in keys:
                 raise WrongValue(key.name, "is missing")
         if not isinstance(keys["map"], RegisterMap):
             base = folder if "map" in given else self._folder
             with inside("map"):
-                keys["map"] = self._map(base / map_file(keys["map"]), said)
+                keys["map"] = self._map(base / map_file(keys["map"]), options)
         device = DeviceConfig(**keys)
         # The default bands are those of the points that the device reads.
         bands = {name: band for name, band in bands.items() if name in device.names}
         return replace(device, dead_bands={**bands, **device.dead_bands}) if bands else device
 
-    def _map(self, path: FilePath, said: Mapping[str, Any]) -> RegisterMap:
-        key = path, repr(said)
+    def _map(self, path: FilePath, options: ListOptions) -> RegisterMap:
+        key = path, repr(options)
         if key not in self._maps:
             self._sources.add(file_at(str(path)))
-            self._maps[key] = load_map(path, columns=said.get("columns"), **said.get("list", {}))
+            self._maps[key] = map_with(path, options)
         return self._maps[key]
 
     # --- journal and outputs ----------------------------------------------------------------

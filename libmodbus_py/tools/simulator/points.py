@@ -12,7 +12,7 @@ from typing import Any
 
 from ...files.schema import REQUIRED, Key, Keys, a_list, keys_of, whole
 from ...files.texts import shown_key
-from ...maps.list_words import ListOptions
+from ...maps.list_words import ListOptions, options_of
 from ...maps.map_file import POINT
 from ...maps.point import Point
 from ...maps.point_plan import scale_mistakes
@@ -93,14 +93,13 @@ class Maps:
 
     def get(self, where: Path, name: str, unit: Mapping[str, Any]) -> RegisterMap:
         """Return a map that the key at a path names: a file, or one of the package."""
-        said = {key: unit[key] for key in ("columns", "list") if key in unit}
+        with inside(*where[:2]):
+            options = self._options or options_of(unit)
         with inside(*where):
             path = os.path.normpath(os.path.join(self._folder, map_file(name)))
-            key = path, repr(said)
+            key = path, repr(options)
             if key not in self._maps:
                 self._maps[key] = RegisterMap(())
-                columns, more = said.get("columns", {}), said.get("list", {})
-                options = self._options or ListOptions(columns=columns, **more)
                 self._maps[key] = map_with(path, options)
         return self._maps[key]
 
