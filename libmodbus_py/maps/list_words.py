@@ -10,7 +10,7 @@ from __future__ import annotations
 import tomllib
 import unicodedata
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path as FilePath
 from typing import Any, TypedDict
@@ -57,6 +57,7 @@ class Origin:
 
     about: str = ""
     signs: tuple[str, ...] = ()
+    known_by: tuple[str, ...] = ()
     columns: Mapping[str, str] = field(default_factory=dict)
     headings: Mapping[int, list[str]] = field(default_factory=dict)
     types: Mapping[str, str] = field(default_factory=dict)
@@ -182,6 +183,14 @@ class ListOptions:
             if isinstance(self.first_address, str) and self.first_address.isdecimal():
                 store(self, first_address=int(self.first_address))
             integer("first_address", self.first_address, 0, 0xFFFF * 10)
+
+    def with_origin_of(self, headings: Iterable[str]) -> ListOptions:
+        """Return the options with the origin of lists that have such headings, if one has."""
+        cells = {word_of(heading) for heading in headings}
+        for name, origin in words().origins.items():
+            if any(cells.issuperset(_split(text)) for text in origin.known_by):
+                return replace(self, origin=name)
+        return self
 
     @property
     def of_origin(self) -> Origin:

@@ -104,6 +104,11 @@ class RegisterList:
         self._text = CsvText(
             text, lambda cell: word_of(cell) in known, MapError, headings=MODPOLL * is_modpoll
         )
+        if options.origin is None:
+            self._options = options.with_origin_of(self._text.head.cells)
+            self._origin = self._options.of_origin
+        if self._options.origin != options.origin:
+            self.notes.append(f"read as a list of {self._options.origin}, whose headings it has")
         self._give_headings()
         if self._text.skipped:
             self.notes.append(f"rows above the headings that are skipped: {self._text.skipped}")

@@ -125,8 +125,8 @@ Registers = tuple[str, list[int], Any]
 LISTS: list[tuple[str, dict[str, Any], list[str], list[Registers]]] = [
     (
         METER,
-        {"origin": "iobroker", "table": "holding"},
-        ["--from iobroker", "--list table="],
+        {"table": "holding"},
+        ["--list table="],
         [
             ("U 40001", [2305], 230.5),
             ("E", [0x7856, 0x3412], 0x12345678),
@@ -143,14 +143,14 @@ LISTS: list[tuple[str, dict[str, Any], list[str], list[Registers]]] = [
     ),
     (
         TWO_UNITS,
-        {"origin": "iobroker", "first_address": "reference", "only": {"deviceId": "200"}},
-        ["--from iobroker", "--list 'only=deviceId=1'", "first_address=reference"],
+        {"first_address": "reference", "only": {"deviceId": "200"}},
+        ["--list 'only=deviceId=1'", "first_address=reference"],
         [("A", [0xFFFF], -1)],
     ),
     (
         NIBE_F,
-        {"origin": "nibe"},
-        ["--from nibe"],
+        {},
+        [],
         [
             ("BT1 Outdoor", [215], 21.5),
             ("BT1 Outdoor", [0x8000], None),
@@ -161,9 +161,9 @@ LISTS: list[tuple[str, dict[str, Any], list[str], list[Registers]]] = [
         ],
     ),
     (
-        NIBE_S,
-        {"origin": "nibe"},
-        ["--from nibe"],
+        NIBE_S.replace("Default value", "Default"),
+        {},
+        [],
         [
             ("Outdoor (BT1)", [0xFFFB], -0.5),
             ("Current (BE3)", [105, 0], 10.5),
@@ -183,8 +183,8 @@ LISTS: list[tuple[str, dict[str, Any], list[str], list[Registers]]] = [
     ),
     (
         VICTRON_LIST,
-        {"origin": "victron"},
-        ["--from victron"],
+        {},
+        [],
         [("Battery voltage", [5312], 53.12), ("Relay status", [0], "Open")],
     ),
     (
@@ -396,6 +396,14 @@ def test_what_a_map_cannot_say_is_left_out_with_its_line(tmp_path: Path) -> None
     (mistake,) = contents.mistakes
     assert mistake.place.line == 4
     assert "write a row for each" in str(mistake)
+
+
+def test_an_origin_is_known_by_all_of_its_headings(tmp_path: Path) -> None:
+    assert "read as a list of nibe, whose headings it has" in (
+        contents_of(written(tmp_path, NIBE_F), 1).notes
+    )
+    with pytest.raises(MapError, match=r"column Size has two meanings.*--from nibe reads such"):
+        load_map(written(tmp_path, NIBE_F.replace("Default;", "Usual;")))
 
 
 def test_names_that_repeat_are_told(tmp_path: Path) -> None:
