@@ -12,7 +12,6 @@ import math
 import re
 import reprlib
 from collections.abc import Callable
-from itertools import count
 from struct import Struct
 from typing import TYPE_CHECKING, Any
 
@@ -106,22 +105,25 @@ def _family(kind: ValueType) -> str:
     return kind.name.rstrip("0123456789")
 
 
-# Type -> the digits that every value keeps (IEEE 754), of which up to three more tell every two
-# values apart, and its bytes. Python shows the shortest of float64.
-SHORT_FLOATS = {"float16": (3, Struct("e")), "float32": (6, Struct("f"))}
+# Type -> forms with as many digits as every value keeps (IEEE 754), and with more, of which the
+# last tell every two values apart; and what packs it. Python shows the shortest of float64.
+SHORT_FLOATS = {
+    "float16": (("%.3g", "%.4g", "%.5g"), Struct("e").pack),
+    "float32": (("%.6g", "%.7g", "%.8g", "%.9g"), Struct("f").pack),
+}
 
 
 def shortest(value: float, name: str) -> float:
     """Return the number with the fewest digits that a type has as this value: 230.1 for float32."""
     if name not in SHORT_FLOATS or not math.isfinite(value):
         return value
-    fewest, form = SHORT_FLOATS[name]
-    data = form.pack(value)
-    for digits in count(fewest):
-        number = float(f"{value:.{digits}g}")
-        if form.pack(number) == data:
+    forms, pack = SHORT_FLOATS[name]
+    data = pack(value)
+    for form in forms:
+        number = float(form % value)
+        if pack(number) == data:
             return number
-    raise AssertionError("no number of digits is enough")
+    return value
 
 
 SHOWN: dict[str, Callable[[Any, ValueType], str]] = {
