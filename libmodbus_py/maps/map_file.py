@@ -13,7 +13,7 @@ from os import PathLike, fspath
 from pathlib import PurePath
 from typing import Any
 
-from ..files.schema import Key, Keys, keys_of, table, tables
+from ..files.schema import Key, Keys, keys_of, table, tables, whole
 from ..files.texts import FilePlace, line_of, read_table, read_text, read_toml
 from ..protocol.mistakes import Path, WrongValue, placed
 from .list_cells import PADDINGS
@@ -35,7 +35,9 @@ FORMS: tuple[str, ...] = (".toml", ".csv", ".tsv", ".txt", ".md", ".xlsx")
 POINT = keys_of(Point)
 """The keys of a point, in every file that describes points."""
 
-DEFAULTS = POINT.but("name", "address").optional()
+DEFAULTS = POINT.but("name", "address").optional() | Keys(
+    [Key("first_address", whole(0, 0xFFFF), "what the file calls address 0")]
+)
 
 FILE = Keys(
     [
@@ -139,7 +141,12 @@ def _toml_entries(text: str) -> Iterator[MapEntry]:
 
 
 def _with_defaults(path: Path, given: object, defaults: Mapping[str, Any]) -> dict[str, Any]:
-    return {**defaults, **table(path, given)}
+    usual = dict(defaults)
+    first = usual.pop("first_address", 0)
+    keys = {**usual, **table(path, given)}
+    if first and isinstance(keys.get("address"), int):
+        keys["address"] -= first
+    return keys
 
 
 # Table -> how references to it begin (PI-MBUS-300): a 5-digit one is an address, too.

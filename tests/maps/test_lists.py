@@ -500,12 +500,13 @@ def test_what_is_no_spreadsheet(tmp_path: Path) -> None:
 def test_defaults_of_a_map_in_toml(tmp_path: Path) -> None:
     (tmp_path / "map.toml").write_text(
         '[defaults]\ntable = "input_registers"\norder = "CDAB"\ntype = "float32"\n'
-        '[[point]]\nname = "a"\naddress = 0\n[[point]]\nname = "b"\naddress = 2\norder = "ABCD"\n'
+        "first_address = 1\n"
+        '[[point]]\nname = "a"\naddress = 1\n[[point]]\nname = "b"\naddress = 3\norder = "ABCD"\n'
     )
     map: RegisterMap = load_map(tmp_path / "map.toml")
-    assert [(each.table, each.type, each.order) for each in map.values()] == [
-        ("input_registers", "float32", "CDAB"),
-        ("input_registers", "float32", "ABCD"),
+    assert [(each.table, each.address, each.type, each.order) for each in map.values()] == [
+        ("input_registers", 0, "float32", "CDAB"),
+        ("input_registers", 2, "float32", "ABCD"),
     ]
 
 
