@@ -26,14 +26,12 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
 __all__ = [
-    "DEFAULT",
     "CellChange",
     "Judged",
     "Meaning",
     "NoValue",
     "Part",
     "Scaling",
-    "States",
     "exact",
     "number",
     "part_of",
@@ -167,36 +165,6 @@ def part_of(path: str | Path, given: object, bits: int, *, is_signed: bool = Fal
     return Part(first, last - first + 1, is_signed=is_signed)
 
 
-# --- states ---------------------------------------------------------------------------------
-
-DEFAULT = "default"
-"""The key of the name of all numbers that have no other."""
-
-
-class States(dict[int, str]):
-    """Names of numbers; `ranges` have those of many, and `default` that of all others."""
-
-    def __init__(self, names: Mapping[int | range | str, str]) -> None:
-        super().__init__((key, name) for key, name in names.items() if isinstance(key, int))
-        self.ranges: dict[range, str] = {
-            key: name for key, name in names.items() if isinstance(key, range)
-        }
-        self.default: str | None = names.get(DEFAULT)
-        self.numbers: dict[str, int] = {}
-        for key, name in names.items():  # the first number of a name is what is written
-            if isinstance(key, int | range):
-                self.numbers.setdefault(name, key if isinstance(key, int) else key.start)
-
-    def __bool__(self) -> bool:
-        return bool(len(self) or self.ranges or self.default)
-
-    def __missing__(self, number: int) -> str | int:
-        for numbers, name in self.ranges.items():
-            if number in numbers:
-                return name
-        return number if self.default is None else self.default
-
-
 # --- values -----------------------------------------------------------------------------
 
 
@@ -223,7 +191,7 @@ class Meaning:
     """
 
     __slots__ = (
-        *("_is_list", "_kind", "_missing", "_name", "_span", "_states"),
+        *("_is_list", "_kind", "_missing", "_name", "_numbers", "_span", "_states"),
         *("bits", "from_bytes", "has_numbers", "is_plain", "part"),
     )
 
@@ -235,11 +203,12 @@ class Meaning:
         missing: frozenset[Any],
         span: tuple[float, float] | None,
         part: Part | None,
-        states: States,
+        states: Mapping[int, str],
         bits: Mapping[str, Part],
     ) -> None:
         self._name, self._kind = name, kind
         self._missing, self._span, self._states = missing, span, states
+        self._numbers = {text: number for number, text in states.items()}
         self._is_list = kind is not None and kind.name.startswith("bits") and not (part or bits)
         self.part: Part | None = part
         self.bits: Mapping[str, Part] = bits
@@ -309,7 +278,7 @@ class Meaning:
         if self.bits:
             return {name: part.of(raw) for name, part in self.bits.items()}
         if self._states:
-            return self._states[raw]
+            return self._states.get(raw, raw)
         value = raw if scale is None else scale(raw)
         if value != value:  # only nan differs from itself
             return self._missed(value)
@@ -355,12 +324,11 @@ class Meaning:
         """Return the number of a state's name; other values as they are."""
         if not isinstance(value, str):
             return value
-        numbers = self._states.numbers
-        if value not in numbers:
-            allowed = ", ".join(numbers)
+        if value not in self._numbers:
+            allowed = ", ".join(self._numbers)
             raise WrongValue("value", f"must be one of {allowed}, or a number, not {value!r}")
         is_flag = self._kind is None or (self.part is not None and self.part.is_flag)
-        return bool(numbers[value]) if is_flag else numbers[value]
+        return bool(self._numbers[value]) if is_flag else self._numbers[value]
 
     def _named_bits(self, value: object) -> tuple[int, int]:
         """Return the bits of a mapping of names to values, and the mask of those bits."""

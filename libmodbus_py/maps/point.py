@@ -55,9 +55,8 @@ class Point:
         scale_from: the name of a point of the same map whose value is another factor:
             value = raw * scale * factor + offset.
         scale_as: what that point holds: "exponent" for a power of ten, -30..30, or "factor".
-        states: names of whole numbers, such as {0: "off", 1: "on", "2..9": "fault"}. The value is
-            the name; a number without a name has the name of "default", or stays a number. Of a
-            name that several numbers have, the first is written.
+        states: names of whole numbers, such as {0: "off", 1: "on"}. The value is the name;
+            a number without a name stays a number.
         bits: names of bits, such as {0: "door", "4..7": "mode"}; bit 0 is the lowest. The value
             is a dict with True or False for one bit, and a number for several bits.
         bit: the bit that is the value, True or False; or several bits, such as "4..7", whose
@@ -105,7 +104,7 @@ class Point:
     never_falls: bool = False
     scale_from: str | None = None
     scale_as: Literal["exponent", "factor"] = "exponent"
-    states: Mapping[int | str, str] | None = field(default=None, hash=False)
+    states: Mapping[int, str] | None = field(default=None, hash=False)
     bits: Mapping[int | str, str] | None = field(default=None, hash=False)
     bit: int | str | None = None
     byte: Literal["high", "low"] | None = None

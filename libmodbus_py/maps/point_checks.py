@@ -5,7 +5,6 @@ Checks of the arguments of a point, from which its attributes are made.
 from __future__ import annotations
 
 import math
-import re
 import reprlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -16,7 +15,7 @@ from ..protocol.pdu.request import store
 from ..protocol.plain import shortest
 from ..protocol.tables import TABLES, checked_table
 from ..protocol.values import ValueType
-from .meaning import DEFAULT, Meaning, Part, Scaling, States, number, part_of
+from .meaning import Meaning, Part, Scaling, number, part_of
 from .plan import Read
 
 # fmt: off
@@ -178,7 +177,7 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
         missing=_missing(point, missing, kind, part),
         span=None if low is None and high is None else span,
         part=part,
-        states=States(states),
+        states=states,
         bits=bits,
     )
     _check_numbers(point, meaning)
@@ -186,7 +185,7 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
         point,
         missing=missing,
         bit=None if point.bit is None or part is None else part.key,
-        states={_state_key(key): name for key, name in states.items()} or None,
+        states=states or None,
         bits={part.key: name for name, part in bits.items()} or None,
     )
     return meaning
@@ -229,36 +228,14 @@ def _names(name: str, given: object, key_of: Callable[[Path, Any], Any]) -> dict
         made = key_of(path, key)
         if made in found:
             raise WrongValue(path, "is given twice")
-        if name == "bits" and text in found.values():
+        if text in found.values():
             raise WrongValue(path, f"must have a name of its own; {text!r} occurs twice")
         found[made] = text
     return found
 
 
-def _state_key(key: int | range | str) -> int | str:
-    return f"{key.start}..{key.stop - 1}" if isinstance(key, range) else key
-
-
-_RANGE = re.compile(r"\s*(-?[0-9]{1,20})\s*\.\.\s*(-?[0-9]{1,20})\s*")
-
-
-def _state(
-    path: Path, key: Any, kind: ValueType | None, part: Part | None, point: Point
-) -> int | range | str:
-    """Return the number of a state, several, or the word for all others."""
-    if isinstance(key, str) and key.strip() == DEFAULT:
-        return DEFAULT
-    if isinstance(key, str) and (ends := _RANGE.fullmatch(key)):
-        first, last = (_number_of_state(path, int(end), kind, part, point) for end in ends.groups())
-        if last < first:
-            raise WrongValue.about(path, "the lower number must be first")
-        return range(first, last + 1)
-    return _number_of_state(path, key, kind, part, point)
-
-
-def _number_of_state(
-    path: Path, key: Any, kind: ValueType | None, part: Part | None, point: Point
-) -> int:
+def _state(path: Path, key: Any, kind: ValueType | None, part: Part | None, point: Point) -> int:
+    """Return the number of a state."""
     if isinstance(key, str):
         try:
             key = int(key[:40], 0)

@@ -62,7 +62,7 @@ def typed_values(point: Point, text: str) -> Any:
     return [typed_value(point, word.strip()) for word in text.split(",")]
 
 
-def _state(states: Mapping[int | str, str], text: str) -> str | int:
+def _state(states: Mapping[int, str], text: str) -> str | int:
     if text in states.values():
         return text
     try:
