@@ -74,6 +74,8 @@ class ModbusError(Exception):
     names: tuple[Any, ...] = ()
 
     def __init__(self, reason: str = "", **transaction: Unpack[_Transaction]) -> None:
+        if not isinstance(reason, str):
+            raise TypeError(f"reason must be a string, not {type(reason).__name__}")
         super().__init__(reason)
         self.unit: int | None = transaction.get("unit")
         self.function: int | None = transaction.get("function")
@@ -130,9 +132,12 @@ class ExceptionResponse(ModbusError):
     def __init__(
         self, reason: str = "", *, code: int | None = None, **transaction: Unpack[_Transaction]
     ) -> None:
+        if isinstance(reason, int):
+            raise TypeError(f"reason must be a string; code {reason} is ExceptionResponse.of({reason})")
         if code is not None:
             self.code = code
-        super().__init__(reason or f"{self.meaning} (exception {self.code})", **transaction)
+        default = f"{self.meaning} (exception {self.code})"
+        super().__init__(default if reason == "" else reason, **transaction)
 
     @staticmethod
     def of(code: int, **transaction: Unpack[_Transaction]) -> ExceptionResponse:
