@@ -133,7 +133,9 @@ class ExceptionResponse(ModbusError):
         self, reason: str = "", *, code: int | None = None, **transaction: Unpack[_Transaction]
     ) -> None:
         if isinstance(reason, int):
-            raise TypeError(f"reason must be a string; code {reason} is ExceptionResponse.of({reason})")
+            raise TypeError(
+                f"reason must be a string; code {reason} is ExceptionResponse.of({reason})"
+            )
         if code is not None:
             self.code = code
         default = f"{self.meaning} (exception {self.code})"

@@ -61,7 +61,7 @@ def test_hex_is_cut_and_counted() -> None:
 @each_case("kind", KINDS)
 @each_case("reason", [2, 0, True, b"refused", OSError("refused"), None])
 def test_a_reason_is_text(reason: Any, kind: type[ModbusError]) -> None:
-    with pytest.raises(TypeError, match="^reason must be a string") as caught:
+    with pytest.raises(TypeError, match=r"^reason must be a string") as caught:
         kind(reason)
     is_code = issubclass(kind, ExceptionResponse) and isinstance(reason, int)
     assert (f"ExceptionResponse.of({reason})" in str(caught.value)) == is_code
