@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat, Suppo
 
 from ..protocol import checks
 from ..protocol.checks import are_registers, integer, shown
+from ..protocol.errors import ModbusError
 from ..protocol.mistakes import Path, WrongType, WrongValue
 from ..protocol.pdu.request import checked_bit
 from ..protocol.values import ValueType
@@ -32,12 +33,13 @@ __all__ = [
     "Part",
     "Scaling",
     "exact",
+    "no_value",
     "number",
     "part_of",
     "scaling_by",
 ]
 
-Reason = Literal["Missing", "Implausible", "InvalidTime", "BadScale"]
+Reason = Literal["Missing", "Implausible", "InvalidData", "InvalidTime", "BadScale"]
 
 # Far beyond any measured quantity, and small enough for exact arithmetic.
 LARGEST, SMALLEST = 1e30, 1e-30
@@ -50,16 +52,17 @@ LARGEST_EXPONENT = round(math.log10(LARGEST))
 DIGITS_OF_DIVISION = 14
 
 
-class NoValue(ValueError):
+class NoValue(ModbusError, ValueError):
     """
     The registers of a point hold no value; the message says why.
 
     Args:
-        name: the name of the point.
+        name: the name of the point; without a map, its place, such as "input_registers 100".
         reason: "Missing" if the device reports that there is no value, "Implausible" if the value
             is below `plausible_minimum` or above `plausible_maximum`, "InvalidTime" if the
-            registers hold no valid time, "BadScale" if the point named by `scale_from` holds no
-            scale.
+            registers hold no valid time, "InvalidData" if they hold no value of another type, such
+            as text that is not in its encoding or BCD with a digit above 9, "BadScale" if the
+            point named by `scale_from` holds no scale.
         text: the reason as a sentence about the point.
 
     Attributes:
@@ -67,12 +70,20 @@ class NoValue(ValueError):
     """
 
     def __init__(self, name: str, reason: Reason, text: str) -> None:
-        super().__init__(name, reason, text)
+        Exception.__init__(self, name, reason, text)  # a poll may make thousands
         self.name: str = name
         self.reason: Reason = reason
 
+    __repr__ = Exception.__repr__
+
     def __str__(self) -> str:
         return f"{self.name} {self.args[2]}"
+
+
+def no_value(name: str, kind: ValueType, error: ValueError) -> NoValue:
+    """Return why registers hold no value of a type."""
+    reason: Reason = "InvalidTime" if kind.is_time else "InvalidData"
+    return NoValue(name, reason, f"has no value: {error}")
 
 
 class Judged(NamedTuple):
@@ -248,23 +259,23 @@ class Meaning:
         return [raw if isinstance(raw, NoValue) else self.judge(raw, scale) for raw in raws]
 
     def raws_in(self, cells: Sequence[Any]) -> list[Any]:
-        """Return the raw values that cells hold; a `NoValue` stands for a time that is none."""
+        """Return the raw values that cells hold; a `NoValue` stands for data that is none."""
         if (kind := self._kind) is None:
             return list(cells)
         size = kind.registers
         if len(cells) % size or not are_registers(cells):
             kind.decode_many(cells)  # raises the error that says what is wrong
         data = struct.pack(f">{len(cells)}H", *cells)
-        found: list[Any] = []
-        for at in range(0, len(cells), size):
-            try:
-                found.append(self.from_bytes(data[2 * at : 2 * (at + size)]))
-            except ValueError as error:
-                if not kind.is_time:
-                    text = f"registers[{at}:{at + size}] hold no {kind.name}: {error}"
-                    raise ValueError(text) from None
-                found.append(NoValue(self._name, "InvalidTime", f"has no value: {error}"))
-        return found
+        return [self._raw(data[at : at + 2 * size], kind) for at in range(0, len(data), 2 * size)]
+
+    def _raw(self, data: bytes, kind: ValueType) -> Any:
+        try:
+            return self.from_bytes(data)
+        except ValueError as error:
+            bits = kind.to_number(data)
+            if bits in self._missing:
+                return self._missed(f"0x{bits:0{2 * len(data)}X}")
+            return no_value(self._name, kind, error)
 
     def judge(self, raw: Any, scale: Callable[[Any], Any] | None) -> Any:
         """Return the value of a raw value, or a `NoValue`; `scale` converts numbers."""

@@ -27,8 +27,10 @@ from ..protocol.tables import (
     joined,
     touches,
 )
+from ..protocol.value_types import cells_of
 from ..protocol.values import Order, TypeName, ValueType, value_type
 from .holes import Block, BlockPiece, Holes, PartialAnswer, Span, Unreadable
+from .meaning import no_value
 
 # fmt: off
 __all__ = [
@@ -245,11 +247,11 @@ class Plan:
         Returns:
             A list with the values of each item, which are always a list, in the order of the items;
             a dict by name if the items have names. An item that was part of a failed
-            request has the ModbusError instead.
+            request has the ModbusError instead. None stands for data that is no value, such as
+            a bcd16 with the digit F; an item without any value has a `NoValue` instead.
 
         Raises:
-            ValueError: the answers do not fit the requests, or registers hold no value of
-                their type, such as a bcd16 with the digit F.
+            ValueError: the answers do not fit the requests.
         """
         given = self._checked_answers(list(answers))
         found = {name: self._values(name, given) for name in self._reads}
@@ -280,10 +282,14 @@ class Plan:
         return self._decoded(name, cells)
 
     def _decoded(self, name: Any, cells: list[Any]) -> Any:
-        try:
-            return self._reads[name].decode(cells)
-        except ValueError as error:
-            raise ValueError(f"items[{name!r}]: {error}") from None
+        kind = self._reads[name].kind
+        if kind is None:
+            return cells
+        values = kind.values_in(cells_of(cells))
+        errors = [value for value in values if isinstance(value, ValueError)]
+        if len(errors) == len(values):
+            return no_value(f"items[{name!r}]", kind, errors[0])
+        return [None if isinstance(value, ValueError) else value for value in values]
 
     def _checked_answers(self, answers: list[Any]) -> list[Any]:
         if len(answers) != len(self.requests):

@@ -190,13 +190,13 @@ class Point:
 
         Returns:
             The scaled value: an int, a float, True or False, a string, a datetime, a list of
-            bits, the name of a state, or a dict of named bits; None if there is no value or
+            bits, the name of a state, or a dict of named bits; None if the cells hold no value or
             `source` is not a scale, for which `judge` returns the reason. If `count` is not 1, a
             list of such values.
 
         Raises:
-            TypeError, ValueError: the number of cells is wrong, or they hold no value of this
-                type; the message names the point.
+            TypeError, ValueError: the cells are wrong in number or type; the message names the
+                point.
         """
         return self.judge(cells, source=source).value
 

@@ -323,7 +323,10 @@ def _raws(
     if kind.is_text:
         raise WrongValue(path, 'must be "sunspec" for strings')
     size = 1 << 16 * kind.registers
-    if kind.limits is None or point.bits is not None:
+    has_gaps = kind.name.startswith("bcd")  # data that is no value, such as FFFF
+    high = size - 1 if kind.limits is None else kind.limits[1]
+    is_bits = has_gaps and isinstance(given, int) and given > high
+    if kind.limits is None or point.bits is not None or is_bits:
         return _raws_of_bits(point, kind, integer(path, given, 0, size - 1))
     if kind.name.startswith("int"):
         # Manuals name the bits of a negative number, such as 0x8000.
@@ -341,4 +344,4 @@ def _raws_of_bits(point: Point, kind: ValueType, bits: int) -> list[Any]:
     try:
         return [kind.decode(kind.cells_of_number(bits))]
     except ValueError:
-        return []  # registers that hold no time have no value anyway
+        return [bits]  # registers that hold no time, or no digits

@@ -165,7 +165,7 @@ class PointPlan(Plan):
         """
         Return the values by name, as `Plan.results` does; None for no value.
 
-        With `return_exceptions` a ValueError or `NoValue` tells why there is none.
+        With `return_exceptions` a `NoValue` tells why there is none.
         """
         given = self._checked_answers(list(answers))
         data = self._data(given)
@@ -196,33 +196,22 @@ class PointPlan(Plan):
             if isinstance(answer, PartialAnswer):  # its lost cells count as zeros until here
                 slow += [name for name in answer.lost if name in found]
         for name in slow:
-            found[name] = self._slowly(name, given, scales, return_exceptions)
+            value = self._value(name, given, scales)
+            is_none = isinstance(value, NoValue) and not return_exceptions
+            found[name] = None if is_none else value
         return found
 
-    def _slowly(
-        self, name: str, answers: list[Any], scales: _Scales, return_exceptions: bool
-    ) -> Any:
-        try:
-            value = self._value(name, answers, scales)
-        except ValueError as error:
-            if not return_exceptions:
-                raise
-            return error
-        return None if isinstance(value, NoValue) and not return_exceptions else value
-
     def _value(self, name: str, answers: list[Any], scales: _Scales) -> Any:
-        """Return a value, a `NoValue`, or the error of the request; or raise ValueError."""
+        """Return a value, a `NoValue`, or the error of the request."""
         point, cells = self._all[name], self._values(name, answers)
         source = scales.values.get(point.scale_from or "")
         for each in (cells, source):
-            if isinstance(each, ModbusError):
+            if isinstance(each, ModbusError) and not isinstance(each, NoValue):
                 return each
         try:
             found = point.meaning.values_in(cells, point.scaling_for(source))
         except NoValue as none:
             return none
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
         if point.count == 1:
             return found[0]
         return [None if isinstance(each, NoValue) else each for each in found]
@@ -230,10 +219,7 @@ class PointPlan(Plan):
     def _scales(self, answers: list[Any]) -> _Scales:
         scales = _Scales({}, {})
         for name in self._sources:
-            try:
-                scales.values[name] = self._value(name, answers, scales)
-            except ValueError:
-                scales.values[name] = None
+            scales.values[name] = self._value(name, answers, scales)
             for scale, number in self._numbers.items():
                 value = scales.values[name]
                 if scale.source == name and isinstance(value, int | float):

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import reprlib
 import struct
-from collections.abc import Callable, Iterable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -146,15 +146,23 @@ class ValueType:
         return list(struct.unpack(f">{self.registers}H", data))
 
     def _from_registers(self, cells: list[int]) -> list[Any]:
+        values = self.values_in(cells)
+        for number, value in enumerate(values):
+            if isinstance(value, ValueError):
+                at, end = number * self.registers, (number + 1) * self.registers
+                raise ValueError(f"registers[{at}:{end}] hold no {self.name}: {value}")
+        return values
+
+    def values_in(self, cells: Sequence[int]) -> list[Any]:
+        """Return the values of registers; a ValueError stands for data that is no value."""
         data = struct.pack(f">{len(cells)}H", *cells)
-        found = []
-        for at in range(0, len(cells), self.registers):
-            end = at + self.registers
+        values: list[Any] = []
+        for at in range(0, len(data), 2 * self.registers):
             try:
-                found.append(self.from_bytes(data[2 * at : 2 * end]))
+                values.append(self.from_bytes(data[at : at + 2 * self.registers]))
             except ValueError as error:
-                raise ValueError(f"registers[{at}:{end}] hold no {self.name}: {error}") from None
-        return found
+                values.append(error)
+        return values
 
     def from_bytes(self, data: bytes) -> Any:
         """Return the value of the bytes of its registers; raise a ValueError if there is none."""

@@ -13,8 +13,8 @@ device; this module knows the usual ones. Types are named by strings:
 * date48: six bytes, year (since 2000), month, day, hour, minute, second; bcddate48: the same in
   decimal digits; date96: six registers, with the full year;
 * eui48: a MAC address as text, such as "0D:D7:4C:C6:44:8E", behind a register of padding;
-* string:N: N bytes of text, 1..250, two in each register; if N is odd, the last
-  byte of the last register is written as 0 and ignored when read.
+* string:N: N bytes of text, 1..250, two in each register, up to the first NUL; if N is odd, the
+  last byte of the last register is written as 0 and ignored when read.
 
 An order tells how the bytes A (most significant), B, C, D of a value are arranged in the
 registers. Four letters name the order for all widths; for 16 and 64 bits it may also be
@@ -188,10 +188,13 @@ a module.
 
 def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
     registers = (size + 1) // 2
+    nul = _fill_of("\0", encoding)
 
     def pack(name: str | Path, value: object) -> bytes:
         if not isinstance(value, str):
             raise WrongType(name, f"must be a string, not {type(value).__name__}")
+        if "\0" in value:
+            raise WrongValue(name, f"must be without NUL, which ends it: {reprlib.repr(value)}")
         data = _encoded(name, value, encoding)
         room = size - len(data)
         if room < 0:
@@ -203,12 +206,21 @@ def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
         return (data + fill * (room // len(fill))).ljust(2 * registers, b"\0")
 
     def unpack(data: bytes) -> str:
+        text = _up_to(nul, data[:size])
         try:
-            return data[:size].decode(encoding).rstrip(padding)
+            return text.decode(encoding).rstrip(padding)
         except UnicodeError:
-            raise ValueError(f"{data[:size].hex(' ').upper()} is no {encoding}") from None
+            raise ValueError(f"{text.hex(' ').upper()} is no {encoding}") from None
 
     return ValueType(f"string:{size}", registers, pack, unpack, is_text=True)
+
+
+def _up_to(nul: bytes, data: bytes) -> bytes:
+    """Return the characters before the first NUL, which has as many bytes as they have."""
+    if len(nul) == 1:
+        return data.partition(nul)[0]
+    ends = (at for at in range(0, len(data), len(nul)) if data.startswith(nul, at))
+    return data[: next(ends, None)]
 
 
 def _known_encoding(encoding: str) -> bool:
@@ -359,6 +371,8 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
                 value = value_type(name, order=order).decode(cells)
             except ValueError:
                 continue
+            if value == "" and any(cells):
+                continue  # numbers with a 0 in front, rather than text
             # By repr, because a nan is not equal to itself.
             found.setdefault((name, repr(value)), Interpretation(name, order, value))
     return list(found.values())

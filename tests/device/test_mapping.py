@@ -328,7 +328,7 @@ class TestTypedValues:
         assert made.read_values(102, "float32", count=2, order="CDAB") == [2.0, 0.0]
         assert made.read_values(100, "float32", order="CDAB") == [1.0]
         made.write_values(100, (text for text in ("A", "BC")), "string:2", padding=" ")
-        assert made.read_values(100, "string:2", 3, padding=" ") == ["A", "BC", "\0\0"]
+        assert made.read_values(100, "string:2", 3, padding=" ") == ["A", "BC", ""]
         made.write_values(106, [], "int16")
 
     @each_register_table

@@ -27,6 +27,7 @@ def point(name: str = "it", **keys: Any) -> Point:
 
 MISSING = Judged(None, "bad", "Missing")
 IMPLAUSIBLE = Judged(None, "bad", "Implausible")
+INVALID = Judged(None, "bad", "InvalidData")
 
 # "Not implemented" of each type as the SunSpec Device Information Model Specification has it.
 SUNSPEC = [
@@ -89,6 +90,17 @@ MEANT = [
     ({"byte": "low"}, [0x1234], Judged(0x34)),
     ({"byte": "low", "type": "int16"}, [0x12FE], Judged(-2)),
     ({"type": "iec870"}, [0xFFFF] * 4, Judged(None, "bad", "InvalidTime")),
+    ({"type": "bcd16"}, [0x000F], INVALID),
+    ({"type": "bcd16", "scale": 0.1}, [0xFFFF], INVALID),
+    ({"type": "bcd16", "count": 2}, [0x12, 0xA0], Judged([12, None], "good", "InvalidData")),
+    ({"type": "bcd16", "missing": 0xFFFF}, [0xFFFF], MISSING),
+    ({"type": "bcd16", "missing": [0xFFFF, 9999]}, [0x9999], MISSING),
+    ({"type": "bcd16", "missing": [0xFFFF, 9999]}, [0x000F], INVALID),
+    ({"type": "bcd32", "missing": 0xFFFF_FFFF, "order": "CDAB"}, [0xFFFF, 0xFFFF], MISSING),
+    ({"type": "unix64", "missing": 1 << 63}, [0x8000, 0, 0, 0], MISSING),
+    ({"type": "string:4"}, [0x4180, 0], INVALID),
+    ({"type": "string:4"}, [0x4100, 0x80FF], Judged("A")),
+    ({"type": "string:4", "missing": "sunspec"}, [0x0041, 0xFF00], MISSING),
     ({"type": "unix32"}, [0, 60], Judged(datetime(1970, 1, 1, 0, 1, tzinfo=UTC))),
     ({"type": "int16", "scale_from": "sf"}, [5], Judged(None, "bad", "BadScale")),
 ]  # fmt: skip

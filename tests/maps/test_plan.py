@@ -17,6 +17,7 @@ from libmodbus_py import (
     IllegalDataAddress,
     InvalidResponse,
     ModbusTimeoutError,
+    NoValue,
     pdu,
     values,
 )
@@ -195,10 +196,23 @@ def test_answers_to_other_requests_are_refused(given: Any, named: str) -> None:
         Plan([("coils", 0), ("coils", 5, 2)]).results(given)
 
 
-def test_registers_that_are_no_such_value_name_the_item() -> None:
-    plan = Plan({"total": ("holding_registers", 0, 1, "bcd16")})
-    with pytest.raises(ValueError, match=r"items\['total'\]: registers\[0:1\] hold no bcd16"):
-        plan.results([[0x00FF]])
+def test_data_that_is_no_value_takes_no_other_along() -> None:
+    plan = Plan({
+        "total": ("holding_registers", 0, 1, "bcd16"),
+        "two": ("holding_registers", 1, 2, "bcd16"),
+        "name": ("holding_registers", 3, 1, "string:2"),
+        "clock": ("holding_registers", 4, 1, "date48"),
+    })  # fmt: skip
+    found = plan.results([[0x00FF, 0x0012, 0xA000, 0x80FF, 0, 0, 0]])
+    assert found["two"] == [12, None]
+    assert {name: (type(each), each.reason) for name, each in found.items() if name != "two"} == {
+        "total": (NoValue, "InvalidData"),
+        "name": (NoValue, "InvalidData"),
+        "clock": (NoValue, "InvalidTime"),
+    }
+    assert str(found["total"]) == "items['total'] has no value: 00FF has digits other than 0..9"
+    with pytest.raises(ValueError, match=r"registers\[0\] must be in 0\.\.65535, not 65536"):
+        plan.results([[0, 65536, 0, 0, 0, 0, 0]])
 
 
 def test_options_beside_a_plan_are_refused() -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 from ...client.blocking import Client
 from ...maps.map_file import contents_of, remarks
+from ...maps.meaning import NoValue
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap, load_map
 from ...ports.endpoint import parse
@@ -89,7 +90,11 @@ def _check_device(points: RegisterMap, context: Client) -> int:
     """Print the points that a device refuses; return 1 if there are any."""
     context.connect()
     values = context.read_map(points, return_exceptions=True)
-    failed = {name: value for name, value in values.items() if isinstance(value, ModbusError)}
+    failed = {
+        name: value
+        for name, value in values.items()
+        if isinstance(value, ModbusError) and not isinstance(value, NoValue)
+    }
     device = f"{context.url}, unit {context.unit}"
     for error in failed.values():
         if not isinstance(error, ExceptionResponse):
