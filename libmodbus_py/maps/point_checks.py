@@ -39,6 +39,12 @@ SCALES = ("exponent", "factor")
 BYTES = {"high": "8..15", "low": "0..7"}
 """Byte of a register -> its bits."""
 
+HAVE_NO_VALUE = ("bcd", "sbcd", "mod10k", "umod10k")
+"""Types of numbers for which some data is no value, such as 0xFFFF."""
+
+BYTE_TYPES = ("int8", "uint8")
+"""Types that are the low byte of a register, if nothing else is said."""
+
 TEXTS = {
     "name": (1, MAX_NAME),
     "units": (0, MAX_NAME),
@@ -185,7 +191,9 @@ def _part(point: Point, kind: ValueType | None) -> Part | None:
     """Return the bits that are the raw value; None if all are."""
     given = [name for name in NEED_BITS if getattr(point, name) is not None]
     if not given:
-        return None
+        if kind is None or kind.name not in BYTE_TYPES:
+            return None
+        return part_of("byte", BYTES["low"], 16, is_signed=kind.name.startswith("int"))
     if len(given) > 1:
         raise WrongValue(given[1], f"cannot be given together with {given[0]}")
     name = given[0]
@@ -318,20 +326,21 @@ def _missing(
 def _raws(
     path: Path, point: Point, kind: ValueType, part: Part | None, given: object
 ) -> Iterable[Any]:
+    # Manuals name the bits of a negative number, such as 0x8000.
     if part is not None:
-        return [integer(path, given, *part.limits)]
+        bits = integer(path, given, part.limits[0], (1 << part.width) - 1)
+        return [part.of(bits << part.shift)]
     if kind.is_text:
         raise WrongValue(path, 'must be "sunspec" for strings')
-    size = 1 << 16 * kind.registers
-    has_gaps = kind.name.startswith("bcd")  # data that is no value, such as FFFF
-    high = size - 1 if kind.limits is None else kind.limits[1]
-    is_bits = has_gaps and isinstance(given, int) and given > high
-    if kind.limits is None or point.bits is not None or is_bits:
-        return _raws_of_bits(point, kind, integer(path, given, 0, size - 1))
+    most = (1 << 16 * kind.registers) - 1
+    if kind.limits is None or point.bits is not None:
+        return _raws_of_bits(point, kind, integer(path, given, 0, most))
+    low, high = kind.limits
     if kind.name.startswith("int"):
-        # Manuals name the bits of a negative number, such as 0x8000.
-        value = integer(path, given, -size // 2, size - 1)
-        return [value if value <= kind.limits[1] else value - size]
+        value = integer(path, given, int(low), 2 * int(high) + 1)
+        return [value if value <= high else value - 2 * (int(high) + 1)]
+    if kind.name.startswith(HAVE_NO_VALUE) and isinstance(given, int) and given > high:
+        return _raws_of_bits(point, kind, integer(path, given, int(low), most))
     try:
         return [kind.decode(kind.encode(given))]
     except (TypeError, ValueError) as error:

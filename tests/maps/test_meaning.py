@@ -89,6 +89,16 @@ MEANT = [
     ({"byte": "high"}, [0x1234], Judged(0x12)),
     ({"byte": "low"}, [0x1234], Judged(0x34)),
     ({"byte": "low", "type": "int16"}, [0x12FE], Judged(-2)),
+    ({"type": "int8"}, [0x12FE], Judged(-2)),
+    ({"type": "uint8", "order": "BADC"}, [0x12FE], Judged(0x12)),
+    ({"type": "uint8", "byte": "high", "scale": 0.5}, [0x1234], Judged(9)),
+    ({"type": "int8", "missing": 0x80}, [0x1280], MISSING),
+    ({"type": "int24", "missing": 0x80_0000}, [0x0080, 0], MISSING),
+    ({"type": "mod10k32", "missing": 0x8000_8000, "scale": 0.1}, [0x8000, 0x8000], MISSING),
+    ({"type": "sbcd16", "missing": 0xFFFF}, [0xFFFF], MISSING),
+    ({"type": "sbcd16", "missing": -1}, [0xF001], MISSING),
+    ({"type": "uint48", "bit": 47, "order": "CDAB"}, [0, 0, 0x8000], Judged(True)),
+    ({"type": "y2k32", "missing": 0}, [0, 0], MISSING),
     ({"type": "iec870"}, [0xFFFF] * 4, Judged(None, "bad", "InvalidTime")),
     ({"type": "bcd16"}, [0x000F], INVALID),
     ({"type": "bcd16", "scale": 0.1}, [0xFFFF], INVALID),
@@ -293,6 +303,7 @@ PARTS = RegisterMap(
         point("wide", address=2, type="uint32", bits={0: "a", 31: "z", "8..11": "n"}),
         point("state", address=4, states={0: "off", 1: "on"}),
         point("whole", address=0),
+        point("small", address=5, type="int8"),
     ]
 )
 
@@ -308,6 +319,7 @@ WRITES = [
     ({"wide": {"a": False, "n": 5, "z": 1}}, [(22, 2, 0x7FFF, 0x8000), (22, 3, 0xF0FE, 0x0500)]),
     ({"state": "on"}, [(6, 4, 1)]),
     ({"state": 7}, [(6, 4, 7)]),
+    ({"small": -2}, [(22, 5, 0xFF00, 0xFE)]),
 ]
 
 
