@@ -69,6 +69,8 @@ class Point:
         interval: the seconds between two reads of the point in `watch`, ``read --watch`` and
             fleets, 0.01..86400, in place of the interval of the other points; None for that
             one. The point is read at the first poll after the interval, never earlier.
+        border: True if no request may ask for cells before the point together with its own,
+            because the device refuses that.
         group: the name of a group of points that can be selected together, up to 100 characters.
 
     Attributes:
@@ -107,6 +109,7 @@ class Point:
     byte: Literal["high", "low"] | None = None
     time_zone: str = "UTC"
     interval: float | None = None
+    border: bool = False
     group: str = ""
     read: Read = field(init=False, repr=False, compare=False)
     meaning: Meaning = field(init=False, repr=False, compare=False)

@@ -96,6 +96,8 @@ def check_point(point: Point) -> None:
         store(read, kind=_local(read.kind, point))
     if point.interval is not None:
         seconds("interval", point.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+    if not isinstance(point.border, bool):
+        raise WrongType("border", f"must be true or false, not {point.border!r}")
     store(point, access=_access(point), meaning=_meaning(point, read.kind))
     for name in ("scale", "offset"):
         number(name, getattr(point, name))

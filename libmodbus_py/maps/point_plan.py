@@ -11,13 +11,14 @@ from typing import Any, Literal, NamedTuple, Unpack
 
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongValue
+from ..protocol.tables import Table
 from ..protocol.values import ValueType
 from .holes import PartialAnswer
 from .meaning import Meaning, NoValue, scaling_by
-from .plan import Plan, PlanOptions
+from .plan import Borders, Plan, PlanOptions
 from .point import Point
 
-__all__ = ["PointPlan", "scale_mistakes", "sources_of"]
+__all__ = ["PointPlan", "borders_of", "scale_mistakes", "sources_of"]
 
 
 def scale_mistakes(points: Mapping[str, Point]) -> Iterator[tuple[str, WrongValue]]:
@@ -66,6 +67,11 @@ def sources_of(points: Iterable[Point], known: Mapping[str, Point]) -> dict[str,
     return found
 
 
+def borders_of(points: Iterable[Point]) -> list[tuple[Table, int]]:
+    """Return where points begin before which a request must end, as `Plan` takes it."""
+    return [(point.table, point.address) for point in points if point.border]
+
+
 FORMS = {"uint16": "H", "int16": "h"}
 """Type -> form of `struct`, if a register is the number."""
 
@@ -109,6 +115,7 @@ class PointPlan(Plan):
         self,
         points: Iterable[Point],
         sources: Mapping[str, Point] | None = None,
+        borders: Borders = (),
         **options: Unpack[PlanOptions],
     ) -> None:
         self._points = {point.name: point for point in points}
@@ -124,7 +131,8 @@ class PointPlan(Plan):
                 raise WrongValue.about("sources", f"{source}, which scales {name}, is missing")
             scale = _Scale(source, point.scale_as, point.scale, point.offset)
             scale_of[name] = self._numbers.setdefault(scale, len(self._numbers))
-        super().__init__({name: point.read for name, point in self._all.items()}, **options)
+        reads = {name: point.read for name, point in self._all.items()}
+        super().__init__(reads, borders=borders, **options)
         self._quick = list(self._quick_ones(scale_of))
         are_quick = {each.name for each in self._quick}
         self._slow = [name for name in self._points if name not in are_quick]

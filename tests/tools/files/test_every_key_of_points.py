@@ -52,6 +52,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "byte": {"byte": "high"},
     "time_zone": {"type": "date48", "time_zone": "Europe/Berlin"},
     "interval": {"interval": 60.5},
+    "border": {"border": True},
     "group": {"group": "slow"},
 }
 
