@@ -20,6 +20,7 @@ from ..protocol.errors import ModbusError
 from ..protocol.mistakes import Path, WrongType, WrongValue
 from ..protocol.pdu.request import checked_bit
 from ..protocol.values import ValueType
+from .states import States
 
 if TYPE_CHECKING:
     # Imported where needed: it takes as long as a read, and most programs scale nothing.
@@ -201,7 +202,7 @@ class Meaning:
     """
 
     __slots__ = (
-        *("_is_list", "_kind", "_missing", "_name", "_numbers", "_span", "_states"),
+        *("_is_list", "_kind", "_missing", "_name", "_span", "_states"),
         *("bits", "from_bytes", "has_numbers", "is_plain", "part"),
     )
 
@@ -213,17 +214,18 @@ class Meaning:
         missing: frozenset[Any],
         span: tuple[float, float] | None,
         part: Part | None,
-        states: Mapping[int, str],
+        states: States | None,
         bits: Mapping[str, Part],
     ) -> None:
         self._name, self._kind = name, kind
-        self._missing, self._span, self._states = missing, span, states
-        self._numbers = {text: number for number, text in states.items()}
+        self._missing, self._span = missing, span
+        self._states = states
         self._is_list = kind is not None and kind.name.startswith("bits") and not (part or bits)
         self.part: Part | None = part
         self.bits: Mapping[str, Part] = bits
-        self.is_plain: bool = not (part or bits or span or missing or states)
-        self.has_numbers: bool = _has_numbers(kind, part) and not (states or bits)
+        has_names = states is not None or bool(bits)
+        self.is_plain: bool = not (part or span or missing or has_names)
+        self.has_numbers: bool = _has_numbers(kind, part) and not has_names
         self.from_bytes: Callable[[bytes], Any] = bool if kind is None else self._reader(kind)
 
     def _reader(self, kind: ValueType) -> Callable[[bytes], Any]:
@@ -284,8 +286,8 @@ class Meaning:
             return self._missed(key)
         if self.bits:
             return {name: part.of(raw) for name, part in self.bits.items()}
-        if self._states:
-            return self._states.get(raw, raw)
+        if (states := self._states) is not None and raw == raw:
+            return states.get(raw, raw) if states.is_simple else states[raw]
         value = raw if scale is None else scale(raw)
         if value != value:  # only nan differs from itself
             return self._missed(value)
@@ -314,8 +316,8 @@ class Meaning:
         return CellChange(kind.cells_of_number(bits), kind.cells_of_number(mask))
 
     def _raw_of(self, value: Any, scaling: Scaling | None) -> Any:
-        if self._states:
-            return self._number_of(value)
+        if self._states is not None:
+            return self._number_of(value, self._states)
         if scaling is None:
             return value
         low, high = self.limits
@@ -327,15 +329,13 @@ class Meaning:
             raise WrongValue("value", f"must be in {least}..{most}, not {shown(value)}")
         return raw
 
-    def _number_of(self, value: Any) -> Any:
+    def _number_of(self, value: Any, states: States) -> Any:
         """Return the number of a state's name; other values as they are."""
         if not isinstance(value, str):
             return value
-        if value not in self._numbers:
-            allowed = ", ".join(self._numbers)
-            raise WrongValue("value", f"must be one of {allowed}, or a number, not {value!r}")
+        number = states.number_of(value)
         is_flag = self._kind is None or (self.part is not None and self.part.is_flag)
-        return bool(self._numbers[value]) if is_flag else self._numbers[value]
+        return bool(number) if is_flag else number
 
     def _named_bits(self, value: object) -> tuple[int, int]:
         """Return the bits of a mapping of names to values, and the mask of those bits."""

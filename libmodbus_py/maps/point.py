@@ -55,8 +55,10 @@ class Point:
         scale_from: the name of a point of the same map whose value is another factor:
             value = raw * scale * factor + offset.
         scale_as: what that point holds: "exponent" for a power of ten, -30..30, or "factor".
-        states: names of whole numbers, such as {0: "off", 1: "on"}. The value is the name;
-            a number without a name stays a number.
+        states: names of numbers, such as {0: "off", 1: "on", "2..9": "fault", "else": "?"}; of
+            ranges, which may be open, as in "10..", and of all other numbers. The value is the
+            name; a number without a name stays a number. Several numbers may have one name, which
+            cannot be written then.
         bits: names of bits, such as {0: "door", "4..7": "mode"}; bit 0 is the lowest. The value
             is a dict with True or False for one bit, and a number for several bits.
         bit: the bit that is the value, True or False; or several bits, such as "4..7", whose
@@ -103,7 +105,7 @@ class Point:
     never_falls: bool = False
     scale_from: str | None = None
     scale_as: Literal["exponent", "factor"] = "exponent"
-    states: Mapping[int, str] | None = field(default=None, hash=False)
+    states: Mapping[Any, str] | None = field(default=None, hash=False)
     bits: Mapping[int | str, str] | None = field(default=None, hash=False)
     bit: int | str | None = None
     byte: Literal["high", "low"] | None = None

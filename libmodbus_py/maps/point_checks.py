@@ -4,9 +4,11 @@ Checks of the arguments of a point, from which its attributes are made.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import reprlib
 from collections.abc import Callable, Iterable, Mapping
+from itertools import pairwise
 from typing import Any
 
 from ..protocol.checks import integer, seconds, shown
@@ -16,6 +18,7 @@ from ..protocol.tables import TABLES, checked_table
 from ..protocol.values import ValueType
 from .meaning import Meaning, Part, Scaling, number, part_of
 from .plan import Read
+from .states import ELSE, NumberSpan, States
 
 # fmt: off
 __all__ = [
@@ -162,7 +165,7 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
     """Return the meaning of the raw values; store the arguments that say what it is."""
     missing = _listed(point.missing)
     part = _part(point, kind)
-    states = _names("states", point.states, lambda path, key: _state(path, key, kind, part, point))
+    states = _states(point, kind, part)
     bits = _bits(point, kind)
     if states and bits:
         raise WrongValue("states", "cannot be given together with bits")
@@ -175,7 +178,7 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
         missing=_missing(point, missing, kind, part),
         span=None if low is None and high is None else span,
         part=part,
-        states=states,
+        states=States(states) if states else None,
         bits=bits,
     )
     _check_numbers(point, meaning)
@@ -183,7 +186,10 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
         point,
         missing=missing,
         bit=None if point.bit is None or part is None else part.key,
-        states=states or None,
+        states={
+            key.key if isinstance(key, NumberSpan) else key: name for key, name in states.items()
+        }
+        or None,
         bits={part.key: name for name, part in bits.items()} or None,
     )
     return meaning
@@ -213,7 +219,9 @@ def _part(point: Point, kind: ValueType | None) -> Part | None:
     return part_of("byte", BYTES[point.byte], width, is_signed=is_signed)
 
 
-def _names(name: str, given: object, key_of: Callable[[Path, Any], Any]) -> dict[Any, str]:
+def _names(
+    name: str, given: object, key_of: Callable[[Path, Any], Any], *, are_unique: bool = True
+) -> dict[Any, str]:
     """Return the names that an argument gives to numbers or bits; the keys of files are text."""
     if given is None:
         return {}
@@ -228,26 +236,58 @@ def _names(name: str, given: object, key_of: Callable[[Path, Any], Any]) -> dict
         made = key_of(path, key)
         if made in found:
             raise WrongValue(path, "is given twice")
-        if text in found.values():
+        if are_unique and text in found.values():
             raise WrongValue(path, f"must have a name of its own; {text!r} occurs twice")
         found[made] = text
     return found
 
 
-def _state(path: Path, key: Any, kind: ValueType | None, part: Part | None, point: Point) -> int:
-    """Return the number of a state."""
-    if isinstance(key, str):
-        try:
-            key = int(key[:40], 0)
-        except ValueError:
-            raise WrongValue.about(path, "the key must be a number") from None
+def _states(point: Point, kind: ValueType | None, part: Part | None) -> dict[Any, str]:
+    """Return names by number, by `NumberSpan`, and by `ELSE`."""
     if part is not None:
-        return integer(path, key, *part.limits)
-    if kind is None:
-        return integer(path, key, 0, 1)
-    if kind.limits is None or isinstance(kind.limits[0], float):
-        raise WrongValue("states", f"must be left out for {point.type_name}: no whole numbers")
-    return integer(path, key, int(kind.limits[0]), int(kind.limits[1]))
+        limits: Any = part.limits
+    else:
+        limits = (0, 1) if kind is None else kind.limits
+    if limits is None and point.states is not None:
+        raise WrongValue("states", f"must be left out for {point.type_name}, which has no numbers")
+    is_float = part is None and kind is not None and kind.name.startswith("float")
+
+    def number_of(path: Path, key: object) -> int | float:
+        if isinstance(key, str):
+            key = _number_in(path, key, is_float=is_float)
+        if not is_float or kind is None:
+            return integer(path, key, *limits)
+        # As registers hold it: 0.1 of a float32 is not that of a float64.
+        return float(kind.unpack(kind.pack(path, number("states", key))))
+
+    def key_of(path: Path, key: object) -> Any:
+        if not isinstance(key, str) or key == ELSE:
+            return ELSE if key == ELSE else number_of(path, key)
+        first, separator, last = (word.strip() for word in key.partition(".."))
+        if not separator:
+            return number_of(path, key)
+        low = number_of(path, first) if first else limits[0]
+        high = number_of(path, last) if last else limits[1]
+        if low > high:
+            raise WrongValue(path, "must have the lower number first")
+        return NumberSpan(low, high, f"{first}..{last}")
+
+    names = _names("states", point.states, key_of, are_unique=False)
+    spans = sorted(key for key in names if isinstance(key, NumberSpan))
+    for first, second in pairwise(spans):
+        if second.low <= first.high:
+            raise WrongValue(("states", second.key), f"overlaps {first.key}")
+    return names
+
+
+def _number_in(path: Path, text: str, *, is_float: bool) -> int | float:
+    try:
+        return int(text[:40], 0)
+    except ValueError:
+        if is_float:
+            with contextlib.suppress(ValueError):
+                return float(text[:40])
+    raise WrongValue.about(path, "the key must be a number, a range such as 1..5, or else")
 
 
 def _bits(point: Point, kind: ValueType | None) -> dict[str, Part]:

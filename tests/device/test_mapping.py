@@ -351,7 +351,7 @@ class TestTypedValues:
         [
             (lambda made: made.write(0, 70000, "uint16"), ValueError, "^value must be in 0"),
             (lambda made: made.write(0, "1", "uint16"), TypeError, "^value must be an integer"),
-            (lambda made: made.write(0, 1, "uint8"), ValueError, "type must be one of"),
+            (lambda made: made.write(0, 1, "uint12"), ValueError, "type must be one of"),
             (lambda made: made.write(0, 1, "int16", order="X"), ValueError, "order must be"),
             (lambda made: made.write("0", 1, "int16"), TypeError, "address in <.* an integer"),
             (lambda made: made.write(0, "ABC", "string:2"), ValueError, "value must have"),

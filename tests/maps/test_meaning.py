@@ -75,6 +75,19 @@ MEANT = [
     ({"states": {0: "off", 1: "on"}}, [2], Judged(2)),
     ({"states": {"-1": "none", "0x10": "much"}, "type": "int16"}, [0xFFFF], Judged("none")),
     ({"states": {0: "off", 1: "on"}, "missing": 255}, [255], MISSING),
+    ({"states": {0: "off", "1..5": "on", "else": "?"}}, [5], Judged("on")),
+    ({"states": {0: "off", "1..5": "on", "else": "?"}}, [6], Judged("?")),
+    ({"states": {0: "off", "1..5": "on", 3: "hot"}}, [3], Judged("hot")),
+    ({"states": {0: "off", "1..5": "on", 3: "hot"}}, [6], Judged(6)),
+    ({"states": {1: "on", 2: "on", "0x10..": "on"}}, [0xFFFF], Judged("on")),
+    ({"states": {"..-1": "below", "0..": "above"}, "type": "int16"}, [0xFFFF], Judged("below")),
+    ({"states": {1.5: "half", "2..2.5": "more"}, "type": "float32"}, [0x3FC0, 0], Judged("half")),
+    ({"states": {"0.1": "a", "0.2..": "b"}, "type": "float32"}, [0x3DCC, 0xCCCD], Judged("a")),
+    ({"states": {"0.1": "a", "..0.2": "b"}, "type": "float32"}, [0x3E4C, 0xCCCD], Judged("b")),
+    ({"states": {1: "a"}, "type": "float32", "order": "CDAB"}, [0, 0x3F80], Judged("a")),
+    ({"states": {"0": "a", "else": "b"}, "type": "float32"}, [0x7FC0, 0], MISSING),
+    ({"states": {0: "shut", "else": "open"}, "table": "coils"}, [True], Judged("open")),
+    ({"states": {"0..7": "low", "else": "high"}, "byte": "low"}, [0x1208], Judged("high")),
     ({"states": {0: "shut", 1: "open"}, "table": "coils"}, [True], Judged("open")),
     ({"states": {0: "shut", 1: "open"}, "bit": 3}, [8], Judged("open")),
     ({"bits": {0: "door", "4..7": "mode"}}, [0x51], Judged({"door": True, "mode": 5})),
@@ -255,7 +268,12 @@ WRONG = [
     ({"scale_as": "power", "scale_from": "a"}, "scale_as must be one of exponent, factor"),
     ({"states": {}}, "states must not be empty"),
     ({"states": ["off", "on"]}, "states must be a table of names, not list"),
-    ({"states": {0: "off", 1: "off"}}, "states.1 must have a name of its own; 'off' occurs twice"),
+    ({"states": {"5..1": "off"}}, "states.5..1 must have the lower number first"),
+    ({"states": {"1..5": "off", "5..6": "on"}}, "states.5..6 overlaps 1..5"),
+    ({"states": {"1..70000": "off"}}, "states.1..70000 must be in 0..65535, not 70000"),
+    ({"states": {"1..x": "off"}}, "states.1..x: the key must be a number, a range such as 1..5"),
+    ({"states": {"1.5": "off"}}, "states.1.5: the key must be a number"),
+    ({"states": {"nan": "off"}, "type": "float32"}, "states must be in"),
     ({"states": {0: "off", "0x0": "on"}}, "states.0x0 is given twice"),
     ({"states": {"a": "off"}}, "states.a: the key must be a number"),
     ({"states": {70000: "off"}}, "states.70000 must be in 0..65535, not 70000"),
@@ -264,7 +282,7 @@ WRONG = [
     ({"states": {0: "a\nb"}}, "states.0 must be printable characters, without spaces around"),
     ({"states": {0: 5}}, "states.0 must be a string, not int"),
     ({"states": {0: "a"}, "scale": 2}, "scale must be 1 for a point with states"),
-    ({"states": {0: "a"}, "type": "float32"}, "states must be left out for float32"),
+    ({"states": {0: "a"}, "type": "string:2"}, "states must be left out for string:2, which has"),
     ({"states": {0: "a"}, "bits": {0: "b"}}, "states cannot be given together with bits"),
     ({"bits": {0: "a", 1: "a"}}, "bits.1 must have a name of its own; 'a' occurs twice"),
     ({"bits": {16: "a"}}, "bits.16 must be in 0..15, not 16"),
@@ -304,6 +322,8 @@ PARTS = RegisterMap(
         point("state", address=4, states={0: "off", 1: "on"}),
         point("whole", address=0),
         point("small", address=5, type="int8"),
+        point("many", address=6, states={1: "on", 2: "on", 0: "off", "3..9": "bad", "else": "?"}),
+        point("level", address=7, type="float32", states={"1.5": "half"}),
     ]
 )
 
@@ -320,6 +340,9 @@ WRITES = [
     ({"state": "on"}, [(6, 4, 1)]),
     ({"state": 7}, [(6, 4, 7)]),
     ({"small": -2}, [(22, 5, 0xFF00, 0xFE)]),
+    ({"many": "off"}, [(6, 6, 0)]),
+    ({"many": 2}, [(6, 6, 2)]),
+    ({"level": "half"}, [(16, 7, 2, 0x043F, 0xC000, 0)]),
 ]
 
 
@@ -342,6 +365,9 @@ WRONG_WRITES = [
     ({"wide": {"n": 16}}, "wide: value.n must be in 0..15, not 16"),
     ({"wide": 5}, "wide: value must be a dict of named bits, not int"),
     ({"state": "On"}, "state: value must be one of off, on, or a number, not 'On'"),
+    ({"many": "on"}, "many: value must be a number: 'on' is the name of 1, 2"),
+    ({"many": "bad"}, "many: value must be a number: 'bad' is the name of 3..9"),
+    ({"many": "?"}, "many: value must be one of on, off, or a number, not '?'"),
     ({"flag": True, "whole": 5}, "flag and whole share holding_registers 0: write one of them"),
 ]
 

@@ -233,7 +233,7 @@ def _kind(point: Point) -> str:
 
 def _kind_of_one(point: Point) -> str:
     if point.states is not None:
-        return "str | int"
+        return "str | float" if str(point.type).startswith("float") else "str | int"
     if point.bits is not None:
         return "dict[str, int]"
     if point.read.kind is None or (point.bit is not None and ".." not in str(point.bit)):

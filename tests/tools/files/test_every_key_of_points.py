@@ -46,7 +46,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "never_falls": {"never_falls": True},
     "scale_from": {"scale_from": "sf"},
     "scale_as": {"scale_from": "sf", "scale_as": "factor"},
-    "states": {"states": {0: "off", 1: "a;b=c{"}},
+    "states": {"states": {0: "off", 1: "a;b=c{", "2..9": "off", "else": "?"}},
     "bits": {"bits": {0: "door", "4..7": "code"}},
     "bit": {"bit": "4..7"},
     "byte": {"byte": "high"},
