@@ -4,11 +4,9 @@ Checks of the arguments of a point, from which its attributes are made.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import reprlib
 from collections.abc import Callable, Iterable, Mapping
-from itertools import pairwise
 from typing import Any
 
 from ..protocol.checks import integer, seconds, shown
@@ -18,7 +16,7 @@ from ..protocol.tables import TABLES, checked_table
 from ..protocol.values import ValueType
 from .meaning import Meaning, Part, Scaling, number, part_of
 from .plan import Read
-from .states import ELSE, NumberSpan, States
+from .states import NumberSpan, States, check_spans, state_key
 
 # fmt: off
 __all__ = [
@@ -244,50 +242,20 @@ def _names(
 
 def _states(point: Point, kind: ValueType | None, part: Part | None) -> dict[Any, str]:
     """Return names by number, by `NumberSpan`, and by `ELSE`."""
-    if part is not None:
-        limits: Any = part.limits
-    else:
-        limits = (0, 1) if kind is None else kind.limits
-    if limits is None and point.states is not None:
+    if point.states is None:
+        return {}
+    limits = (0, 1) if kind is None else kind.limits if part is None else part.limits
+    if limits is None:
         raise WrongValue("states", f"must be left out for {point.type_name}, which has no numbers")
-    is_float = part is None and kind is not None and kind.name.startswith("float")
-
-    def number_of(path: Path, key: object) -> int | float:
-        if isinstance(key, str):
-            key = _number_in(path, key, is_float=is_float)
-        if not is_float or kind is None:
-            return integer(path, key, *limits)
-        # As registers hold it: 0.1 of a float32 is not that of a float64.
-        return float(kind.unpack(kind.pack(path, number("states", key))))
-
-    def key_of(path: Path, key: object) -> Any:
-        if not isinstance(key, str) or key == ELSE:
-            return ELSE if key == ELSE else number_of(path, key)
-        first, separator, last = (word.strip() for word in key.partition(".."))
-        if not separator:
-            return number_of(path, key)
-        low = number_of(path, first) if first else limits[0]
-        high = number_of(path, last) if last else limits[1]
-        if low > high:
-            raise WrongValue(path, "must have the lower number first")
-        return NumberSpan(low, high, f"{first}..{last}")
-
-    names = _names("states", point.states, key_of, are_unique=False)
-    spans = sorted(key for key in names if isinstance(key, NumberSpan))
-    for first, second in pairwise(spans):
-        if second.low <= first.high:
-            raise WrongValue(("states", second.key), f"overlaps {first.key}")
+    floats = kind if part is None and isinstance(limits[0], float) else None
+    names = _names(
+        "states",
+        point.states,
+        lambda path, key: state_key(path, key, limits, floats),
+        are_unique=False,
+    )
+    check_spans(names)
     return names
-
-
-def _number_in(path: Path, text: str, *, is_float: bool) -> int | float:
-    try:
-        return int(text[:40], 0)
-    except ValueError:
-        if is_float:
-            with contextlib.suppress(ValueError):
-                return float(text[:40])
-    raise WrongValue.about(path, "the key must be a number, a range such as 1..5, or else")
 
 
 def _bits(point: Point, kind: ValueType | None) -> dict[str, Part]:

@@ -273,7 +273,7 @@ WRONG = [
     ({"states": {"1..70000": "off"}}, "states.1..70000 must be in 0..65535, not 70000"),
     ({"states": {"1..x": "off"}}, "states.1..x: the key must be a number, a range such as 1..5"),
     ({"states": {"1.5": "off"}}, "states.1.5: the key must be a number"),
-    ({"states": {"nan": "off"}, "type": "float32"}, "states must be in"),
+    ({"states": {"nan": "off"}, "type": "float32"}, "states.nan must be in"),
     ({"states": {0: "off", "0x0": "on"}}, "states.0x0 is given twice"),
     ({"states": {"a": "off"}}, "states.a: the key must be a number"),
     ({"states": {70000: "off"}}, "states.70000 must be in 0..65535, not 70000"),
