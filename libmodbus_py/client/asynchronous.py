@@ -5,17 +5,15 @@ The asyncio client.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Self, Unpack
+from typing import Any, Self, Unpack
 
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.mistakes import named_arguments
 from .asyncio_driver import AsyncioDriver
 from .call import Call, Phase
+from .options import AsyncOptions, listed_options
 from .values_async import AsyncValues
-
-if TYPE_CHECKING:
-    from .options import AsyncOptions
 
 __all__ = ["MAX_PAUSE", "AsyncClient", "Submitted"]
 
@@ -68,16 +66,10 @@ class AsyncClient(AsyncValues):
     """
 
     def __init__(self, url: str, **options: Unpack[AsyncOptions]) -> None:
-        from ..ports.endpoint import parse
-
-        super().__init__(
-            parse(url),
-            options,
-            lambda endpoint, settings, port, connection: AsyncioDriver(port, connection),
-            max_pause=MAX_PAUSE,
-            may_send=None,
-        )
+        super().__init__(url, options, AsyncOptions, AsyncioDriver, max_pause=MAX_PAUSE)
         self._last = _Last(self._driver)
+
+    __init__.__doc__ = listed_options(AsyncOptions, max_pause=MAX_PAUSE)
 
     async def close(self) -> None:
         """

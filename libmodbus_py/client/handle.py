@@ -14,20 +14,20 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, TypedDict, TypeVar, Unpack
 
+from ..ports.making import make_port
 from ..protocol.checks import integer, seconds
 from ..protocol.mistakes import OTHER_SPELLINGS, close_option, close_to
-from .call import Batch
+from .call import Batch, Timeouts
+from .options import Options, checked_options, line_options
 from .reconnecting import State
 
 if TYPE_CHECKING:
     from ..maps.holes import Holes, Unreadable
     from ..maps.plan import Plan
     from ..maps.register_map import AnyMap
-    from ..ports.endpoint import Endpoint
     from ..ports.port import Port
     from ..protocol import pdu
     from .connection import Transactions
-    from .options import CheckedOptions
     from .statistics import Statistics
 
 __all__ = ["Handle", "Missing", "NoOthers", "check_plan_options", "public_methods", "unexpected"]
@@ -51,8 +51,6 @@ def unexpected(method: Any, given: Iterable[str], known: Collection[str] = ()) -
         given: the names of arguments; the first one that is not `known` is wrong.
         known: names that the method takes besides those of its signature.
     """
-    from .options import Options
-
     name = next(each for each in given if each not in known)
     code = method.__func__.__code__
     own = [*code.co_varnames[1 : code.co_argcount + code.co_kwonlyargcount], *known]
@@ -131,53 +129,30 @@ class Handle:
 
     def __init__(
         self,
-        endpoint: Endpoint,
+        url: str,
         options: Mapping[str, Any],
-        make_driver: Callable[[Endpoint, CheckedOptions, Port, Transactions], object],
+        kind: type[Options],
+        make_driver: Callable[[Port, Transactions], object],
         **usual: Any,
     ) -> None:
-        """
-        Make a client. These are the options of all clients, with their defaults; times are in
-        seconds, and `client.options.Options` describes each in full:
-
-            unit=1                      the unit to which requests are sent, 0..255
-            timeout=1.0                 the longest time that a request may take
-            retries=0                   how often a request is sent again without a good response
-            busy_retries=0              the same for a device that reports that it is busy
-            max_in_flight=1             the most reads that may be pending at the same time
-            turnaround=0.1              the duration of a broadcast
-            request_spacing=0.0         the minimum time between the starts of two requests
-            connect_delay=0.0           the time between connecting and the first request
-            timeouts_before_reconnect=3 timeouts in a row after which the next request reconnects
-            max_pause=0.0               the longest pause between two attempts to connect
-            keepalive=30.0              the silence after which TCP probes the peer; None for never
-            accept_unit="same"          "any" accepts responses from other units
-            delimiter=10                the byte after CR in ASCII frames
-            security=None               the certificates for TLS, a `Security`
-            trace=None                  called with each ADU, as a `Traced`
-            on_state=None               called with each new `State`, and the error that led to it
-            statistics=None             the `Statistics` to count in; None for new ones
-
-        `AsyncClient` also has, and differs in one default:
-
-            may_send=None               requests are sent only while this function returns True
-            max_pause=30.0              the longest pause between two attempts to connect
-        """
+        """Make a client with options of a kind, of which some have other defaults than usual."""
         # Imported here, because the parts of a client take longer to import than this module, and
         # some programs make no client. A first read may find no descriptor to import `reads` with.
-        from ..ports.port import make_port
+        from ..ports.endpoint import parse
         from ..protocol.pdu import reads  # noqa: F401
         from .connection import Transactions
-        from .options import CheckedOptions
 
-        settings = CheckedOptions.of(endpoint, options, **usual)
+        endpoint, others = line_options(parse(url), options)
+        settings = checked_options(endpoint, others, kind, **usual)
         port = make_port(endpoint, settings)
-        self._unit = settings.unit
-        self._timeouts = settings.timeouts
+        self._unit = settings["unit"]
+        self._timeouts = Timeouts(
+            float(settings["timeout"]), settings["retries"], settings["busy_retries"]
+        )
         self._endpoint = endpoint
         self._connection = Transactions(endpoint, settings, port)
         self._has_broadcast = endpoint.framing in ("rtu", "ascii")
-        self._driver = make_driver(endpoint, settings, port, self._connection)
+        self._driver = make_driver(port, self._connection)
         self._holes: dict[int, Holes] = {}
 
     def for_unit(
