@@ -1,23 +1,18 @@
 """
-A handle to one unit on a connection, blocking or not; and the errors for keyword arguments that its
-methods do not have.
-
-A method ends with ``**wrong: Unpack[NoOthers]``, which costs a call less than a decorator that
-catches errors. Type checkers refuse every such argument, and `public_methods` hides it from help()
-and from mocks.
+A handle to one unit on a connection, blocking or not.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
-from typing import TYPE_CHECKING, Any, Self, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from ..ports.making import make_port
 from ..protocol.checks import integer, seconds
-from ..protocol.mistakes import OTHER_SPELLINGS, close_option, close_to
 from .call import Batch, Timeouts
+from .keywords import NoOthers, public_methods, unexpected
 from .options import Options, checked_options, line_options
 from .reconnecting import State
 
@@ -30,98 +25,10 @@ if TYPE_CHECKING:
     from .connection import Transactions
     from .statistics import Statistics
 
-__all__ = ["Handle", "Missing", "NoOthers", "check_plan_options", "public_methods", "unexpected"]
-
-Class = TypeVar("Class", bound=type)
-
-# Of code: it has **keywords. The module inspect, which names it, takes long to import.
-CO_VARKEYWORDS = 0x08
+__all__ = ["Handle"]
 
 
-class NoOthers(TypedDict):
-    """The keyword arguments that a method takes besides those of its signature: none."""
-
-
-def unexpected(method: Any, given: Iterable[str], known: Collection[str] = ()) -> TypeError:
-    """
-    Return the error for keyword arguments that a method does not take.
-
-    Args:
-        method: the method of a client.
-        given: the names of arguments; the first one that is not `known` is wrong.
-        known: names that the method takes besides those of its signature.
-    """
-    name = next(each for each in given if each not in known)
-    code = method.__func__.__code__
-    own = [*code.co_varnames[1 : code.co_argcount + code.co_kwonlyargcount], *known]
-    options = Options.__annotations__
-    meant = OTHER_SPELLINGS.get(name.lower(), name)
-    if meant not in own and meant in options:
-        close = "; " if meant == name else f"; did you mean {meant}? "
-        close += "it is an argument of the client"
-    elif not (close := close_option(name, own)) and (close := close_to(name, options)):
-        close += " it is an argument of the client"
-    called = f"{type(method.__self__).__name__}.{method.__name__}()"
-    return TypeError(f"{called} got an unexpected keyword argument {name!r}{close}")
-
-
-def check_plan_options(method: Any, options: Mapping[str, Any]) -> None:
-    """Raise the error for the first option that is none of a `Plan`."""
-    from ..maps.plan import PlanOptions
-
-    known = PlanOptions.__annotations__
-    if not options.keys() <= known.keys():
-        raise unexpected(method, options, known)
-
-
-def public_methods(owner: str | None = None) -> Callable[[Class], Class]:
-    """
-    Decorate a class whose methods end with ``**wrong``; the class is called `owner` in errors.
-
-    An argument without a default gets one, `Missing`, so that a misspelt argument is not reported
-    as the lack of another one; the checks of arguments refuse it. help(), inspect.signature() and
-    mocks with a specification see the signatures as they are written, without ``**wrong``: they
-    follow `__wrapped__`, which is never called.
-    """
-
-    def decorated(cls: Class) -> Class:
-        for function in vars(cls).values():
-            code = getattr(function, "__code__", None)
-            if code is None or code.co_name.startswith("__"):
-                continue
-            if owner:
-                function.__qualname__ = f"{owner}.{function.__name__}"
-            if code.co_flags & CO_VARKEYWORDS:
-                function.__wrapped__ = _signed(function)
-                _add_defaults(function)
-        return cls
-
-    return decorated
-
-
-def _signed(function: Any) -> Any:
-    """Return a function with the signature of another one, without ``**wrong``."""
-    code, annotations = function.__code__, {**function.__annotations__}
-    if annotations.pop("wrong", None):
-        code = code.replace(co_flags=code.co_flags & ~CO_VARKEYWORDS)
-    signed = type(function)(code, {}, function.__name__, function.__defaults__)
-    signed.__kwdefaults__, signed.__annotations__ = function.__kwdefaults__, annotations
-    return signed
-
-
-def _add_defaults(function: Any) -> None:
-    code, missing = function.__code__, Missing()
-    defaults = function.__defaults__ or ()
-    function.__defaults__ = (missing,) * (code.co_argcount - 1 - len(defaults)) + defaults
-    named = code.co_varnames[code.co_argcount : code.co_argcount + code.co_kwonlyargcount]
-    function.__kwdefaults__ = {**dict.fromkeys(named, missing), **(function.__kwdefaults__ or {})}
-
-
-class Missing:
-    """The value of an argument that was not given."""
-
-
-@public_methods()
+@public_methods("Handle")
 class Handle:
     """The base of both clients: a unit, its timeouts, and the connection that handles share."""
 

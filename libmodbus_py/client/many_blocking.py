@@ -15,7 +15,7 @@ from ..protocol.checks import seconds
 from ..protocol.errors import ModbusError
 from .call import raised
 from .functions_blocking import BlockingFunctions
-from .handle import NoOthers, check_plan_options, public_methods, unexpected
+from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 
 # What only some methods need is imported by them.
 if TYPE_CHECKING:
