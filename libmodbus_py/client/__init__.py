@@ -12,6 +12,7 @@ From the caller to the wire:
     keywords           wrong keyword arguments of methods, answered with the right one
     blocking           the blocking client, `Client`
     asynchronous       AsyncClient
+    sender             sends without a task for each request, for gateways and fleets
     options            the options that only clients know, and the check of all
     call               one request, its timeouts and its outcome; several requests of a caller
     blocking_driver    waits with poll, for any thread; forks, Ctrl-C

@@ -60,7 +60,7 @@ class Handle:
         self._connection = Transactions(endpoint, settings, port)
         self._has_broadcast = endpoint.framing in ("rtu", "ascii")
         self._driver = make_driver(port, self._connection)
-        self._holes: dict[int, Holes] = {}
+        self._refusals_of: dict[int, Holes] = {}
 
     def for_unit(
         self,
@@ -145,11 +145,6 @@ class Handle:
         """The most reads that may be pending at the same time, as set."""
         return self._connection.limit
 
-    @property
-    def late_answers(self) -> int:
-        """The number of responses that were dropped because their request had been given up."""
-        return self.statistics.late_answers
-
     def unreadable(self, what: AnyMap | Plan, **wrong: Unpack[NoOthers]) -> list[Unreadable]:
         """
         Return the items that this client leaves out, because the unit refused them.
@@ -175,7 +170,7 @@ class Handle:
             what = map_of(what).plan()
         if not isinstance(what, Plan):
             raise TypeError(f"what must be a RegisterMap or a Plan, not {type(what).__name__}")
-        return unreadable_of(what, self.holes, self.device)
+        return unreadable_of(what, self._refusals, self._device)
 
     def __repr__(self) -> str:
         name = type(self).__name__
@@ -184,21 +179,16 @@ class Handle:
     # --- for the methods ----------------------------------------------------------------
 
     @property
-    def device(self) -> str:
+    def _device(self) -> str:
         """The device behind this handle, for messages."""
         return f"{self.url}, unit {self.unit}"
 
     @property
-    def holes(self) -> Holes:
+    def _refusals(self) -> Holes:
         """The refusals of the unit, as all handles of this client know them."""
         from ..maps.holes import Holes
 
-        return self._holes.setdefault(self._unit, Holes())
-
-    def now(self) -> float:
-        """Return the time in seconds, of the clock by which timeouts are measured."""
-        time: float = self._driver.now()
-        return time
+        return self._refusals_of.setdefault(self._unit, Holes())
 
     def _batch(self, requests: Iterable[pdu.Request[Any]], return_exceptions: bool) -> Batch:
         """Check and encode all requests before the first is sent."""
@@ -214,8 +204,8 @@ class Handle:
             go_on=bool(return_exceptions),
         )
 
-    def _tell_of_hole(self, which: str) -> None:
+    def _log_refusal(self, which: str) -> None:
         """Log what the unit refuses."""
         from ..protocol.logs import HarmlessLogger
 
-        HarmlessLogger(__name__).info("%s: cannot be read: %s", self.device, which)
+        HarmlessLogger(__name__).info("%s: cannot be read: %s", self._device, which)

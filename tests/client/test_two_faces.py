@@ -24,7 +24,7 @@ from tests.support.cases import each, each_case
 
 ROOT = Path(__file__).parents[2]
 
-NOT_AWAITED = {"for_unit", "now", "ready_at", "submit", "unreadable", "watch"}
+NOT_AWAITED = {"for_unit", "unreadable", "watch"}
 """Methods of `AsyncClient` that send nothing, or that nothing awaits."""
 
 
@@ -83,11 +83,11 @@ def test_what_the_generator_makes(tmp_path: Path) -> None:
 
 def test_both_clients_have_the_same_methods() -> None:
     blocking, awaited = methods(Client), methods(AsyncClient)
-    assert awaited.keys() - blocking.keys() == {"ready_at", "submit"}
+    assert awaited.keys() == blocking.keys()
     for check, (name, method) in each(sorted(awaited.items())):
         with check:
             assert inspect.iscoroutinefunction(method) == (name not in NOT_AWAITED)
-            if name in blocking and name != "watch":
+            if name != "watch":
                 assert not inspect.iscoroutinefunction(blocking[name])
                 assert inspect.signature(blocking[name]) == inspect.signature(method)
 
@@ -186,7 +186,7 @@ def test_a_wrong_name_in_a_call(
 @each_case("make", [Client, AsyncClient])
 def test_no_method_takes_other_names(make: Any) -> None:
     plc = make("tcp://127.0.0.1:1")
-    for name in methods(make).keys() - {"close", "now", "ready_at", "submit"}:
+    for name in methods(make).keys() - {"close"}:
         told = called(plc, name, slave_id=3)
         assert told.startswith(f"{make.__name__}.{name}() got an unexpected keyword")
         assert "did you mean unit?" in told
