@@ -51,6 +51,11 @@ def output_keys(kind: str) -> Keys:
 
 
 def made(kind: str, keys: dict[str, Any]) -> Output:
-    """Make an output; TypeError or ValueError for a key of the wrong name, type or range."""
+    """
+    Make an output of a kind with the values of its keys.
+
+    Raises:
+        TypeError, ValueError: a key of the wrong name, type or range.
+    """
     output: Output = output_keys(kind).read((), keys)
     return output
