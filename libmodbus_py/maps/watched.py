@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 from ..protocol.errors import ModbusError
 from .holes import is_refusal
-from .plan import Plan, planned
-from .point_plan import PointPlan
-from .register_map import RegisterMap, map_of
 
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from .plan import PlanOptions
+    from .plan import Plan, PlanOptions
+    from .point_plan import PointPlan
+    from .register_map import RegisterMap
 
 # fmt: off
 __all__ = [
@@ -234,6 +233,9 @@ class Pace:
 
 def watched(what: Any, names: Any, every: float, options: Any) -> WatchedPoints | Plan:
     """Return what is polled; raise TypeError or ValueError as `RegisterMap.plan` and `Plan` do."""
+    from .plan import planned
+    from .register_map import RegisterMap, map_of
+
     if isinstance(what, RegisterMap | str | PathLike):
         return WatchedPoints(map_of(what), names, every, **options)
     if names is not None:
@@ -243,6 +245,8 @@ def watched(what: Any, names: Any, every: float, options: Any) -> WatchedPoints 
 
 def polled(plan: Plan, answers: list[Any]) -> Any:
     """Return the values of a poll, with the reason in place of a value that could not be read."""
+    from .point_plan import PointPlan
+
     if isinstance(plan, PointPlan):
         return plan.results(answers, return_exceptions=True)
     return plan.results(answers)
