@@ -11,7 +11,8 @@ From the caller to the wire:
     handle             a unit, its timeouts, and the connection that it shares
     keywords           wrong keyword arguments of methods, answered with the right one
     blocking           the blocking client, `Client`
-    asynchronous       AsyncClient, and the sender of gateways and fleets
+    asynchronous       AsyncClient
+    sender             sends without a task for each request, for gateways and fleets
     options            the options that only clients know, and the check of all
     call               one request, its timeouts and its outcome; several requests of a caller
     blocking_driver    waits with poll, for any thread; forks, Ctrl-C

@@ -33,7 +33,8 @@ from collections.abc import Callable, Hashable, Iterator
 from functools import partial
 from typing import Any, Generic, TypeVar
 
-from ..client.asynchronous import AsyncClient, Sender, Submitted
+from ..client.asynchronous import AsyncClient
+from ..client.sender import Sender, Submitted
 from ..ports.waiting_async import Alarm
 from ..protocol.errors import ExceptionResponse, ModbusTimeoutError
 

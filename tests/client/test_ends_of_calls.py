@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, Client, pdu
-from libmodbus_py.client.asynchronous import Sender
+from libmodbus_py.client.sender import Sender
 from tests.simulation.loop import complaints_of
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted

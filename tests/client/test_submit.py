@@ -15,7 +15,7 @@ from libmodbus_py import (
     ModbusTimeoutError,
     pdu,
 )
-from libmodbus_py.client.asynchronous import Sender
+from libmodbus_py.client.sender import Sender
 from tests.simulation.scripted import Scripted
 from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import Write, answering, echo, ignore, mbap

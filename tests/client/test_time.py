@@ -24,7 +24,7 @@ from libmodbus_py import (
     State,
     pdu,
 )
-from libmodbus_py.client.asynchronous import Sender
+from libmodbus_py.client.sender import Sender
 from libmodbus_py.ports.schemes import SCHEMES
 from tests.simulation.scripted import Scripted
 from tests.support.clients import ALL, World, asking, read

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from libmodbus_py import ModbusTimeoutError
-from libmodbus_py.client.asynchronous import AsyncClient, Sender
+from libmodbus_py.client.asynchronous import AsyncClient
+from libmodbus_py.client.sender import Sender
 from libmodbus_py.pdu import ReadCoils
 from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.line import FairQueue, LineRequest, SharedLine, rest_after

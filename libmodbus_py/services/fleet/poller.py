@@ -17,8 +17,9 @@ from functools import partial
 from itertools import count, repeat
 from typing import Any
 
-from ...client.asynchronous import AsyncClient, Sender
+from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
+from ...client.sender import Sender
 from ...maps.holes import Holes, PartialAnswer, Unreadable, is_refusal, reading
 from ...maps.plan import unreadable_of
 from ...maps.watched import PointIntervals, Totals

@@ -17,8 +17,9 @@ from collections.abc import Hashable
 from functools import lru_cache, partial
 from typing import Any, Protocol
 
-from ...client.asynchronous import AsyncClient, Sender
+from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
+from ...client.sender import Sender
 from ...ports.endpoint import Endpoint
 from ...ports.port import Outage
 from ...protocol import pdu
