@@ -37,33 +37,48 @@ def _statistics(name: str, value: object) -> None:
         raise TypeError(f"{name} must be Statistics, not {type(value).__name__}")
 
 
-# fmt: off
 class Options(ConnectionOptions, SerialSettings, total=False):
     """The options of `Client`; those of serial ports are for URLs of lines only."""
 
-    trace: Annotated["OnTraced | None", Option(
-        "is called with a `Traced` for every frame. The logger `libmodbus_py.wire` gets the same "
-        "at DEBUG.",
-        check=optional(checked_callback))]
-    on_state: Annotated["OnState | None", Option(
-        "is called with each new `State`, and the error that led to it or None. It must not block.",
-        check=optional(checked_callback))]
-    statistics: Annotated["Statistics | None", Option(
-        "the `Statistics` in which to count; None for new ones. For programs that make several "
-        "clients for one endpoint, one after the other.",
-        check=optional(_statistics))]
+    trace: Annotated[
+        "OnTraced | None",
+        Option(
+            "is called with a `Traced` for every frame. The logger `libmodbus_py.wire` gets the "
+            "same at DEBUG.",
+            check=optional(checked_callback),
+        ),
+    ]
+    on_state: Annotated[
+        "OnState | None",
+        Option(
+            "is called with each new `State`, and the error that led to it or None. It must not "
+            "block.",
+            check=optional(checked_callback),
+        ),
+    ]
+    statistics: Annotated[
+        "Statistics | None",
+        Option(
+            "the `Statistics` in which to count; None for new ones. For programs that make several "
+            "clients for one endpoint, one after the other.",
+            check=optional(_statistics),
+        ),
+    ]
 
 
 class AsyncOptions(Options, total=False):
     """The options of `AsyncClient`."""
 
-    may_send: Annotated[Callable[[], bool] | None, Option(
-        "requests are sent only while this function returns True. It is called right before bytes "
-        "are sent, and before connecting; while it returns False, requests raise "
-        "ModbusConnectionError (EPERM). For several programs of which only one at a time may send "
-        "requests. It must not block. `AsyncClient` only.",
-        check=optional(checked_callback))]
-# fmt: on
+    may_send: Annotated[
+        Callable[[], bool] | None,
+        Option(
+            "requests are sent only while this function returns True. It is called right before "
+            "bytes are sent, and before connecting; while it returns False, requests raise "
+            "ModbusConnectionError (EPERM). For several programs of which only one at a time may "
+            "send requests. It must not block. `AsyncClient` only.",
+            check=optional(checked_callback),
+        ),
+    ]
 
 
 def checked_options(

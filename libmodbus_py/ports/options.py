@@ -149,69 +149,150 @@ Parity = Literal["N", "E", "O", "none", "even", "odd"]
 Rs485 = Literal["kernel", "rts-up", "rts-down"]
 
 
-# fmt: off
 class ConnectionOptions(TypedDict, total=False):
     """The options of all clients, but for those of serial ports and of `client.options`."""
 
-    unit: Annotated[int, Option(
-        "the unit to which requests are sent, 0..255. 0 is a broadcast on serial lines: only "
-        "writes can be sent, and they return after the turnaround.",
-        NUMBER, 1, integers(0, 255))]
-    timeout: Annotated[float, Option(
-        "seconds that a request may take, connecting included, 0.001..86400. They run from the "
-        "call to the end of the response, without the time in which it waits for others.",
-        SECONDS, 1.0, durations(0.001))]
-    retries: Annotated[int, Option(
-        "how often a request is sent again without a good response, 0..100. That is after no "
-        "response, a damaged one or a lost connection, and only if the request may be sent twice "
-        "(`pdu.Request.repeatable`).",
-        NUMBER, 0, integers(0, 100))]
-    busy_retries: Annotated[int, Option(
-        "how often a request is sent again that a device refuses as busy, 0..100. That is with "
-        "Acknowledge or ServerDeviceBusy; the pauses are 0.1, 0.2, 0.4, 0.8, 1, 1... s.",
-        NUMBER, 0, integers(0, 100))]
-    max_in_flight: Annotated[int, Option(
-        "the most reads in flight, 1..256. A write is always alone. Only 1 where frames carry no "
-        "transaction id. Many devices lose requests that arrive together; servers need not accept "
-        "more than 16 (TCP guide, 4.3.3).",
-        NUMBER, 1, integers(1, MAX_IN_FLIGHT))]
-    turnaround: Annotated[float, Option(
-        "seconds that a broadcast takes. So does every request that gets no response (serial "
-        "line, 2.4.1).",
-        SECONDS, 0.1, durations())]
-    request_spacing: Annotated[float, Option(
-        "the least seconds between the starts of two requests. For devices that need a pause; it "
-        "does not count towards `timeout`.",
-        SECONDS, 0.0, durations())]
-    connect_delay: Annotated[float, Option(
-        "seconds between connecting and the first request. For devices that need to get ready; "
-        "they do not count towards `timeout`.",
-        SECONDS, 0.0, durations())]
-    timeouts_before_reconnect: Annotated[int, Option(
-        "timeouts in a row before a new network connection, 1..1000000. Cancelled requests count; "
-        "the next request opens it.",
-        NUMBER, 3, integers(1, 1_000_000))]
-    max_pause: Annotated[float, Option(
-        "the most seconds between two attempts to connect. Pauses begin at 0.1 s and double; with "
-        "0 there are none. 30 by default for `AsyncClient`.",
-        SECONDS, 0.0, durations())]
-    keepalive: Annotated[float | None, Option(
-        "seconds of silence after which TCP probes the other end, 1..32767, or None. In a URL it "
-        "is none.",
-        SECONDS_OR_NONE, 30.0, optional(durations(1, 32_767)))]
-    accept_unit: Annotated[Literal["same", "any"], Option(
-        'the units whose responses are accepted: "same", the one addressed, or "any". Some TCP '
-        "devices answer every request as unit 255.",
-        _text("WHICH"), "same", one_of("same", "any"))]
-    delimiter: Annotated[int, Option(
-        "the byte after CR in ASCII frames, 10 for LF. The client uses a new one once it has set "
-        "it with `diagnostics(3, ...)`.",
-        ANY_NUMBER, 0x0A, _delimiter)]
-    security: Annotated["Security | GivenContext | None", Option(
-        "the client's certificate and those it trusts, a `Security`. For tls:// only; the URL may "
-        "name the files instead. `GivenContext` is for programs that must use an SSL context of "
-        "their own.",
-        check=optional(_security))]
+    unit: Annotated[
+        int,
+        Option(
+            "the unit to which requests are sent, 0..255. 0 is a broadcast on serial lines: only "
+            "writes can be sent, and they return after the turnaround.",
+            NUMBER,
+            1,
+            integers(0, 255),
+        ),
+    ]
+    timeout: Annotated[
+        float,
+        Option(
+            "seconds that a request may take, connecting included, 0.001..86400. They run from the "
+            "call to the end of the response, without the time in which it waits for others.",
+            SECONDS,
+            1.0,
+            durations(0.001),
+        ),
+    ]
+    retries: Annotated[
+        int,
+        Option(
+            "how often a request is sent again without a good response, 0..100. That is after no "
+            "response, a damaged one or a lost connection, and only if the request may be sent "
+            "twice (`pdu.Request.repeatable`).",
+            NUMBER,
+            0,
+            integers(0, 100),
+        ),
+    ]
+    busy_retries: Annotated[
+        int,
+        Option(
+            "how often a request is sent again that a device refuses as busy, 0..100. That is with "
+            "Acknowledge or ServerDeviceBusy; the pauses are 0.1, 0.2, 0.4, 0.8, 1, 1... s.",
+            NUMBER,
+            0,
+            integers(0, 100),
+        ),
+    ]
+    max_in_flight: Annotated[
+        int,
+        Option(
+            "the most reads in flight, 1..256. A write is always alone. Only 1 where frames carry "
+            "no transaction id. Many devices lose requests that arrive together; servers need not "
+            "accept more than 16 (TCP guide, 4.3.3).",
+            NUMBER,
+            1,
+            integers(1, MAX_IN_FLIGHT),
+        ),
+    ]
+    turnaround: Annotated[
+        float,
+        Option(
+            "seconds that a broadcast takes. So does every request that gets no response (serial "
+            "line, 2.4.1).",
+            SECONDS,
+            0.1,
+            durations(),
+        ),
+    ]
+    request_spacing: Annotated[
+        float,
+        Option(
+            "the least seconds between the starts of two requests. For devices that need a pause; "
+            "it does not count towards `timeout`.",
+            SECONDS,
+            0.0,
+            durations(),
+        ),
+    ]
+    connect_delay: Annotated[
+        float,
+        Option(
+            "seconds between connecting and the first request. For devices that need to get ready; "
+            "they do not count towards `timeout`.",
+            SECONDS,
+            0.0,
+            durations(),
+        ),
+    ]
+    timeouts_before_reconnect: Annotated[
+        int,
+        Option(
+            "timeouts in a row before a new network connection, 1..1000000. Cancelled requests "
+            "count; the next request opens it.",
+            NUMBER,
+            3,
+            integers(1, 1_000_000),
+        ),
+    ]
+    max_pause: Annotated[
+        float,
+        Option(
+            "the most seconds between two attempts to connect. Pauses begin at 0.1 s and double; "
+            "with 0 there are none. 30 by default for `AsyncClient`.",
+            SECONDS,
+            0.0,
+            durations(),
+        ),
+    ]
+    keepalive: Annotated[
+        float | None,
+        Option(
+            "seconds of silence after which TCP probes the other end, 1..32767, or None. In a URL "
+            "it is none.",
+            SECONDS_OR_NONE,
+            30.0,
+            optional(durations(1, 32_767)),
+        ),
+    ]
+    accept_unit: Annotated[
+        Literal["same", "any"],
+        Option(
+            'the units whose responses are accepted: "same", the one addressed, or "any". Some '
+            "TCP devices answer every request as unit 255.",
+            _text("WHICH"),
+            "same",
+            one_of("same", "any"),
+        ),
+    ]
+    delimiter: Annotated[
+        int,
+        Option(
+            "the byte after CR in ASCII frames, 10 for LF. The client uses a new one once it has "
+            "set it with `diagnostics(3, ...)`.",
+            ANY_NUMBER,
+            0x0A,
+            _delimiter,
+        ),
+    ]
+    security: Annotated[
+        "Security | GivenContext | None",
+        Option(
+            "the client's certificate and those it trusts, a `Security`. For tls:// only; the URL "
+            "may name the files instead. `GivenContext` is for programs that must use an SSL "
+            "context of their own.",
+            check=optional(_security),
+        ),
+    ]
 
 
 class SerialSettings(TypedDict, total=False):
@@ -221,18 +302,35 @@ class SerialSettings(TypedDict, total=False):
     parity: Annotated[Parity, Option("parity: none, even or odd", PARITY, "E", _parity)]
     data_bits: Annotated[int, Option("data bits of a character, 7 or 8", NUMBER, 8, integers(5, 8))]
     stop_bits: Annotated[int, Option("stop bits, 1 or 2", NUMBER, 1, integers(1, 2))]
-    rs485: Annotated[Rs485 | None, Option(
-        "direction control of an RS-485 transceiver: kernel, rts-up or rts-down",
-        _text("MODE"), check=optional(one_of("kernel", "rts-up", "rts-down")))]
-    rts_delay: Annotated[float | None, Option(
-        "seconds between RTS and the data; unless given, one character",
-        SECONDS, check=optional(durations(0, 1)))]
-    echo: Annotated[bool | None, Option(
-        "all that is sent comes back; unless given, found out", SWITCH, check=_echo)]
-    silence: Annotated[float | None, Option(
-        "seconds of silence between frames; unless given, 3.5 characters",
-        SECONDS, check=optional(durations(0, 1)))]
-# fmt: on
+    rs485: Annotated[
+        Rs485 | None,
+        Option(
+            "direction control of an RS-485 transceiver: kernel, rts-up or rts-down",
+            _text("MODE"),
+            check=optional(one_of("kernel", "rts-up", "rts-down")),
+        ),
+    ]
+    rts_delay: Annotated[
+        float | None,
+        Option(
+            "seconds between RTS and the data; unless given, one character",
+            SECONDS,
+            check=optional(durations(0, 1)),
+        ),
+    ]
+    echo: Annotated[
+        bool | None,
+        Option("all that is sent comes back; unless given, found out", SWITCH, check=_echo),
+    ]
+    silence: Annotated[
+        float | None,
+        Option(
+            "seconds of silence between frames; unless given, 3.5 characters",
+            SECONDS,
+            check=optional(durations(0, 1)),
+        ),
+    ]
+
 
 SECURITY_OPTIONS: Mapping[str, Option] = {
     "cert": Option("own certificate, a PEM file", FILE),
