@@ -17,6 +17,10 @@ because of their buffers. So `RtuCutter` cuts by these rules, with the CRC as th
   another unit, until no rule can find a longer frame.
 * No request has a function of 80h or more. A frame with one that ends with the silence is a
   response of another unit, whatever its length.
+* What a server hears from silence to silence is one frame if its CRC fits, whatever its length: a
+  request to a unit here, which its length makes an illegal value, or a frame of others.
+* Up to `MAX_NOISE` bytes before and behind a request are noise of transceivers. A server takes a
+  request out of it if the whole is no damaged or awaited frame of another unit.
 * Where the CRC of a frame without a length rule fits at several bytes, a client and a listener take
   the first from which frames without a gap go to the silence. A server accepts it only if the last
   is at the silence, and else drops all up to there.
@@ -33,6 +37,7 @@ from .scan import (
     AT_END,
     GOES_ON,
     MAX_ADU,
+    MAX_PDU,
     MIN_ADU,
     NO_FRAME,
     SILENT,
@@ -46,6 +51,9 @@ from .scan import (
 __all__ = ["Piece", "RtuCutter", "may_be"]
 
 Kind = Literal["request", "response", "damage"]
+
+MAX_NOISE = 4
+"""Bytes that transceivers add on one side of a frame, at most."""
 
 
 class Piece(NamedTuple):
@@ -153,12 +161,50 @@ class RtuCutter:
             return self._response(answers)
         if asks > 0:
             return self._request(data, at, asks)
-        if self._requests and self._is_fresh and data[at + 1 : at + 2] >= b"\x80":
-            if not is_silent and len(data) - at <= MAX_ADU:
-                return UNFINISHED, "damage"
-            if is_silent and is_one_adu(data[at:]):
-                return self._response(len(data))
+        if self._requests and self._is_fresh:
+            end, kind = self._burst(data, at, is_silent, is_open)
+            if end:
+                return end, kind
         return UNFINISHED if is_open else NO_FRAME, "damage"
+
+    def _burst(self, data: bytes, at: int, is_silent: bool, is_open: bool) -> tuple[int, Kind]:
+        """Return what the bytes from here to a silence are as a whole; 0 if that tells nothing."""
+        is_high = data[at + 1 : at + 2] >= b"\x80"
+        if not is_silent:
+            may_wait = is_high or (self._is_server and max(self._later, default=0) <= at)
+            most = MAX_ADU + 2 * MAX_NOISE if self._is_server else MAX_ADU
+            return UNFINISHED if may_wait and len(data) - at <= most else 0, "damage"
+        is_ours = self._is_answered_here(data[at])
+        if (is_high or is_ours or (self._is_server and not is_open)) and is_one_adu(data[at:]):
+            is_request = is_ours and not is_high
+            return self._request(data, at, len(data)) if is_request else self._response(len(data))
+        return self._start_in_noise(data, at) if self._is_server else 0, "damage"
+
+    def _start_in_noise(self, data: bytes, at: int) -> int:
+        """Return where a request begins that has noise before it, and perhaps behind; else 0."""
+        size = len(data)
+        for place in (at, *self._later):
+            for start in range(place, min(place + MAX_NOISE, size - MIN_ADU) + 1):
+                # The data of a response begin with its fourth byte.
+                is_inside = start >= at + 3 and self._may_be_around(data, at)
+                if start > at and not is_inside and self._ends_in_noise(data, start):
+                    return start
+        return 0
+
+    def _may_be_around(self, data: bytes, at: int) -> bool:
+        """Return True if a response of another unit may begin here that is damaged or has a gap."""
+        if self._is_answered_here(data[at]):
+            return False
+        length = pdu.response_length(data[at + 1 : at + 1 + MAX_PDU])
+        return self._is_awaited(data, at) or length == len(data) - at - 3
+
+    def _ends_in_noise(self, data: bytes, start: int) -> bool:
+        """Return True if a request of a known function to a unit here ends close to the silence."""
+        assert self._requests is not None
+        if not self._is_answered_here(data[start]) or data[start + 1] not in pdu.REQUESTS:
+            return False
+        end = self._requests.at(data, start, start, SILENT)
+        return end >= len(data) - MAX_NOISE and self._requests.fits == 1
 
     def _is_answered_here(self, unit: int) -> bool:
         return self._is_server and (unit == 0 or self.is_ours(unit))
