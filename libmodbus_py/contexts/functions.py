@@ -265,9 +265,8 @@ class Functions(ContextBase):
             return None
         if not request.expects_response:
             return None
-        frames = self._receive_frames(
-            self._client_framer(), time.monotonic() + self.response_timeout
-        )
+        framer = self._client_framer(request)
+        frames = self._receive_frames(framer, time.monotonic() + self.response_timeout)
         frame = frames[0]
         if isinstance(frame, FrameError):
             raise frame
@@ -276,7 +275,7 @@ class Functions(ContextBase):
         return request.decode_response(frame.pdu)
 
     @abstractmethod
-    def _client_framer(self) -> Framer: ...
+    def _client_framer(self, request: pdu.Request[Any]) -> Framer: ...
 
     @abstractmethod
     def _discard_input(self) -> None: ...

@@ -15,6 +15,7 @@ from ..protocol.checks import checked_callback, seconds
 from ..protocol.errors import ModbusTimeoutError
 from ..protocol.framing import RtuFramer, rtu
 from ..protocol.pdu.request import Request
+from ..protocol.rtu import has_own_length
 from ..protocol.scan import is_one_adu
 from .context import CLOSED, OPEN, ContextState, too_many_descriptors
 from .slave import Slave
@@ -225,8 +226,8 @@ class RtuContext(Slave):
         assert self._port is not None
         self._port.discard_input()
 
-    def _client_framer(self) -> RtuFramer:
-        return RtuFramer("client", self._pause)
+    def _client_framer(self, request: Request[Any]) -> RtuFramer:
+        return RtuFramer("client", self._pause, request if has_own_length(request) else None)
 
     def _server_framer(self) -> RtuFramer:
         framer = RtuFramer("server", self._pause)

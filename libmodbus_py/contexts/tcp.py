@@ -10,7 +10,7 @@ import math
 import os
 import socket
 import time
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from ..binding.library import check, ffi, lib, make
 from ..ports.hosts import host_and_port
@@ -20,6 +20,7 @@ from ..ports.waiting import READ, Woken, run
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusConnectionError, ModbusError
 from ..protocol.framing import TcpFramer, is_one_frame, mbap
+from ..protocol.pdu.request import Request
 from .context import CLOSED, READY, ContextState, closed_meanwhile, too_many_descriptors
 from .slave import Slave
 
@@ -242,10 +243,11 @@ class TcpContext(Slave):
     def _discard_input(self) -> None:
         check(lib.modbus_flush(self._modbus))
 
-    def _client_framer(self) -> TcpFramer:
+    def _client_framer(self, request: Request[Any]) -> TcpFramer:
         return TcpFramer()
 
-    _server_framer = _client_framer
+    def _server_framer(self) -> TcpFramer:
+        return TcpFramer()
 
     def _is_frame(self, request: bytes) -> bool:
         return is_one_frame(request)

@@ -21,12 +21,15 @@ import contextlib
 import re
 import struct
 from collections.abc import Callable, Iterator
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from .errors import MAX_RECEIVED, FrameError
 from .frames import Frame, Framer, Overheard, add_error, checked_frame
 from .rtu import RtuCutter
 from .scan import ALLOWANCE, MAX_PDU, crc16, lib
+
+if TYPE_CHECKING:
+    from .pdu import Request
 
 # fmt: off
 __all__ = [
@@ -184,6 +187,7 @@ class RtuFramer(Framer):
         role: "server" if it receives requests, "client" if it receives responses.
         pause: seconds between two frames on the line, as `pause_between_frames` returns; 0 if
             bytes do not arrive at the pace of a serial line, as over TCP.
+        own: the request of a client whose class has its own rule for the length of the response.
 
     Attributes:
         is_ours: for a server, a function that returns True for the units that it answers itself,
@@ -193,12 +197,12 @@ class RtuFramer(Framer):
     quiet: float
     max_size = MAX_PDU + 3
 
-    def __init__(self, role: Role, pause: float = 0.0) -> None:
+    def __init__(self, role: Role, pause: float = 0.0, own: Request[Any] | None = None) -> None:
         if role not in ("client", "server"):
             raise ValueError(f'role must be "client" or "server", not {role!r}')
         super().__init__()
         self.quiet = pause + ALLOWANCE
-        self._cutter = RtuCutter(role)
+        self._cutter = RtuCutter(role, own)
         self._usual = "request" if role == "server" else "response"
         self._in_run = False  # True if the bytes before the buffer were no frame
 
@@ -386,20 +390,22 @@ _FRAMERS: dict[str, Callable[[], Framer]] = {
 }
 
 
-def make_framer(framing: Framing, role: Role, pause: float = 0.0) -> Framer:
+def make_framer(
+    framing: Framing, role: Role, pause: float = 0.0, own: Request[Any] | None = None
+) -> Framer:
     """
     Return a framer for one direction of one connection.
 
     Args:
         framing: "tcp", "rtu", "ascii" or "udp".
         role: "server" if it receives requests, "client" if it receives responses.
-        pause: as for `RtuFramer`; without effect on other framings.
+        pause, own: as for `RtuFramer`; without effect on other framings.
 
     Raises:
         ValueError: there is no such framing or role.
     """
     if framing == "rtu":
-        return RtuFramer(role, pause)
+        return RtuFramer(role, pause, own)
     if framing not in _FRAMERS:
         raise ValueError(f'framing must be "tcp", "rtu", "ascii" or "udp", not {framing!r}')
     return _FRAMERS[framing]()

@@ -29,10 +29,11 @@ because of their buffers. So `RtuCutter` cuts by these rules, with the CRC as th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from . import pdu
-from .pdu.request import IN_C
+from .pdu.function_codes import told
+from .pdu.request import IN_C, unknown_length
 from .scan import (
     AT_END,
     GOES_ON,
@@ -48,7 +49,7 @@ from .scan import (
     lib,
 )
 
-__all__ = ["Piece", "RtuCutter", "may_be"]
+__all__ = ["Piece", "RtuCutter", "has_own_length", "may_be"]
 
 Kind = Literal["request", "response", "damage"]
 
@@ -64,14 +65,30 @@ class Piece(NamedTuple):
     kind: Kind
 
 
-def _scanner(*, is_client: bool) -> FrameScanner:
-    """Return a scanner for responses if `is_client`, else for requests, by the rules of `pdu`."""
+def has_own_length(request: pdu.Request[Any]) -> bool:
+    """Return True if the rule for the response of a request is not that of its function."""
+    known = pdu.REQUESTS.get(request.function)
+    usual = unknown_length if known is None else known.response_length
+    return getattr(type(request), "response_length", usual) is not usual
+
+
+def _scanner(*, is_client: bool, own: pdu.Request[Any] | None = None) -> FrameScanner:
+    """
+    Return a scanner for responses if `is_client`, else for requests, by the rules of `pdu`; `own`
+    is a request whose class has another rule for its response.
+    """
+    classes = dict(pdu.REQUESTS)
+    if own is not None:
+        classes[own.function] = type(own)
     rules = {
         code: request.response_length if is_client else request.request_length
-        for code, request in pdu.REQUESTS.items()
+        for code, request in classes.items()
     }
     in_c = {code: IN_C.get(rule, (lib.BY_PYTHON, 0, 0)) for code, rule in rules.items()}
-    ask = pdu.response_length if is_client else pdu.request_length
+
+    def ask(head: bytes) -> int | None:
+        return told(classes[head[0]], rules[head[0]], head)
+
     return FrameScanner(is_client, in_c, ask)
 
 
@@ -86,15 +103,20 @@ class RtuCutter:
     """
     Cuts the bytes of one line into requests, responses and damage.
 
-    `is_ours` returns True for a unit that a server answers itself.
+    `is_ours` returns True for a unit that a server answers itself; `own` is a request that a client
+    sends whose class has another length rule than its function.
     """
 
-    def __init__(self, role: Literal["client", "server", "listener"]) -> None:
+    def __init__(
+        self,
+        role: Literal["client", "server", "listener"],
+        own: pdu.Request[Any] | None = None,
+    ) -> None:
         self.is_ours: Callable[[int], bool] = lambda unit: True
         self._role = role
         self._is_server = role == "server"
         self._requests = None if role == "client" else _scanner(is_client=False)
-        self._responses = _scanner(is_client=True)
+        self._responses = _scanner(is_client=True, own=own)
         self._scanners = [each for each in (self._requests, self._responses) if each]
         self._is_fresh = True  # a frame should begin with the first byte
         self._later: list[int] = []  # where frames should begin behind an unfinished one
@@ -182,21 +204,12 @@ class RtuCutter:
 
     def _start_in_noise(self, data: bytes, at: int) -> int:
         """Return where a request begins that has noise before it, and perhaps behind; else 0."""
-        size = len(data)
+        last = len(data) - MIN_ADU
         for place in (at, *self._later):
-            for start in range(place, min(place + MAX_NOISE, size - MIN_ADU) + 1):
-                # The data of a response begin with its fourth byte.
-                is_inside = start >= at + 3 and self._may_be_around(data, at)
-                if start > at and not is_inside and self._ends_in_noise(data, start):
+            for start in range(max(place, at + 1), min(place + MAX_NOISE, last) + 1):
+                if self._ends_in_noise(data, start) and not self._is_within(data, at, start):
                     return start
         return 0
-
-    def _may_be_around(self, data: bytes, at: int) -> bool:
-        """Return True if a response of another unit may begin here that is damaged or has a gap."""
-        if self._is_answered_here(data[at]):
-            return False
-        length = pdu.response_length(data[at + 1 : at + 1 + MAX_PDU])
-        return self._is_awaited(data, at) or length == len(data) - at - 3
 
     def _ends_in_noise(self, data: bytes, start: int) -> bool:
         """Return True if a request of a known function to a unit here ends close to the silence."""
@@ -205,6 +218,18 @@ class RtuCutter:
             return False
         end = self._requests.at(data, start, start, SILENT)
         return end >= len(data) - MAX_NOISE and self._requests.fits == 1
+
+    def _is_within(self, data: bytes, at: int, start: int) -> bool:
+        """Return True if what begins like a request may be data of another unit's frame."""
+        size = len(data)
+        behind = range(size - MAX_NOISE, size + 1)
+        if any(is_one_adu(data[first:end]) for first in range(at, start) for end in behind):
+            return True
+        # The data of a response begin with its fourth byte. This one is damaged or has a gap.
+        if start < at + 3 or self._is_answered_here(data[at]):
+            return False
+        length = pdu.response_length(data[at + 1 : at + 1 + MAX_PDU])
+        return self._is_awaited(data, at) or length == size - at - 3
 
     def _is_answered_here(self, unit: int) -> bool:
         return self._is_server and (unit == 0 or self.is_ours(unit))

@@ -179,6 +179,17 @@ def test_a_request_between_noise_is_found(before: bytes, behind: bytes, size: in
 NO_LENGTH = (8, 43)
 
 
+@each_case("before", NOISES)
+@each_case("behind", NOISES)
+@each_case("name", AROUND)
+def test_a_request_in_a_frame_of_others_between_noise_is_none(
+    name: str, before: bytes, behind: bytes
+) -> None:
+    ask, answer = (before + each + behind for each in AROUND[name])
+    for bursts in ((ask, answer), (answer,)):
+        assert requests(heard(*bursts)) == [], bursts
+
+
 @each_case("head", ["02 03 08", "02 01 08", "02 11 08"])
 def test_a_request_in_a_damaged_answer_of_others_is_none(head: str) -> None:
     answer = with_data(head, WRITE)

@@ -95,7 +95,7 @@ def decode_request(pdu: bytes) -> Request[Any]:
         raise IllegalFunction(f"no function {pdu[0]}", function=pdu[0])
     try:
         rule = request.request_length
-        length = rule(pdu) if rule in IN_C else _told(request, rule, pdu)
+        length = rule(pdu) if rule in IN_C else told(request, rule, pdu)
         if length not in (len(pdu), 0):
             raise ValueError(f"a request of {len(pdu)} bytes")
         return request.decode(pdu)
@@ -121,7 +121,7 @@ def request_length(head: bytes) -> int | None:
     if request is None:
         return 0
     rule = request.request_length
-    return rule(head) if rule in IN_C else _told(request, rule, head)
+    return rule(head) if rule in IN_C else told(request, rule, head)
 
 
 def response_length(head: bytes) -> int | None:
@@ -132,10 +132,10 @@ def response_length(head: bytes) -> int | None:
     if request is None:
         return 0
     rule = request.response_length
-    return rule(head) if rule in IN_C else _told(request, rule, head)
+    return rule(head) if rule in IN_C else told(request, rule, head)
 
 
-def _told(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
+def told(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
     """Return what a rule of a program returns; `NO_LENGTH` if it raises or returns nonsense."""
     # A mistake in one rule must not leave a line deaf for all other functions.
     try:
