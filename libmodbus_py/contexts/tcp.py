@@ -19,9 +19,9 @@ from ..ports.sockets import TcpPort
 from ..ports.waiting import READ, Woken, run
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusConnectionError, ModbusError
-from ..protocol.framing import TcpFramer, is_one_frame, mbap
+from ..protocol.framing import TcpFramer
 from ..protocol.pdu.request import Request
-from .context import CLOSED, READY, ContextState, closed_meanwhile, too_many_descriptors
+from .context import CLOSED, FOREIGN, READY, closed_meanwhile, too_many_descriptors
 from .slave import Slave
 
 __all__ = ["TcpContext"]
@@ -72,8 +72,8 @@ class TcpContext(Slave):
     gives wrong errors, and aborts the process on descriptors of 1024 and above.
     """
 
-    _is_serial: ClassVar[bool] = False
-    _after: ClassVar[ContextState] = READY
+    _is_serial: ClassVar = False
+    _after: ClassVar = READY
     _connection: socket.socket | None = None
     _listener: socket.socket | None = None
 
@@ -106,7 +106,7 @@ class TcpContext(Slave):
         """
         number = integer("backlog", backlog, 1, 4096)
         with self._lock, self._errors():
-            if self._state is ContextState.FOREIGN:
+            if self._state is FOREIGN:
                 self._ensure_open()
             self._is_closed = False
             self._close_listener()
@@ -248,9 +248,3 @@ class TcpContext(Slave):
 
     def _server_framer(self) -> TcpFramer:
         return TcpFramer()
-
-    def _is_frame(self, request: bytes) -> bool:
-        return is_one_frame(request)
-
-    def _adu(self, transaction: int, unit: int, data: bytes) -> bytes:
-        return mbap(transaction, unit, data)
