@@ -85,6 +85,7 @@ class Framed(ABC):
         self._heard_at = 0.0  # the time of the latest bytes behind it
         self._doubted: Frame | None = None  # a request that may be this echo
         self._asked: asyncio.TimerHandle | None = None  # ends the wait for the echo of one byte
+        self._was_asked = False  # True once it has not come
         self._begun: Frame | None = None  # a request of which one byte of the answer was sent
         self._owed: Collection[object] = ()  # requests whose answers are still to come
         self._has_ended = False
@@ -253,13 +254,13 @@ class Framed(ABC):
             self._asked = loop.call_at(gone_at + ECHO_DELAY, self._note_no_echo)
             return
         is_telling = echo.is_there is None and not _may_ask(self._settings.framing, data)
-        if echo.is_there is None and not is_telling:
+        if echo.is_there is None and not is_telling and self._settings.endpoint.is_serial:
             self._answered, self._returns_until = data, gone_at + ECHO_DELAY
         echo.sent(data, is_telling=is_telling)
 
     def _may_be_echo(self, frame: Frame) -> bool:
         """Return True for a request that came where an echo of the answer before would have."""
-        if not self._answered or self._echo is None or self._echo.is_there is not None:
+        if not self._answered or self._was_asked:
             return False
         is_late = self._heard_at > self._returns_until
         return not is_late and self.framer.encode(frame) == self._answered
@@ -283,7 +284,7 @@ class Framed(ABC):
     def _note_no_echo(self) -> None:
         """Answer the doubted request: it came again from its client, at once."""
         assert self._doubted is not None
-        self._echo, self._asked = None, None
+        self._asked, self._was_asked = None, True
         self._begun, self._doubted = self._doubted, None
         self._found.insert(0, self._begun)
         self.channel.follow()

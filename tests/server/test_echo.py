@@ -207,6 +207,25 @@ def test_the_same_write_again_at_once_is_carried_out_again(
         assert server.statistics.requests == 5
 
 
+@pytest.mark.parametrize("scheme", FRAMES)
+def test_an_echo_that_comes_very_late_is_found_by_a_read(stage: Stage, scheme: str) -> None:
+    frame = FRAMES[scheme]
+    with unit_one(f"{scheme}://{LINE}") as (server, writes):
+        Echoing(stage, stage.line("/dev/line"), late=0.2)
+        master = LineEnd(stage.line("/dev/line"))
+        master.write(frame(WRITES[1]))
+        stage.pass_time(1)
+        assert len(writes) > 1
+        for _ in range(3):  # it may meet an answer on the line
+            master.write(frame(READ))
+            stage.pass_time(1)
+        assert server.statistics.echoes == 1
+        writes.clear()
+        master.write(frame(WRITES[1]))
+        stage.pass_time(1)
+        assert len(writes) == 1
+
+
 def test_noise_while_the_line_is_asked_is_no_echo(stage: Stage) -> None:
     with unit_one(f"rtu://{LINE}") as (server, writes):
         master = LineEnd(stage.line("/dev/line"))
