@@ -190,6 +190,14 @@ class Functions(ContextBase):
         """Send up to 251 bytes to the interface `mei_type`, 0..255, and receive such (43)."""
         return self.execute(pdu.EncapsulatedTransport(mei_type, data))
 
+    def flush(self) -> int:
+        """
+        Discard what was received and not read (modbus_flush); return how many bytes, 0 on a line.
+        """
+        with self._lock:
+            self._ensure_open()
+            return self._discard_input()
+
     # --- how ---------------------------------------------------------------------------------
 
     def _read(self, kind: Any, function: Any, cells: Any, address: int, count: int) -> list[int]:
@@ -255,7 +263,7 @@ class Functions(ContextBase):
     def _client_framer(self, request: pdu.Request[Any]) -> Framer: ...
 
     @abstractmethod
-    def _discard_input(self) -> None: ...
+    def _discard_input(self) -> int: ...
 
 
 HOLDING_REGISTERS, READ_REGISTERS = pdu.ReadHoldingRegisters, lib.modbus_read_registers

@@ -101,17 +101,6 @@ class RtuContext(Slave):
 
     # --- settings of the line -------------------------------------------------------------------
 
-    def flush(self) -> int:
-        """
-        Discard what was received and not read; return 0, as modbus_flush does.
-
-        That would discard what has yet to be sent, too: a broadcast, for example.
-        """
-        with self._lock:
-            self._ensure_open()
-            self._discard_input()
-        return 0
-
     @property
     def serial_mode(self) -> Literal["rs232", "rs485"]:
         """The driver's mode (modbus_rtu_set_serial_mode); the port must be open."""
@@ -216,8 +205,9 @@ class RtuContext(Slave):
     def _read_bytes(self) -> bytes:
         return b"".join(self._port.receive())
 
-    def _discard_input(self) -> None:
-        self._port.discard_input()
+    def _discard_input(self) -> int:
+        self._port.discard_input()  # modbus_flush would discard what has yet to be sent, too
+        return 0
 
     def _client_framer(self, request: Request[Any]) -> RtuFramer:
         return RtuFramer("client", self._pause, request if has_own_length(request) else None)

@@ -171,13 +171,6 @@ class TcpContext(Slave):
 
     # --- connections ----------------------------------------------------------------------------
 
-    def flush(self) -> int:
-        """Discard what was received and not read (modbus_flush); return how many bytes."""
-        with self._lock:
-            if self._state is not READY:
-                self._ensure_open()
-            return check(lib.modbus_flush(self._modbus))
-
     def _open(self) -> None:
         if self._listener is not None:
             raise ModbusConnectionError("accept() comes first", errno=errno.ENOTCONN)
@@ -240,8 +233,8 @@ class TcpContext(Slave):
             raise ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
         return data
 
-    def _discard_input(self) -> None:
-        check(lib.modbus_flush(self._modbus))
+    def _discard_input(self) -> int:
+        return check(lib.modbus_flush(self._modbus))
 
     def _client_framer(self, request: Request[Any]) -> TcpFramer:
         return TcpFramer()
