@@ -32,8 +32,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Literal, NamedTuple
 
 from . import pdu
-from .pdu.function_codes import told
-from .pdu.request import IN_C, unknown_length
+from .pdu.request import IN_C, told, unknown_length
 from .scan import (
     AT_END,
     GOES_ON,
