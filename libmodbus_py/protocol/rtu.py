@@ -4,8 +4,9 @@ RTU frames in a stream of bytes: requests, responses, or both on a shared line.
 Bytes only; no clock. The ends of an RTU frame are marked only by silence, which PCs cannot measure
 because of their buffers. So `RtuCutter` cuts by these rules, with the CRC as the judge:
 
-* A frame begins with the first byte, behind a silence, or right behind another frame. It ends where
-  the length rule of its function says (`pdu`), or with silence if there is no such rule.
+* A frame begins with the first byte, behind a silence or an answer that was sent, or right behind
+  another frame. It ends where the length rule of its function says (`pdu`), or with silence if
+  there is no such rule.
 * An unfinished frame is waited for, also beyond a silence. It is given up if, from a later byte,
   frames without a gap go to a silence.
 * What begins no frame is damage. Behind it, a client and a listener take every byte for a possible
@@ -131,6 +132,11 @@ class RtuCutter:
         self._later.clear()
         self._awaited = None
         return True
+
+    def begin_anew(self, size: int) -> None:
+        """Note that an answer was sent behind so many bytes: a frame should begin there."""
+        if size and self._later[-1:] != [size]:
+            self._later.append(size)
 
     def cut(
         self, data: bytes, *, is_silent: bool, is_over: bool = False
@@ -335,8 +341,8 @@ class RtuCutter:
             self._is_lost = False
             if count == size:
                 self._is_fresh = True
-            elif self._later[-1:] != [size - count]:
-                self._later.append(size - count)
+            else:
+                self.begin_anew(size - count)
 
 
 def _fits(data: bytes, start: int, end: int) -> Iterator[int]:

@@ -253,6 +253,8 @@ class Framed(ABC):
         Args:
             gone_at: on a serial line, when the last of them has left (loop.time).
         """
+        if isinstance(self.framer, RtuFramer):
+            self.framer.note_answer()
         if (echo := self._echo) is None:
             return
         if self._suspect is not None and len(data) == 1:
@@ -315,7 +317,7 @@ class Framed(ABC):
             self._open_request, data = None, data[1:]
         self.channel.write(data)
         # A serial port sends it after silence, and then calls `sent`.
-        if self._echo is not None and not self._settings.endpoint.is_serial:
+        if not self._settings.endpoint.is_serial:
             self.sent(data)
 
     # --- answers ------------------------------------------------------------------------------

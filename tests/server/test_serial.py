@@ -5,6 +5,7 @@ A server on a serial line: noise, requests to others, and a port that is unplugg
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
 from collections.abc import Callable
 from itertools import pairwise
@@ -40,6 +41,27 @@ def test_serial_server_answers_the_next_request_after_noise(kind: str, noise: by
         for _ in range(3):
             os.write(context._driver._port.descriptor, noise)
             assert context.read_holding_registers(0, 2) == [0, 0]
+
+
+NOISES = [b"", b"\0", b"\xff\xff", b"\2\3\x10", b"\2\x10\0\0", b"\xf8\0\x7e\x80"]
+
+
+@pytest.mark.parametrize("is_gateway", [False, True])
+def test_requests_between_noise_are_carried_out_once_each(stage: Stage, is_gateway: bool) -> None:
+    """The master sends the next one as soon as it has the answer."""
+    with unit_one("rtu:///dev/line?baudrate=115200", is_gateway=is_gateway) as (server, writes):
+        master = LineEnd(stage.line("/dev/line"))
+        for number, (before, behind) in enumerate(itertools.product(NOISES, NOISES), 1):
+            master.heard = b""
+            request = rtu(f"01 10 0000 0002 04 {number:04X} 0003")
+            master.write(before + request + behind)
+            started = stage.now
+            while master.heard != rtu("01 10 0000 0002"):
+                stage.pass_time(0.001)
+                assert stage.now < started + 0.1, (before, behind)
+            stage.pass_time(0.002)
+            assert [each.values for each in writes[number - 1 :]] == [(number, 3)]
+        assert server.statistics.requests == len(NOISES) ** 2
 
 
 class OddEnd(LineEnd):
