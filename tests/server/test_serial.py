@@ -51,7 +51,7 @@ def test_requests_between_noise_are_carried_out_once_each(stage: Stage, is_gatew
     """The master sends the next one as soon as it has the answer."""
     with unit_one("rtu:///dev/line?baudrate=115200", is_gateway=is_gateway) as (server, writes):
         master = LineEnd(stage.line("/dev/line"))
-        for number, (before, behind) in enumerate(itertools.product(NOISES, NOISES), 1):
+        for number, (behind, before) in enumerate(itertools.product(NOISES, NOISES), 1):
             master.heard = b""
             request = rtu(f"01 10 0000 0002 04 {number:04X} 0003")
             master.write(before + request + behind)
