@@ -136,6 +136,8 @@ class Slave(Functions):
         ffi.memmove(buffer, request, len(request))
         with self._lock, self._errors():
             self._ensure_open()
+            if self._framer is not None:
+                self._framer.note_answer()
             try:
                 return check(action(buffer))
             except ModbusError:

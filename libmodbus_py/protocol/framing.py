@@ -216,7 +216,6 @@ class RtuFramer(Framer):
             self._cutter.is_ours = is_ours
 
     def note_answer(self) -> None:
-        """Note that a server answers, so that what it has received so far is no part of a frame."""
         self._cutter.begin_anew(len(self.rest))
 
     def encode(self, frame: Frame) -> bytes:

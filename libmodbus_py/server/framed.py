@@ -253,8 +253,7 @@ class Framed(ABC):
         Args:
             gone_at: on a serial line, when the last of them has left (loop.time).
         """
-        if isinstance(self.framer, RtuFramer):
-            self.framer.note_answer()
+        self.framer.note_answer()
         if (echo := self._echo) is None:
             return
         if self._suspect is not None and len(data) == 1:
