@@ -153,7 +153,7 @@ READERS: dict[str, Callable[[str], Any]] = {
     "access": _access,
     "writable": _writable,
     "missing": _missing,
-    "never_falls": flag_in,
+    **dict.fromkeys(("never_falls", "border"), flag_in),
     "scale_as": _word({word: word for word in SCALES}),
     "byte": _word({word: word for word in BYTES}),
 }

@@ -28,8 +28,8 @@ __all__ = ["MapEntry", "MapError", "RegisterList"]
 NOTHING = "nothing"
 """The kind of columns that are ignored."""
 
-LAST_OF_BYTE = {"int16": -128, "uint16": 255}
-"""Type of which a byte is the value -> what SunSpec would take for no value."""
+LAST_OF_BYTE = {"int8": -128, "uint8": 255}
+"""Type that SunSpec lacks -> what it would take for no value."""
 
 # How many of a list are named in a message.
 MOST_NAMED = 12
@@ -374,8 +374,7 @@ class RegisterList:
                 raise WrongValue("type", reason)
             del keys["type"]
         if self._origin.missing and str(keys.get("type")).startswith(("int", "uint")):
-            keys.setdefault("missing", LAST_OF_BYTE.get(keys["type"] * ("byte" in keys)))
-            keys["missing"] = keys["missing"] or self._origin.missing
+            keys.setdefault("missing", LAST_OF_BYTE.get(keys["type"], self._origin.missing))
         if keys.get("missing") == "sunspec" and plain(texts.get("type", "")).startswith("acc"):
             keys["missing"] = [0]  # of accumulators, 0 means "not implemented"
         if registers is not None and not self._origin.is_sloppy and "type" in keys:

@@ -137,11 +137,12 @@ class SerialServer:
         data = self._unsent.popleft()
         # The next read fails if the port is gone.
         now = self._loop.time()
-        if isinstance(self._session, Framed):
-            self._session.sent(data)
         with contextlib.suppress(ModbusConnectionError):
             self._port.send([data], now)
-        self._port.silence.sent(len(data), now)
+        silence = self._port.silence
+        silence.sent(len(data), now)
+        if isinstance(self._session, Framed):
+            self._session.sent(data, silence.over_at - silence.seconds)
         self._follow_port()
 
     def _go_on(self) -> None:

@@ -518,14 +518,14 @@ def test_what_a_map_says_beside_its_requests_is_checked(
     (tmp_path / "map.toml").write_text(
         '[defaults]\ntable = "holding_registers"\n'
         '[[point]]\nname = "a"\naddress = 0\nrewrite = 30\ninitial = 7\n'
-        '[[point]]\nname = "b"\naddress = 1\nstates = { 0 = "off", "1..9" = "on", default = "?" }\n'
+        '[[point]]\nname = "b"\naddress = 1\nstates = { 0 = "off", "1..9" = "on", else = "?" }\n'
     )
     assert main(["map", "check", str(tmp_path / "map.toml")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.strip() for line in lines[-3:]] == [
         "1 point with initial values",
         "a is written again each 30 s",
-        "b: 0 = off, 1..9 = on, default = ?",
+        "b: 0 = off, 1..9 = on, else = ?",
     ]
 
 

@@ -436,4 +436,5 @@ class Fleet:
 
     async def _send(self, poller: Poller, values: Mapping[str, Any]) -> None:
         line = self._lines[poller.config.connection_key]
-        await line.client_of(poller).for_unit(poller.unit).write_map(poller.config.map, values)
+        client = line.sender_of(poller).client.for_unit(poller.unit)
+        await client.write_map(poller.config.map, values)
