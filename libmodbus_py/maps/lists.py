@@ -28,6 +28,9 @@ __all__ = ["MapEntry", "MapError", "RegisterList"]
 NOTHING = "nothing"
 """The kind of columns that are ignored."""
 
+CHANGE_VALUES = ("type", "order", "scale", "divisor", "units", "access")
+"""Kinds of which no second column is ignored."""
+
 LAST_OF_BYTE = {"int8": -128, "uint8": 255}
 """Type that SunSpec lacks -> what it would take for no value."""
 
@@ -82,27 +85,27 @@ class RegisterList:
         self._options = options
         self._origin = options.of_origin
         self.notes: list[str] = []
-        named = dict(options.columns)
-        self._ignored = {word_of(each) for each in _several(named.pop(NOTHING, ()))}
-        self._named = {
+        columns = dict(options.columns)
+        self._ignored = {word_of(each) for each in _several(columns.pop(NOTHING, ()))}
+        self._headings = {
             HEADINGS_OF_KINDS.get(word_of(kind), words().headings.get(word_of(kind), kind)): heading
-            for kind, heading in named.items()
+            for kind, heading in columns.items()
         }
-        for kind in self._named:
+        for kind in self._headings:
             if kind not in READERS:
                 allowed = ", ".join((*READERS, NOTHING))
                 hint = close_to(kind, READERS)
                 raise ValueError(f"columns must name some of {allowed}, not {kind!r}{hint}")
-        known = (
+        headings = (
             HEADINGS_OF_KINDS.keys()
             | words().headings.keys()
             | words().ambiguous.keys()
             | self._origin.columns.keys()
-            | {word_of(heading) for heading in self._named.values()}
+            | {word_of(heading) for heading in self._headings.values()}
         )
         is_modpoll = options.origin == "modpoll"
         self._text = CsvText(
-            text, lambda cell: word_of(cell) in known, MapError, headings=MODPOLL * is_modpoll
+            text, lambda cell: word_of(cell) in headings, MapError, headings=MODPOLL * is_modpoll
         )
         if options.origin is None:
             self._options = options.with_origin_of(self._text.head.cells)
@@ -142,21 +145,21 @@ class RegisterList:
     def _find_columns(self) -> dict[str, ListColumn]:
         head = self._text.head
         cells = [" ".join(cell.split()) for cell in head.cells]
-        by_heading = {word_of(heading): kind for kind, heading in self._named.items()}
-        for kind, heading in self._named.items():
+        by_heading = {word_of(heading): kind for kind, heading in self._headings.items()}
+        for key, heading in self._headings.items():
             if word_of(heading) not in map(word_of, cells):
-                raise self._error(f"no column {heading}, which is named for {kind}")
+                raise self._error(f"no column {heading}, which is named for {key}")
         columns: dict[str, ListColumn] = {}
         ignored = []
+        kind: str | None
         # Headings that are the names of keys come before other words.
         headings = [(at, heading) for at, heading in enumerate(cells) if heading]
         for at, heading in sorted(headings, key=lambda each: word_of(each[1]) not in _KEYS):
             word, base = _without_base(word_of(heading))
-            found = by_heading.get(word_of(heading)) or self._kind(heading, word)
-            if found is None:
+            kind = by_heading.get(word_of(heading)) or self._kind(heading, word)
+            if kind is None:
                 ignored.append(heading)
                 continue
-            kind = found
             if kind in ("address_hex", "address_dec"):
                 kind, base = "address", 16 if kind.endswith("hex") else 10
             if kind not in columns:
@@ -164,15 +167,17 @@ class RegisterList:
             elif kind == "address" and base != columns[kind].base and base:
                 if base == 10:  # one in hexadecimal beside it says the same
                     columns[kind] = ListColumn(at, heading, base)
-            elif kind == "description" or word_of(columns[kind].heading) in _KEYS:
+            elif kind == "description" or (
+                word_of(columns[kind].heading) in _KEYS and kind not in CHANGE_VALUES
+            ):
                 ignored.append(heading)
             else:
                 both = f"columns {columns[kind].heading} and {heading} both hold the {kind}"
                 raise self._error(f"{both}: say which, as in {_column(kind, heading)}")
         for key in ("name", "address"):
             if key not in columns:
-                known = [word for word, kind in words().headings.items() if kind == key]
-                some = ", ".join(known[:MOST_NAMED])
+                usual = [word for word, meaning in words().headings.items() if meaning == key]
+                some = ", ".join(usual[:MOST_NAMED])
                 raise self._error(f"no column {key}; it may be called {some} ...")
         if ignored:
             self.notes.append(f"columns that mean nothing here: {', '.join(ignored)}")
@@ -185,14 +190,14 @@ class RegisterList:
         for text in (word_of(heading), word, word.removeprefix("modbus ")):
             if text in self._origin.columns:
                 return self._origin.columns[text] or None
-            known = HEADINGS_OF_KINDS.get(text, words().headings.get(text))
-            if known in self._named:
+            kind = HEADINGS_OF_KINDS.get(text, words().headings.get(text))
+            if kind in self._headings:
                 return None  # another column is said to hold it
-            if known is not None:
-                return known
+            if kind is not None:
+                return kind
         if (key := words().ambiguous.get(word)) is not None:
             choices = words().choices[key]
-            if not choices.keys().isdisjoint(self._named):
+            if not choices.keys().isdisjoint(self._headings):
                 return None
             meanings = ", or ".join(
                 f"{_column(kind, heading)} if {text}" for kind, text in choices.items()
@@ -201,7 +206,7 @@ class RegisterList:
         alarming = words().alarming
         parts = [*word.split(), *(each for each in alarming if not each.isascii() and each in word)]
         kinds = [alarming[part] for part in parts if part in alarming]
-        if kinds and word not in words().harmless and kinds[0] not in self._named:
+        if kinds and word not in words().harmless and kinds[0] not in self._headings:
             advice = f"{_column(kinds[0], heading)}, or {_column(NOTHING, heading)} to ignore it"
             raise self._error(f"column {heading} is not known: say {advice}")
         return None
@@ -220,14 +225,14 @@ class RegisterList:
 
     def _selected(self, rows: list[CsvRow]) -> Iterator[CsvRow]:
         """Yield the rows of one device that have a cell in a column that means something."""
-        wanted = {}
+        filters = {}
         cells = [word_of(cell) for cell in self._text.head.cells]
         for heading, value in self._options.only.items():
             if word_of(heading) not in cells:
                 raise self._error(f"no column {heading}, which is named in only")
-            wanted[cells.index(word_of(heading))] = str(value)
+            filters[cells.index(word_of(heading))] = str(value)
         device = self._columns.get("device")
-        if device is not None and device.at not in wanted:
+        if device is not None and device.at not in filters:
             values = dict.fromkeys(_cell(row, device.at) for row in rows)
             values.pop("", None)
             if len(values) > 1:
@@ -239,12 +244,12 @@ class RegisterList:
         for row in rows:
             if row.cells == self._text.head.cells:
                 continue  # the headings again, on another page
-            if all(_cell(row, at) == value for at, value in wanted.items()) and any(
+            if all(_cell(row, at) == value for at, value in filters.items()) and any(
                 _cell(row, column.at) for column in self._columns.values()
             ):
                 count += 1
                 yield row
-        if wanted and not count:
+        if filters and not count:
             raise self._error(f"no row has {dict(self._options.only)}")
 
     @property

@@ -38,6 +38,7 @@ POINT = keys_of(Point)
 DEFAULTS = POINT.but("name", "address").optional() | Keys(
     [Key("first_address", whole(0, 0xFFFF), "what the file calls address 0")]
 )
+"""The keys of ``[defaults]``: those of a point, and how its addresses count."""
 
 FILE = Keys(
     [
