@@ -12,7 +12,8 @@ Ports: TCP, TLS, UDP, Unix sockets and serial, and how to wait for them.
     tls             TLS connections: the handshake, and what it refuses
     unix            Unix sockets, for clients and servers
     trace           every ADU that passes, for callbacks and the log
-    serial          serial ports, which libmodbus opens and configures; RS-485, echo, locks; and
-                    ports that are only read, beside other users
+    serial          serial ports, which libmodbus opens and configures; RS-485, echo, locks
+    serial_read_only    serial ports that are only read, beside other users
+    serial_settings     baud rates without a constant, and whether a driver has made the settings
     serial_devices  the serial ports of this machine, and the programs that use them
 """
