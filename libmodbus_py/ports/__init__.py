@@ -15,5 +15,6 @@ Ports: TCP, TLS, UDP, Unix sockets and serial, and how to wait for them.
     serial          serial ports, which libmodbus opens and configures; RS-485, echo, locks
     serial_read_only    serial ports that are only read, beside other users
     serial_settings     baud rates without a constant, and whether a driver has made the settings
+    direction       the direction of RS-485 transceivers: RTS, a GPIO line, a function
     serial_devices  the serial ports of this machine, and the programs that use them
 """

@@ -153,7 +153,11 @@ class Endpoint:
     def _shown(self, options: dict[str, Any]) -> str:
         at = host_and_port(_zoned(self.host), self.port)
         address = _quoted(self.path) if self.has_path else at
-        texts = {name: "none" if each is None else str(each) for name, each in options.items()}
+        texts = {
+            name: "none" if value is None else str(value)
+            for name, value in options.items()
+            if not callable(value)  # no URL can name a function
+        }
         query = "&".join(f"{name}={_quoted(text, '/')}" for name, text in texts.items())
         return f"{self.scheme}://{address}{'?' if query else ''}{query}"
 

@@ -9,9 +9,8 @@ import errno
 import fcntl
 import os
 import select
-import struct
 import termios
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack
 
 from ..binding.library import check, ffi, lib, make
@@ -19,6 +18,7 @@ from ..protocol.checks import integer, seconds
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.mistakes import unknown_option
 from ..protocol.scan import pause_between_frames
+from .direction import Switch, switch_of
 from .port import RECEIVED_BYTES, Port, Silence, lost
 from .schemes import SERIAL_DEFAULTS, character_bits, parity_of
 from .serial_settings import check_settings, set_odd_baudrate
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["SerialPort", "SerialSettings", "users_of"]
 
 Parity = Literal["N", "E", "O", "none", "even", "odd"]
-Rs485 = Literal["kernel", "rts-up", "rts-down"]
+Rs485 = Literal["kernel", "rts-up", "rts-down"] | str | Callable[[bool], object]
 
 # st_rdev of the ports that this process has open: the lock does not show which process has it.
 _open_here: set[int] = set()
@@ -67,10 +67,6 @@ class SerialPort(Port):
         3500000, 4000000,
     ))
     # fmt: on
-    rts_modes: ClassVar[dict[str, int]] = {
-        "rts-up": lib.MODBUS_RTU_RTS_UP,
-        "rts-down": lib.MODBUS_RTU_RTS_DOWN,
-    }
 
     @classmethod
     def of(cls, endpoint: Endpoint, _settings: PortSettings) -> Self:
@@ -89,8 +85,7 @@ class SerialPort(Port):
         usual: Any = {**SERIAL_DEFAULTS, **settings}
         self.parity: Literal["N", "E", "O"] = parity_of(usual["parity"])
         self.rs485 = settings.get("rs485")
-        if self.rs485 not in (None, "kernel", *self.rts_modes):
-            raise ValueError(f'rs485 must be "kernel", "rts-up" or "rts-down", not {self.rs485!r}')
+        self._switch = switch_of(self.rs485)
         self.baudrate: int = integer("baudrate", usual["baudrate"], 1, 4_000_000)
         self.data_bits: int = integer("data_bits", usual["data_bits"], 5, 8)
         self.stop_bits: int = integer("stop_bits", usual["stop_bits"], 1, 2)
@@ -105,7 +100,7 @@ class SerialPort(Port):
         self.silence: Silence = Silence(
             specified if silence is None else seconds("silence", silence, 0, 1),
             self.character,
-            self.rts_delay if self.rs485 in self.rts_modes else 0.0,
+            self.rts_delay if self._switch is not None else 0.0,
         )
         self._sending: Iterator[float] = iter(())
         self._guards: list[int] = []
@@ -137,6 +132,8 @@ class SerialPort(Port):
             self._configure()
         except (OSError, termios.error) as error:
             self.close()
+            if isinstance(error, ModbusConnectionError):
+                raise
             if isinstance(error, OSError):
                 of_system(error)
             number, reason = error.args[:2]
@@ -165,9 +162,8 @@ class SerialPort(Port):
         if self.rs485 == "kernel":
             if lib.modbus_rtu_set_serial_mode(self.context, lib.MODBUS_RTU_RS485) == -1:
                 raise OSError(ffi.errno, "the driver has no RS-485 mode")
-        elif self.rs485 is not None:
-            lib.modbus_rtu_set_rts(self.context, self.rts_modes[self.rs485])
-            lib.modbus_rtu_set_rts_delay(self.context, round(self.rts_delay * 1_000_000))
+        elif self._switch is not None:
+            self._switch.open(self.descriptor)
         self.discard_input()
 
     def _check_settings(self, descriptor: int) -> None:
@@ -240,16 +236,22 @@ class SerialPort(Port):
 
     def close(self) -> None:
         """Close the port. A process that inherited it does not change its parent's settings."""
-        self._sending = iter(())  # RTS goes back while the port is still open
+        self._sending = iter(())
         self.resume_at = None
         if self._process != os.getpid():
             self.abandon()
-        else:
+            return
+        try:
+            if self._switch is not None:
+                self._switch.close()  # while the port is still open
+        finally:
             self.descriptor: int = -1
             lib.modbus_close(self.context)  # restores the settings, too
             self._release()
 
     def abandon(self) -> None:
+        if self._switch is not None:
+            self._switch.abandon()
         self.descriptor = -1
         descriptor = lib.modbus_get_socket(self.context)
         if descriptor >= 0:
@@ -286,25 +288,23 @@ class SerialPort(Port):
 
     def send(self, adus: list[bytes], now: float) -> None:
         data = b"".join(adus)
-        self._sending = self._steps(data)
-        self.go_on(now)
+        if self._switch is None:
+            self._write(data)
+        else:
+            self._sending = self._steps(data, self._switch)
+            self.go_on(now)
 
     def go_on(self, now: float) -> None:
         pause = next(self._sending, None)
         self.resume_at = None if pause is None else now + pause
 
-    def _steps(self, data: bytes) -> Iterator[float]:
+    def _steps(self, data: bytes, switch: Switch) -> Iterator[float]:
         """Send a frame, and yield the seconds to wait before each next step."""
-        if self.rs485 not in self.rts_modes:
-            self._write(data)
-            return
-        self._set_rts(self.rs485 == "rts-up")
-        try:
-            yield self.rts_delay
-            self._write(data)
-            yield len(data) * self.character + self.rts_delay
-        finally:
-            self._set_rts(self.rs485 != "rts-up")
+        switch.turn(True)
+        yield self.rts_delay
+        self._write(data)
+        yield len(data) * self.character + self.rts_delay
+        switch.turn(False)
 
     def _write(self, data: bytes) -> None:
         """Write a frame; if the port takes only a part, the answer will be missing."""
@@ -314,17 +314,6 @@ class SerialPort(Port):
             pass
         except OSError as error:
             raise lost(error) from error
-
-    def _set_rts(self, on: bool) -> None:
-        """Set RTS as libmodbus does, ignoring errors: a port without RTS needs no turning."""
-        request = termios.TIOCMBIS if on else termios.TIOCMBIC
-        # A ValueError is a port that was abandoned meanwhile, by a forked child.
-        try:
-            fcntl.ioctl(self.descriptor, request, struct.pack("i", termios.TIOCM_RTS))
-        except OSError as error:
-            of_system(error)
-        except ValueError:
-            pass
 
 
 def _lacks_hardware(device: str) -> bool:

@@ -36,9 +36,9 @@ class ReadOnlySerialPort(SerialPort):
             text = "%s is open in %s, too: its settings stay, and it loses what is read here"
             log_warning(__name__, text, self.device, other)
         self._watch(descriptor)
-        if other is None and self.rs485 in self.rts_modes:
+        if other is None and self._switch is not None:
             # Opening a port sets RTS, which may make the transceiver send.
-            self._set_rts(self.rs485 != "rts-up")
+            self._switch.open(descriptor)
 
     def _set(self, descriptor: int) -> None:
         parities = {"N": 0, "E": termios.PARENB, "O": termios.PARENB | termios.PARODD}
