@@ -15,7 +15,7 @@ from ..protocol.checks import seconds
 from ..protocol.errors import ModbusError
 from .call import raised
 from .functions_blocking import BlockingFunctions
-from .handle import NoOthers, check_plan_options, public_methods, unexpected
+from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 
 # What only some methods need is imported by them.
 if TYPE_CHECKING:
@@ -243,18 +243,18 @@ class BlockingMany(BlockingFunctions):
         """Return the answers to a plan's requests, for its `results`; or raise the first error."""
         from ..maps.holes import is_refusal, reading
 
-        holes = self.holes
+        refusals = self._refusals
         answers: list[Any] = []
-        if not holes:
+        if not refusals:
             answers = self._run_batch(plan.requests, return_exceptions, stops=True)
-        if holes or any(map(is_refusal, answers)):
+        if refusals or any(map(is_refusal, answers)):
             steps = reading(
                 plan.blocks,
-                holes,
-                self.now(),
+                refusals,
+                self._driver.now(),
                 self.statistics.connects,
                 is_strict=not return_exceptions,
-                tell=self._tell_of_hole,
+                tell=self._log_refusal,
             )
             try:
                 requests = next(steps)
@@ -295,7 +295,7 @@ class BlockingPolls(Generic[Polled]):
 
     def __next__(self) -> Polled:
         client = self._client
-        due = self._pace.due(client.now())
+        due = self._pace.due(client._driver.now())
         if not client._driver.wait_until(due):
             raise StopIteration
         self._pace.begin(due)

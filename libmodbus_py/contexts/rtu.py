@@ -11,7 +11,8 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar, Literal
 
 from ..binding.library import check, ffi, lib
-from ..ports.serial import Parity, SerialPort
+from ..ports.options import Parity
+from ..ports.serial import SerialPort
 from ..ports.waiting import READ
 from ..protocol.checks import checked_callback, finished, seconds
 from ..protocol.errors import ModbusConnectionError, ModbusTimeoutError

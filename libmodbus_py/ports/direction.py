@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import re
 import struct
 import termios
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from ..protocol.checks import checked_callback, finished, log_failure
+from ..protocol.checks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.extras import what_is_missing
+from .options import GPIO_LINE, Rs485
 from .waiting import of_system
 
 __all__ = ["Switch", "switch_of"]
@@ -28,26 +28,19 @@ RTS = {"rts-up": True, "rts-down": False}
 """Mode -> whether RTS is set while sending."""
 
 
-def switch_of(rs485: str | Callable[[bool], object] | None) -> Switch | None:
+def switch_of(rs485: Rs485 | None) -> Switch | None:
     """
     Return the switch of the option `rs485`; None without one, or if the driver has it.
 
     Raises:
-        TypeError, ValueError: the option is wrong.
         ImportError: the package for GPIO lines is missing.
     """
     if rs485 is None or rs485 == "kernel":
         return None
     if not isinstance(rs485, str):
-        return Switch(checked_callback("rs485", rs485))
-    if rs485 in RTS:
-        return RtsSwitch(RTS[rs485])
-    if (line := re.fullmatch("gpio:(/.+)/([^/]+)", rs485)) is None:
-        raise ValueError(
-            'rs485 must be "kernel", "rts-up", "rts-down", a function, or a line such as '
-            f'"gpio:/dev/gpiochip0/17", not {rs485!r}'
-        )
-    return GpioSwitch(*line.groups())
+        return Switch(rs485)
+    line = GPIO_LINE.fullmatch(rs485)
+    return RtsSwitch(RTS[rs485]) if line is None else GpioSwitch(*line.groups())
 
 
 class Switch:

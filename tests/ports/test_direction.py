@@ -5,6 +5,7 @@ becomes of errors.
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import sys
 import time
@@ -17,6 +18,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
+    AsyncClient,
     Client,
     Device,
     Mapping,
@@ -24,7 +26,6 @@ from libmodbus_py import (
     ModbusTimeoutError,
     Server,
 )
-from libmodbus_py.ports.direction import switch_of
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.testing import SerialWire
@@ -80,6 +81,22 @@ def test_a_function_is_called_before_and_behind_each_frame(
     assert len(events) == 7
 
 
+def test_an_asyncio_client_calls_a_function_and_raises_its_error(
+    events: list[object], unit: LinePeer
+) -> None:
+    async def use() -> None:
+        url, turn = f"rtu://{unit.path}", failing(events, 3)
+        async with AsyncClient(url, rs485=turn, rts_delay=0.001) as plc:
+            assert await plc.read_holding_registers(0, 1) == [555]
+            with pytest.raises(ModbusConnectionError, match="rs485: LookupError"):
+                await plc.read_holding_registers(0, 1)
+            assert await plc.read_input_registers(0, 1) == [555]
+
+    asyncio.run(use())
+    sent = [True, SENT, False]
+    assert events == [False, *sent, True, False, False, *sent]
+
+
 def test_a_function_is_called_with_the_delays_of_rts(events: list[object]) -> None:
     """A character has 11 bits, and the delays are 20 ms each."""
     with SerialWire() as wire:
@@ -114,8 +131,7 @@ def test_what_a_function_raises_fails_its_request_and_the_line_receives(
             plc.read_holding_registers(0, 1)
         assert isinstance(caught.value.__cause__, LookupError)
         assert events == calls
-        # Another function, because an answer to the first may still come.
-        assert plc.read_input_registers(0, 1) == [555]
+        assert plc.read_input_registers(0, 1) == [555]  # to the first an answer may still come
         assert events[len(calls) :] == [False, True, SENT, False]
 
 
@@ -129,7 +145,8 @@ def test_an_interrupted_function_leaves_the_line_receiving(
                 plc.read_holding_registers(0, 1)
             assert events == calls
             events.clear()
-        assert plc.read_holding_registers(0, 1) == [555]
+        # Another function, because an answer to the first may still come.
+        assert plc.read_input_registers(0, 1) == [555]
 
 
 def test_a_port_that_is_closed_while_it_sends_receives(events: list[object]) -> None:
@@ -170,7 +187,7 @@ def test_a_forked_child_leaves_the_transceiver_to_its_parent(events: list[object
 )
 def test_what_switches_nothing_is_refused(rs485: Any, text: str) -> None:
     with pytest.raises((TypeError, ValueError), match=text):
-        switch_of(rs485)
+        SerialPort("/dev/ttyUSB0", rs485=rs485)
 
 
 def test_a_coroutine_is_no_switch(events: list[object]) -> None:

@@ -17,14 +17,8 @@ from hypothesis import strategies as st
 from libmodbus_py import AsyncClient, Client, Device, Mapping, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.endpoint import Endpoint, parse
-from libmodbus_py.ports.schemes import (
-    CLIENT_OPTIONS,
-    SCHEMES,
-    SECURITY_OPTIONS,
-    SERIAL_OPTIONS,
-    TRANSPORTS,
-    options_of,
-)
+from libmodbus_py.ports.options import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
+from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS, options_of
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.scan import scan
 from libmodbus_py.services.gateway.routes import Route
@@ -182,8 +176,7 @@ ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
             "'anchor' must be one of cert, key, ca, crl, pin, server_name, password_env",
         ),
         ("tls://h?cert=x&cert=y", "cert is given twice"),
-        ("tls://h?cert=x&certificate=y", "cert is given twice"),
-        ("tcp://h?trust=x", "'trust' must be one of unit, timeout, retries"),
+        ("tls://h?certificate=x", "'certificate' must be one of cert, key, ca, crl, pin"),
         ("tcp://h?cert=x", "'cert' must be one of unit, timeout, retries"),
         ("tcp://h?baudrate=9600", "'baudrate' must be one of unit, timeout, retries"),
         ("rtu:///dev/x?speed=1", f"'speed' must be one of {ALL}"),
@@ -241,11 +234,6 @@ def test_rfc_2217_is_refused_with_the_remedy() -> None:
     text = "RFC 2217 is not supported; set the line in the serial device server.*use rtu\\+tcp://"
     with pytest.raises(ValueError, match=text):
         parse("rfc2217://192.0.2.10:4001")
-
-
-def test_tls_takes_the_words_of_security_too() -> None:
-    endpoint = parse("tls://h?certificate=own.pem&trust=authority.pem")
-    assert endpoint.options == {"cert": "own.pem", "ca": "authority.pem"}
 
 
 @each_case(("text", "parity"), [("none", "N"), ("Even", "E"), ("odd", "O"), ("e", "E")])
