@@ -13,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypedDict
 
 from ..protocol.checks import DURATION, checked_callback, duration_of, integer, seconds
+from .hosts import own_address
 
 if TYPE_CHECKING:
     from ..security.security import GivenContext, Security
@@ -279,6 +280,16 @@ class ConnectionOptions(TypedDict, total=False):
             SECONDS_OR_NONE,
             30.0,
             optional(durations(1, 32_767)),
+        ),
+    ]
+    source: Annotated[
+        str | None,
+        Option(
+            "the address of this machine to connect from, maybe with a port, as 192.0.2.5:40000. "
+            "For TCP, TLS and UDP. A TCP connection from a port of its own ends with a reset, so "
+            "that the port is free for the next one.",
+            _text("ADDRESS"),
+            check=optional(own_address),
         ),
     ]
     accept_unit: Annotated[
