@@ -10,6 +10,8 @@ Ports: TCP, TLS, UDP, Unix sockets and serial, and how to wait for them.
     waiting         steps that yield what they wait for; the blocking way to run them
     waiting_async   the way to run steps in an event loop
     sockets         TCP connections and UDP sockets
+    listening       TCP connections that the device makes
+    greeting        what such a device sends besides frames
     tls             TLS connections: the handshake, and what it refuses
     unix            Unix sockets, for clients and servers
     trace           every ADU that passes, for callbacks and the log

@@ -7,6 +7,7 @@ The schemes are those of `SCHEMES` in `schemes`, among them::
     udp://HOST:PORT    rtu+udp://HOST:PORT
     tls://HOST:PORT?cert=own.pem&key=own.key&ca=authority.pem
     unix:///run/modbus.sock
+    listen+tcp://0.0.0.0:PORT    listen+rtu+tcp://0.0.0.0:PORT    the device connects to it
     rtu:///dev/ttyUSB0?baudrate=19200&parity=E&data_bits=8&stop_bits=1
     ascii:///dev/ttyUSB0?baudrate=9600&parity=E&data_bits=7&stop_bits=1
 
@@ -96,6 +97,10 @@ class Endpoint:
     @property
     def is_secure(self) -> bool:
         return TRANSPORTS[self.transport].is_secure
+
+    @property
+    def is_listening(self) -> bool:
+        return TRANSPORTS[self.transport].is_listening
 
     @property
     def has_transactions(self) -> bool:
@@ -235,6 +240,8 @@ def url_of(text: str) -> str:
 def parse_to_listen(url: str) -> Endpoint:
     """Return the endpoint of a URL at which to listen, as `parse`."""
     endpoint = parse(url)
+    if endpoint.is_listening:
+        raise ValueError(f"{url!r}: this is for clients, whose device connects; servers: tcp://")
     if endpoint.client_options:
         names = ", ".join(endpoint.client_options)
         raise ValueError(f"{url!r}: {names} is for clients, not for an endpoint that listens")

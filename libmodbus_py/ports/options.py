@@ -13,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypedDict
 
 from ..protocol.checks import DURATION, checked_callback, duration_of, integer, seconds
+from .greeting import greeting_of
 from .hosts import own_address
 
 if TYPE_CHECKING:
@@ -290,6 +291,16 @@ class ConnectionOptions(TypedDict, total=False):
             "that the port is free for the next one.",
             _text("ADDRESS"),
             check=optional(own_address),
+        ),
+    ]
+    greeting: Annotated[
+        str | None,
+        Option(
+            "what a device that connects to the client sends besides frames, such as 20 bytes. "
+            "Several items have commas between them: the number of bytes that it sends first, "
+            "texts, and bytes such as 0x0d0a. For listen+tcp:// and listen+rtu+tcp://.",
+            _text("ITEMS"),
+            check=optional(greeting_of),
         ),
     ]
     accept_unit: Annotated[

@@ -84,6 +84,7 @@ CLIENT_QUERIES: list[tuple[str, Any]] = [
     ("keepalive=none", None),
     ("max_pause=1.5", 1.5),
     ("source=192.0.2.5:40000", "192.0.2.5:40000"),
+    ("greeting=20%20bytes,0x0d0a", "20 bytes,0x0d0a"),
     ("accept_unit=any", "any"),
     ("delimiter=10", 10),
     ("delimiter=0x0D", 13),
@@ -276,7 +277,7 @@ NAMES = st.text(st.characters(codec="utf-8"), min_size=1) | st.binary(min_size=1
 NUMBERS, SECONDS = st.integers(0, 10**9), st.floats(0, 1e300)
 VALUES: dict[str, st.SearchStrategy[Any]] = {
     **dict.fromkeys(SECURITY_OPTIONS, NAMES),
-    **dict.fromkeys(("rs485", "accept_unit", "source"), NAMES),
+    **dict.fromkeys(("rs485", "accept_unit", "source", "greeting"), NAMES),
     **dict.fromkeys(("echo",), st.booleans()),
     **dict.fromkeys(("rts_delay", "silence", "timeout", "turnaround"), SECONDS),
     **dict.fromkeys(("request_spacing", "connect_delay", "max_pause"), SECONDS),
