@@ -59,6 +59,10 @@ class Greeting:
         self._kept = b""  # what may be the beginning of a text or a header
         self._frame = 0  # how many bytes of the current frame are still to come
 
+    def expect_frame(self) -> None:
+        """Note that a frame may begin, because what came before was none."""
+        self._frame = 0
+
     def drop(self, data: bytes) -> bytes:
         """Return the received bytes that belong to frames."""
         dropped = min(self._first, len(data))

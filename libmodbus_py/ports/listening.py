@@ -85,6 +85,7 @@ class ListeningPort(TcpPort):
 
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
         self._greeting.begin()
+        self._is_asked = False  # what comes before the first request answers none
         return super()._preparing(made, deadline)
 
     def _watch(self, descriptor: int) -> None:
@@ -100,7 +101,13 @@ class ListeningPort(TcpPort):
                 text = "the device has connected again"
                 raise ModbusConnectionError(text, errno=errno.ECONNRESET)
         frames = self._greeting.drop(b"".join(received))
-        return [frames] if frames else []
+        return [frames] if frames and self._is_asked else []
+
+    def send(self, adus: list[bytes], now: float) -> None:
+        if not self._is_asked:
+            self._is_asked = True
+            self._greeting.expect_frame()
+        super().send(adus, now)
 
     def shut(self) -> None:
         super().shut()

@@ -84,6 +84,13 @@ def test_the_first_bytes_of_each_connection_are_dropped(size: int) -> None:
         assert frames(greeting, bytes(20) + MBAP, size) == MBAP
 
 
+def test_a_frame_may_begin_behind_what_was_none() -> None:
+    greeting = Greeting(0, (HEARTBEAT,), has_header=True)
+    greeting.drop(b"hello, this is no frame")
+    greeting.expect_frame()
+    assert greeting.drop(HEARTBEAT + MBAP) == MBAP
+
+
 def test_texts_may_follow_the_first_bytes() -> None:
     greeting = Greeting(20, (HEARTBEAT,), has_header=True)
     assert frames(greeting, bytes(20) + HEARTBEAT + MBAP + HEARTBEAT, 64) == MBAP

@@ -9,7 +9,7 @@ import gc
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from typing import Any
 
@@ -60,6 +60,7 @@ class Modem:
 
     def __init__(self, port: int, scheme: str = "listen+tcp", greeting: bytes = b"") -> None:
         self.heartbeat = b""
+        self.before_answer: Callable[[], object] = bool
         self.is_silent = False
         self.requests: list[bytes] = []
         self._scheme = scheme
@@ -78,6 +79,7 @@ class Modem:
         try:
             while request := self._socket.recv(300):
                 self.requests.append(request)
+                self.before_answer()
                 if not self.is_silent:
                     data = answer(request, self._scheme)
                     self._socket.sendall(self.heartbeat + data + self.heartbeat)
@@ -195,14 +197,27 @@ def test_a_second_client_at_one_address_is_refused(kind: str, port: int) -> None
 
 
 @ALL
-def test_a_greeting_that_is_not_named_is_a_likely_mistake(kind: str, port: int) -> None:
+def test_what_comes_before_the_first_request_is_dropped_and_later_a_likely_mistake(
+    kind: str, port: int
+) -> None:
+    url = f"listen+tcp://127.0.0.1:{port}?connect_delay=0.1"
+    with dialling(port, "listen+tcp", IMEI) as modems, asking(kind, url, timeout=10) as plc:
+        assert plc.read_holding_registers(1, 1) == [1]
+        modems[0].heartbeat = IMEI
+        with pytest.raises(FrameError, match=r"a registration packet or heartbeat\? see greeting"):
+            plc.read_holding_registers(1, 1)
+
+
+@ALL
+def test_an_answer_that_came_before_the_device_connected_again_is_taken(
+    kind: str, port: int
+) -> None:
     url = f"listen+tcp://127.0.0.1:{port}"
-    with (
-        dialling(port, "listen+tcp", IMEI),
-        asking(kind, url, timeout=10) as plc,
-        pytest.raises(FrameError, match=r"a registration packet or heartbeat\? see greeting"),
-    ):
-        plc.read_holding_registers(1, 1)
+    with dialling(port) as modems, asking(kind, url, timeout=10) as plc:
+        until(lambda: modems)[0].before_answer = lambda: modems.append(Modem(port))
+        assert plc.read_holding_registers(1, 1) == [1]
+        assert plc.read_holding_registers(2, 1) == [2]
+        assert [len(modem.requests) for modem in modems] == [1, 1]
 
 
 def test_a_client_that_is_closed_while_it_waits_gives_up_its_address(port: int) -> None:
