@@ -12,10 +12,11 @@ import fcntl
 import os
 import resource
 import socket
+import stat
 import struct
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import BinaryIO, Protocol
 
 __all__ = [
     "IP_PKTINFO",
@@ -27,6 +28,7 @@ __all__ = [
     "call_in_children",
     "lock_file",
     "most_descriptors",
+    "open_file",
     "peer_credentials",
     "reserve_descriptors",
 ]
@@ -149,6 +151,26 @@ def lock_file(descriptor: int) -> None:
         OSError: it cannot be locked.
     """
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+# --- files ----------------------------------------------------------------------------------
+
+
+def open_file(path: str | os.PathLike[str]) -> BinaryIO:
+    """
+    Open a regular file to read it, without waiting: a named pipe would wait for a writer.
+
+    Raises:
+        OSError: the file cannot be opened, or is a pipe, a device or a folder.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOCTTY)
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(descriptor)
+        if stat.S_ISDIR(mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), os.fspath(path))
+        raise OSError(errno.EINVAL, "not a regular file", os.fspath(path))
+    return open(descriptor, "rb")
 
 
 # --- descriptors ----------------------------------------------------------------------------

@@ -202,7 +202,8 @@ def watch(options: argparse.Namespace) -> int:
         units = ",".join(str(reader.unit) for reader in readers)
         title = f"{context.url}, unit {units}, every {interval:g} s"
         printers = _printers(options, readers, title)
-        if options.page is not None or options.page_token is not None:
+        over_http.check_page(options)
+        if options.page is not None:
             from .shown_watch import ShownWatch
 
             shown = ShownWatch(title, interval)
