@@ -27,7 +27,7 @@ __all__ = [
 
 
 class Form(NamedTuple):
-    """How a URL and the command line contain the value of an option."""
+    """The form of an option in URLs and on the command line."""
 
     convert: Callable[[str], Any]  # or ValueError
     wanted: str  # what the text must be, for errors
