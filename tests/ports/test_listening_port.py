@@ -123,9 +123,10 @@ def test_a_client_waits_for_its_device_and_drops_what_is_no_modbus(
     greeting = b"89860012345678901234"
     with dialling(port, scheme, greeting) as modems, asking(kind, url, timeout=10) as plc:
         assert [plc.read_holding_registers(address, 1) for address in (7, 8)] == [[7], [8]]
-        modems[0].heartbeat = HEARTBEAT
+        modem = until(lambda: modems)[0]  # which its thread adds when it has connected
+        modem.heartbeat = HEARTBEAT
         for address in range(20):
-            modems[0].send(HEARTBEAT)
+            modem.send(HEARTBEAT)
             assert plc.read_holding_registers(address, 1) == [address]
         assert plc.statistics.connects == 1
     with socket.create_server(("127.0.0.1", port)):  # the address is free again
@@ -141,7 +142,7 @@ def test_a_new_connection_replaces_the_one_before(kind: str, port: int) -> None:
             time.sleep(0.05)  # until the system has both connections
             assert plc.read_holding_registers(2, 1) == [2]
             assert len(last.requests) == 1
-            until(modems[0].is_closed)
+            until(until(lambda: modems)[0].is_closed)
             assert plc.read_holding_registers(3, 1) == [3]
             assert plc.statistics.connects == 2
 
@@ -203,7 +204,7 @@ def test_what_comes_before_the_first_request_is_dropped_and_later_a_likely_mista
     url = f"listen+tcp://127.0.0.1:{port}?connect_delay=0.1"
     with dialling(port, "listen+tcp", IMEI) as modems, asking(kind, url, timeout=10) as plc:
         assert plc.read_holding_registers(1, 1) == [1]
-        modems[0].heartbeat = IMEI
+        until(lambda: modems)[0].heartbeat = IMEI
         with pytest.raises(FrameError, match=r"a registration packet or heartbeat\? see greeting"):
             plc.read_holding_registers(1, 1)
 
