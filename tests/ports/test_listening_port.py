@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -302,6 +303,25 @@ def test_the_command_line_reaches_a_device_that_connects(port: int) -> None:
         done = run("read", url, "hr", "7", "--timeout", "10", "--greeting", IMEI.decode())
     assert (done.code, done.err) == (0, "")
     assert done.out.split() == ["7", "7"]
+
+
+FLEET = """
+[[device]]
+name = "meter"
+map = "meter.csv"
+interval = 10
+url = "listen+tcp://127.0.0.1:{port}?timeout=10&greeting={greeting}"
+"""
+
+
+def test_a_fleet_polls_a_device_that_connects(port: int, tmp_path: Path) -> None:
+    (tmp_path / "meter.csv").write_text("name,table,address,type\npower,hr,7,uint16\n")
+    file = tmp_path / "fleet.toml"
+    file.write_text(FLEET.format(port=port, greeting=IMEI.decode()))
+    with dialling(port, "listen+tcp", IMEI):
+        done = run("poll", str(file), "--once", "--csv", str(tmp_path / "readings.csv"))
+    assert done.code == 0, done.err
+    assert "meter,power,7," in (tmp_path / "readings.csv").read_text()
 
 
 @each_case(
