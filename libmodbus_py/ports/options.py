@@ -13,8 +13,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypedDict
 
 from ..protocol.checks import DURATION, checked_callback, duration_of, integer, seconds
-from .greeting import greeting_of
-from .hosts import own_address
 
 if TYPE_CHECKING:
     from ..security.security import GivenContext, Security
@@ -149,6 +147,18 @@ def _delimiter(name: str, value: object) -> None:
 
     if not is_delimiter(integer(name, value, 0, 0xFF)):
         raise ValueError(f"{name} must be an ASCII code with no other use, not {value}")
+
+
+def _source(name: str, value: object) -> None:
+    from .hosts import own_address  # programs that only parse options need no sockets
+
+    own_address(name, value)
+
+
+def _greeting(name: str, value: object) -> None:
+    from .greeting import greeting_of
+
+    greeting_of(name, value)
 
 
 def _security(name: str, value: object) -> None:
@@ -290,7 +300,7 @@ class ConnectionOptions(TypedDict, total=False):
             "For TCP, TLS and UDP. A TCP connection from a port of its own ends with a reset, so "
             "that the port is free for the next one.",
             _text("ADDRESS"),
-            check=optional(own_address),
+            check=optional(_source),
         ),
     ]
     greeting: Annotated[
@@ -300,7 +310,7 @@ class ConnectionOptions(TypedDict, total=False):
             "Several items have commas between them: the number of bytes that it sends first, "
             "texts, and bytes such as 0x0d0a. For listen+tcp:// and listen+rtu+tcp://.",
             _text("ITEMS"),
-            check=optional(greeting_of),
+            check=optional(_greeting),
         ),
     ]
     accept_unit: Annotated[
