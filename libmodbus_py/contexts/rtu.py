@@ -16,10 +16,10 @@ from ..ports.serial import SerialPort
 from ..ports.waiting import READ
 from ..protocol.checks import checked_callback, finished, seconds
 from ..protocol.errors import ModbusConnectionError, ModbusTimeoutError
-from ..protocol.framing import RtuFramer, rtu
+from ..protocol.framing import RtuFramer
 from ..protocol.pdu.request import Request
-from ..protocol.scan import is_one_adu
-from .context import CLOSED, OPEN, ContextState, too_many_descriptors
+from ..protocol.rtu import has_own_length
+from .context import CLOSED, OPEN, too_many_descriptors
 from .slave import Slave
 
 __all__ = ["RtuContext"]
@@ -77,9 +77,8 @@ class RtuContext(Slave):
     Source: modbus_new_rtu.
     """
 
-    _is_serial: ClassVar[bool] = True
-    _after: ClassVar[ContextState] = OPEN
-    _port: SerialPort | None = None
+    _is_serial: ClassVar = True
+    _after: ClassVar = OPEN
 
     def __init__(
         self,
@@ -105,17 +104,6 @@ class RtuContext(Slave):
         return f"rtu://{self._port}"
 
     # --- settings of the line -------------------------------------------------------------------
-
-    def flush(self) -> int:
-        """
-        Discard what was received and not read; return 0, as modbus_flush does.
-
-        That would discard what has yet to be sent, too: a broadcast, for example.
-        """
-        with self._lock:
-            self._ensure_open()
-            self._discard_input()
-        return 0
 
     @property
     def serial_mode(self) -> Literal["rs232", "rs485"]:
@@ -214,7 +202,6 @@ class RtuContext(Slave):
     # --- the port ---------------------------------------------------------------------------------
 
     def _open(self) -> None:
-        assert self._port is not None
         self._port.open()
         if error := too_many_descriptors(self._port.descriptor):
             self._port.close()
@@ -223,12 +210,10 @@ class RtuContext(Slave):
     def _drop(self) -> None:
         self._state = CLOSED
         self._framer = None
-        if self._port is not None:
-            self._port.close()
+        self._port.close()
 
     def _abandon(self) -> None:
-        if self._port is not None:
-            self._port.abandon()
+        self._port.abandon()
 
     def _prepare(self, request: Request[Any] | None = None) -> None:
         if self.unit == 0 and not (request is not None and request.may_be_broadcast):
@@ -258,15 +243,14 @@ class RtuContext(Slave):
     # --- frames -----------------------------------------------------------------------------------
 
     def _read_bytes(self) -> bytes:
-        assert self._port is not None
         return b"".join(self._port.receive())
 
-    def _discard_input(self) -> None:
-        assert self._port is not None
-        self._port.discard_input()
+    def _discard_input(self) -> int:
+        self._port.discard_input()  # modbus_flush would discard what has yet to be sent, too
+        return 0
 
-    def _client_framer(self) -> RtuFramer:
-        return RtuFramer("client", self._pause)
+    def _client_framer(self, request: Request[Any]) -> RtuFramer:
+        return RtuFramer("client", self._pause, request if has_own_length(request) else None)
 
     def _server_framer(self) -> RtuFramer:
         framer = RtuFramer("server", self._pause)
@@ -275,14 +259,7 @@ class RtuContext(Slave):
 
     @property
     def _pause(self) -> float:
-        assert self._port is not None
         return self._port.silence.seconds
-
-    def _is_frame(self, request: bytes) -> bool:
-        return is_one_adu(request)
-
-    def _adu(self, transaction: int, unit: int, data: bytes) -> bytes:
-        return rtu(transaction, unit, data)
 
 
 def _of(names: Mapping[Any, int], name: str, value: object) -> int:

@@ -138,15 +138,16 @@ class SerialServer:
         """Send the first answer that waits; without a silence the next would run into it."""
         data = self._unsent.popleft()
         now = self._loop.time()
-        if isinstance(self._session, Framed):
-            self._session.sent(data)
         try:
             self._port.send([data], now)
         except ModbusConnectionError as error:
             # Later, because a session may be in the midst of its requests.
             self._timer = self._loop.call_soon(self._lose, error)
             return
-        self._port.silence.sent(len(data), now)
+        silence = self._port.silence
+        silence.sent(len(data), now)
+        if isinstance(self._session, Framed):
+            self._session.sent(data, silence.over_at - silence.seconds)
         self._follow_port()
 
     def _go_on(self) -> None:

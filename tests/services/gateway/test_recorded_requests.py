@@ -131,7 +131,7 @@ def test_a_write_whose_client_is_gone_is_recorded_once(stage: Stage, events: Eve
         second.sendall(adu(READ_ONE) + adu(WRITE))
         stage.pass_time(1)
         assert events == []
-        first.reset()
+        first.close()
         second.reset()
         stage.pass_time(1)
         assert told(events) == [("write", 1, 6, "no answer")]
