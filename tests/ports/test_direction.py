@@ -30,7 +30,7 @@ from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.testing import SerialWire
 from tests.support.cases import each_case
-from tests.support.peers import LinePeer, answering, until
+from tests.support.peers import LinePeer, until
 from tests.support.signals import in_child
 from tests.support.talk import rtu
 
@@ -54,7 +54,8 @@ def events(monkeypatch: pytest.MonkeyPatch) -> list[object]:
 
 @pytest.fixture
 def unit() -> Iterator[LinePeer]:
-    with LinePeer(answering(lambda request: [ANSWERS[request[1]]])) as unit:
+    """Answers once the frame has left and the transceiver receives, as on a real line."""
+    with LinePeer(lambda request, write: write(ANSWERS[request[1]], after=0.1)) as unit:
         yield unit
 
 
