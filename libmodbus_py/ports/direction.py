@@ -8,6 +8,7 @@ sent, and after the port was closed, whatever failed or was interrupted meanwhil
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import struct
@@ -62,6 +63,8 @@ class Switch:
         try:
             finished("rs485", self._function(is_sending))
         except Exception as error:
+            if not (is_sending or self._is_receiving):  # the request may have been answered
+                log_failure(__name__, "the RS-485 transceiver may still send")
             raise failure(error) from error
         if not is_sending:
             self._is_receiving = True
@@ -69,10 +72,8 @@ class Switch:
     def close(self) -> None:
         """Receive, if that is not so already; may be called repeatedly."""
         if not self._is_receiving:
-            try:
+            with contextlib.suppress(ModbusConnectionError):
                 self.turn(False)
-            except ModbusConnectionError:
-                log_failure(__name__, "the RS-485 transceiver may still send")
         self.abandon()
 
     def abandon(self) -> None:

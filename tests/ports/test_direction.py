@@ -124,7 +124,11 @@ def test_a_function_is_called_with_the_delays_of_rts(events: list[object]) -> No
     ],
 )
 def test_what_a_function_raises_fails_its_request_and_the_line_receives(
-    numbers: list[int], calls: list[object], events: list[object], unit: LinePeer
+    numbers: list[int],
+    calls: list[object],
+    events: list[object],
+    unit: LinePeer,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """The second number is that of the call which the port makes when it is closed."""
     turn = failing(events, *numbers)
@@ -133,6 +137,7 @@ def test_what_a_function_raises_fails_its_request_and_the_line_receives(
             plc.read_holding_registers(0, 1)
         assert isinstance(caught.value.__cause__, LookupError)
         assert events == calls
+        assert caplog.text.count("the RS-485 transceiver may still send") == (2 in numbers)
         events.clear()
         again = plc.for_unit(1, retries=2)  # the answer to the first may still come
         assert again.read_input_registers(0, 1) == [555]
