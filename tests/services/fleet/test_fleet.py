@@ -298,7 +298,8 @@ async def test_what_may_not_be_asked_is_neither_sent_nor_told() -> None:
 async def test_the_last_value_of_a_point_is_written_again_until_the_next(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    points = [Point("power", "holding_registers", 2, rewrite=30, maximum=100)]
+    period = 30
+    points = [Point("power", "holding_registers", 2, rewrite=period, maximum=100)]
     device = Device(Mapping(holding_registers=range(4)))
     registers = device.mapping.holding_registers
     async with Server({1: device}).serving("tcp://127.0.0.1:0") as running:
@@ -307,21 +308,21 @@ async def test_the_last_value_of_a_point_is_written_again_until_the_next(
             await fleet.write("a", {"power": 50})
             for _ in range(2):  # the watchdog of the device falls back
                 registers[2] = 0
-                await asyncio.sleep(29)
+                await asyncio.sleep(period - 1)
                 assert registers[2] == 0
-                await asyncio.sleep(2)
+                await asyncio.sleep(period / 15)
                 assert registers[2] == 50
             with pytest.raises(ValueError, match="100"):
                 await fleet.write("a", {"power": 101})
             registers[2] = 0
-            await asyncio.sleep(31)
+            await asyncio.sleep(period + 1)
             assert registers[2] == 50
             await fleet.write("a", {"power": 60})
             registers[2] = 0
-            await asyncio.sleep(31)
+            await asyncio.sleep(period + 1)
             assert registers[2] == 60
         registers[2] = 0
-        await asyncio.sleep(100)
+        await asyncio.sleep(3 * period)
         assert registers[2] == 0
     assert caplog.records == []
 
