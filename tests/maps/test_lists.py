@@ -9,6 +9,7 @@ register list and attributes.csv, of modpoll's examples, and of lists on vendors
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
 from typing import Any
 
@@ -461,7 +462,7 @@ def test_a_type_of_a_byte_is_the_low_one(tmp_path: Path, word: str, value: int) 
 
 
 def spreadsheet(path: Path, rows: list[list[Any]]) -> Path:
-    openpyxl = pytest.importorskip("openpyxl")
+    openpyxl = importlib.import_module("openpyxl")
     book = openpyxl.Workbook()
     for row in rows:
         book.active.append(row)

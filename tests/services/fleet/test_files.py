@@ -4,6 +4,7 @@ Fleet files: what they say, and what is wrong with them: file, line, key, what i
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import tomllib
@@ -326,6 +327,21 @@ def test_a_list_of_devices_is_read_as_spreadsheets_save_it(
     assert (device.interval, device.labels) == (1.5, {"site": "Köln"})
     notes = [*said, "rows above the headings that are skipped: 1"]
     assert file.notes == tuple(f"{tmp_path / 'more.csv'}: {each}" for each in notes)
+
+
+def test_a_list_of_devices_is_a_table_in_markdown_or_a_spreadsheet(tmp_path: Path) -> None:
+    (tmp_path / "more.md").write_text(
+        "# Pumps\n\n| name | url | map | unit |\n|---|---|---|--:|\n"
+        "| a | tcp://192.0.2.1 | sdm120 | 7 |\n"
+    )
+    openpyxl = importlib.import_module("openpyxl")  # which has no types
+    book = openpyxl.Workbook()
+    book.active.append(["name", "url", "map", "unit"])
+    book.active.append(["a", "tcp://192.0.2.1", "sdm120", 7])
+    book.save(tmp_path / "more.xlsx")
+    for name in ("more.md", "more.xlsx"):
+        (device,) = load(written(tmp_path, f'devices = "{name}"')).devices
+        assert (device.name, device.unit) == ("a", 7)
 
 
 def test_all_mistakes_in_devices_are_found_at_once(tmp_path: Path) -> None:
