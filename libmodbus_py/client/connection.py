@@ -78,6 +78,7 @@ class Transactions:
             self.matching = Line(
                 endpoint, self.statistics, self._trace, port.silence, settings.delimiter
             )
+        self._has_ids = endpoint.has_transactions
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
         self._settings = settings
@@ -180,7 +181,7 @@ class Transactions:
             return False
         adus: list[bytes] = []
         traced: list[Call] = []
-        unsettled, most = len(self._answered), queue.limit
+        unsettled, most = self._answered, queue.limit
         if (is_traced := self._trace.is_on()) is not matching.is_traced:
             matching.trace_frames(is_on=is_traced)
         while (call := queue.next(now, self.in_flight, unsettled)) is not None:
@@ -400,7 +401,7 @@ class Transactions:
                     if self.life.fruitless:  # the other side is alive
                         self.life.prove()
                     call.settle(result)
-                    if not self.matching.has_ids:
+                    if not self._has_ids:
                         self.matching.conclude(call, None, now)
             else:
                 assert reply is not None
@@ -430,7 +431,7 @@ class Transactions:
             ended = matching.expire(now)
             self.in_flight -= len(ended)
             self._answered += ended
-            if not matching.has_ids:
+            if not self._has_ids:
                 self._end_waits_for_silence(now)
         else:
             self._end_waits(now)
