@@ -36,7 +36,7 @@ from .statistics import Statistics
 if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from ..ports.port import Port
-    from .options import CheckedOptions
+    from .options import AsyncOptions
 
 __all__ = ["Transactions"]
 
@@ -54,35 +54,37 @@ class Transactions:
     Of the port only the name, the silence and the certificate are used.
     """
 
-    def __init__(self, endpoint: Endpoint, settings: CheckedOptions, port: Port) -> None:
+    def __init__(self, endpoint: Endpoint, settings: AsyncOptions, port: Port) -> None:
         self.in_flight: int = 0
         # The reason to replace the connection by a new one.
         self.broken: ModbusConnectionError | None = None
         # True if so many bytes arrived that belong to no request that it is no accident.
         self.is_flooded: bool = False
-        self.is_guarded: bool = settings.may_send is not None
+        self.is_guarded: bool = settings["may_send"] is not None
         self.notices: Notices = Notices()
-        self.statistics: Statistics = settings.statistics or Statistics()
+        self.statistics: Statistics = settings["statistics"] or Statistics()
         self.url: str = str(endpoint)
-        self._trace = Trace(self.url, settings.trace, later=self.notices.add)
+        self._trace = Trace(self.url, settings["trace"], later=self.notices.add)
+        # Who waits for a device misses it during a pause.
+        max_pause = 0.0 if endpoint.is_listening else settings["max_pause"]
         self.life: Reconnecting = Reconnecting(
-            str(port), settings.max_pause, self.statistics, self.notices, settings.on_state
+            str(port), max_pause, self.statistics, self.notices, settings["on_state"]
         )
         self.matching: Matching
         if endpoint.has_transactions:
-            any_unit = settings.accept_unit == "any"
+            any_unit = settings["accept_unit"] == "any"
             self.matching = Ids(endpoint, self.statistics, self._trace, any_unit=any_unit)
         else:
             from .line import Line
 
             self.matching = Line(
-                endpoint, self.statistics, self._trace, port.silence, settings.delimiter
+                endpoint, self.statistics, self._trace, port.silence, settings["delimiter"]
             )
         self._has_ids = endpoint.has_transactions
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
         self._settings = settings
-        self.queue: Queue = Queue(self.matching, settings.max_in_flight)
+        self.queue: Queue = Queue(self.matching, settings["max_in_flight"])
         self._outcomes = Outcomes(endpoint, port, self.queue, self.life, self.statistics)
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
@@ -145,10 +147,10 @@ class Transactions:
 
     def forbidden(self) -> ModbusConnectionError | None:
         """Return the error for requests that `may_send` does not allow now; None if it does."""
-        if self._settings.may_send is None:
+        if self._settings["may_send"] is None:
             return None
         try:
-            allowed = finished("may_send", self._settings.may_send())
+            allowed = finished("may_send", self._settings["may_send"]())
             if allowed is True:
                 return None
             if allowed is not False:
@@ -206,8 +208,8 @@ class Transactions:
                     queue.waiting.append(follower)
                 if 1 < batch.limit < most:
                     most = batch.limit
-            if self._settings.request_spacing:
-                self._next_start = now + self._settings.request_spacing
+            if self._settings["request_spacing"]:
+                self._next_start = now + self._settings["request_spacing"]
                 break
             if most <= 2 * len(adus) or not (queue.waiting or queue.again):
                 break
@@ -222,7 +224,7 @@ class Transactions:
 
     def _note_silent(self, call: Call, now: float) -> None:
         """Note that a request gets no answer: it is over after the turnaround."""
-        due = now + self._settings.turnaround
+        due = now + self._settings["turnaround"]
         self._silent.append((due, call))
         self.matching.wake(due)
 
@@ -230,7 +232,7 @@ class Transactions:
         """Return True if the connection is dead, or an answer on it was cut off."""
         matching = self.matching
         is_dead = (
-            self._is_socket and matching.unanswered >= self._settings.timeouts_before_reconnect
+            self._is_socket and matching.unanswered >= self._settings["timeouts_before_reconnect"]
         )
         # The next answer would be appended to half a frame that no request expects.
         is_cut = matching.rest and self.in_flight == len(self._silent)
@@ -241,8 +243,8 @@ class Transactions:
     def opened(self, now: float) -> None:
         """The connection was established: send what waits for it."""
         self._reset(now)
-        if self._settings.connect_delay:
-            self._next_start = now + self._settings.connect_delay
+        if self._settings["connect_delay"]:
+            self._next_start = now + self._settings["connect_delay"]
         for call in list(self.queue.waiting):
             call.note_connection(now)
             if call.request is None:
