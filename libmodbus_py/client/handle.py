@@ -318,7 +318,13 @@ class Handle:
         time: float = self._driver.now()
         return time
 
-    def _batch(self, requests: Iterable[pdu.Request[Any]], return_exceptions: bool) -> Batch:
+    def _batch(
+        self,
+        requests: Iterable[pdu.Request[Any]],
+        return_exceptions: bool,
+        *,
+        is_poll: bool = False,
+    ) -> Batch:
         """Check and encode all requests before the first is sent."""
         if not isinstance(requests, Iterable):
             raise TypeError(f"requests must be a list, not {type(requests).__name__}")
@@ -330,6 +336,7 @@ class Handle:
             is_broadcast=self._unit == 0 and self._has_broadcast,
             limit=self.max_in_flight,
             go_on=bool(return_exceptions),
+            is_poll=is_poll,
         )
 
     def _tell_of_hole(self, which: str) -> None:

@@ -266,8 +266,9 @@ class AsyncValues(AsyncMany):
                 often reads the same few points should make a `RegisterMap` of them.
             return_exceptions: True to return, in place of a value, a ModbusError if the point
                 could not be read, a ValueError if its registers hold no value of its type, and a
-                `NoValue` with the reason where there is no value. False to raise the first
-                ModbusError or ValueError, and to return None where there is no value.
+                `NoValue` with the reason where there is no value; a silent device costs one
+                timeout, as for `read_many`. False to raise the first ModbusError or ValueError,
+                and to return None where there is no value.
             options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Returns:
