@@ -243,9 +243,10 @@ class TcpContext(Slave):
         check(lib.modbus_flush(self._modbus))
 
     def _client_framer(self) -> TcpFramer:
-        return TcpFramer()
+        return TcpFramer("client")
 
-    _server_framer = _client_framer
+    def _server_framer(self) -> TcpFramer:
+        return TcpFramer()
 
     def _is_frame(self, request: bytes) -> bool:
         return is_one_frame(request)

@@ -102,6 +102,8 @@ class RequestBytes(pdu.Request[bytes]):
     def decode_response(self, pdu: bytes) -> bytes:
         if self.known is not None:
             self.known.decode_response(pdu)
+            if self.may_be_broadcast:  # a write, whose echo may have bytes behind it
+                return pdu[: type(self.known).response_length(pdu) or None]
         elif not pdu or pdu[0] != self.function:
             raise self._refusal(pdu)
         return pdu
