@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from ..ports.port import Port
     from ..protocol import pdu
+    from ..protocol.tables import WriteFunction
     from .connection import Transactions
     from .options import CheckedOptions
     from .statistics import Statistics
@@ -152,6 +153,8 @@ class Handle:
             max_pause=0.0               the longest pause between two attempts to connect
             keepalive=30.0              the silence after which TCP probes the peer; None for never
             accept_unit="same"          "any" accepts responses from other units
+            write_function="auto"       "single" writes values with functions 5 and 6, "multiple"
+                                        with 15 and 16
             delimiter=10                the byte after CR in ASCII frames
             security=None               the certificates for TLS, a `Security`
             trace=None                  called with each ADU, as a `Traced`
@@ -174,6 +177,7 @@ class Handle:
         port = make_port(endpoint, settings)
         self._unit = settings.unit
         self._timeouts = settings.timeouts
+        self._write_function: WriteFunction = settings.write_function
         self._endpoint = endpoint
         self._connection = Transactions(endpoint, settings, port)
         self._has_broadcast = endpoint.framing in ("rtu", "ascii")
@@ -186,6 +190,7 @@ class Handle:
         *,
         timeout: float | None = None,
         retries: int | None = None,
+        write_function: WriteFunction | None = None,
         **wrong: Unpack[NoOthers],
     ) -> Self:
         """
@@ -198,6 +203,7 @@ class Handle:
                 return after the turnaround.
             timeout: seconds, 0.001..86400; None to share this handle's.
             retries: 0..100; None to share this handle's.
+            write_function: "auto", "single" or "multiple" (`Options`); None to share this handle's.
 
         Raises:
             TypeError, ValueError: an argument of the wrong type or range.
@@ -207,6 +213,10 @@ class Handle:
         handle = copy.copy(self)
         handle.unit = unit
         handle._timeouts = self._timeouts.but(timeout, retries)
+        if write_function is not None:
+            from ..protocol.tables import checked_write_function
+
+            handle._write_function = checked_write_function(write_function)
         return handle
 
     @property

@@ -19,6 +19,7 @@ from .reconnecting import OnState
 from .statistics import Statistics
 
 if TYPE_CHECKING:  # ssl, which it needs, takes longer to import than the rest of a client
+    from ..protocol.tables import WriteFunction
     from ..security.security import GivenContext, Security
 
 __all__ = ["AsyncOptions", "CheckedOptions", "Options"]
@@ -62,6 +63,11 @@ class Options(TypedDict, total=False):
             there, 1..32767; None for never. 30 by default.
         accept_unit: "any" accepts responses from a unit other than the one addressed, because
             some TCP devices answer every request as unit 255; "same" by default.
+        write_function: how `write_map` and `write_value` write, for devices that lack a function:
+            "single" with functions 5 and 6, each coil and register with a request of its own, so
+            that the device sees a value of two registers in two halves; "multiple" with 15 and 16;
+            "auto" by default: single coils and registers of maps with 5 and 6, several with 15
+            and 16.
         delimiter: the byte after CR in ASCII frames; 10 by default, which is LF. The client uses
             a new delimiter once it has set it with `diagnostics(3, ...)`.
         security: the client's own certificate and those it trusts, for "tls" only; the URL may
@@ -87,6 +93,7 @@ class Options(TypedDict, total=False):
     max_pause: float
     keepalive: float | None
     accept_unit: Literal["same", "any"]
+    write_function: WriteFunction
     delimiter: int
     security: Security | GivenContext | None
     trace: OnTraced | None
@@ -123,6 +130,7 @@ class CheckedOptions:
     max_pause: float = 0.0
     keepalive: float | None = 30.0
     accept_unit: str = "same"
+    write_function: WriteFunction = "auto"
     delimiter: int = 0x0A
     security: Security | GivenContext | None = None
     trace: OnTraced | None = None
@@ -143,6 +151,9 @@ class CheckedOptions:
             seconds("keepalive", self.keepalive, 1, 32_767)
         if self.accept_unit not in ("same", "any"):
             raise ValueError(f'accept_unit must be "same" or "any", not {self.accept_unit!r}')
+        if self.write_function not in ("auto", "single", "multiple"):
+            words = '"auto", "single" or "multiple"'
+            raise ValueError(f"write_function must be {words}, not {self.write_function!r}")
         if not is_delimiter(integer("delimiter", self.delimiter, 0, 0xFF)):
             raise ValueError(
                 f"delimiter must be an ASCII code with no other use, not {self.delimiter}"

@@ -70,6 +70,8 @@ class Point:
             fleets, 0.01..86400, in place of the interval of the other points; None for that
             one. The point is read at the first poll after the interval, never earlier.
         group: the name of a group of points that can be selected together, up to 100 characters.
+        write_function: the functions that write the point: "single" for 5 and 6, "multiple" for 15
+            and 16; None for those of the client, or of the device of a fleet.
 
     Attributes:
         read: the `Read` of all cells, for a `Plan`.
@@ -108,6 +110,7 @@ class Point:
     time_zone: str = "UTC"
     interval: float | None = None
     group: str = ""
+    write_function: Literal["single", "multiple"] | None = None
     read: Read = field(init=False, repr=False, compare=False)
     meaning: Meaning = field(init=False, repr=False, compare=False)
     _scaling: Scaling | None = field(init=False, repr=False, compare=False)

@@ -12,7 +12,7 @@ from typing import Any
 from ..protocol.checks import integer, seconds, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue, placed
 from ..protocol.pdu.request import store
-from ..protocol.tables import TABLES, checked_table
+from ..protocol.tables import TABLES, checked_table, checked_write_function
 from ..protocol.values import ValueType
 from .meaning import Meaning, Part, Scaling, number, part_of
 from .plan import Read
@@ -90,6 +90,8 @@ def check_point(point: Point) -> None:
         store(read, kind=_local(read.kind, point))
     if point.interval is not None:
         seconds("interval", point.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+    if point.write_function is not None:
+        checked_write_function(point.write_function, ("single", "multiple"))
     store(point, access=_access(point), meaning=_meaning(point, read.kind))
     for name in ("scale", "offset"):
         number(name, getattr(point, name))

@@ -183,6 +183,7 @@ CLIENT_OPTIONS: dict[str, Option] = {
     ),
     "max_pause": _seconds("maximum seconds between two attempts to connect"),
     "accept_unit": _text("same; or any, to accept answers from another unit", "WHICH"),
+    "write_function": _text("how values are written: auto, single or multiple", "WHICH"),
     "delimiter": Option(
         lambda text: int(text, 0),
         "a number such as 10 or 0x0A",

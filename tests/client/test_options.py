@@ -31,6 +31,7 @@ REQUEST = pdu.ReadHoldingRegisters(5, 1)
         ("max_pause", [-1]),
         ("keepalive", [0]),
         ("accept_unit", ["all"]),
+        ("write_function", ["both", 16, None]),
         ("delimiter", [0x3A]),
         ("trace", [1]),
         ("on_state", [1]),

@@ -90,6 +90,7 @@ CLIENT_QUERIES: list[tuple[str, Any]] = [
     ("keepalive=none", None),
     ("max_pause=1.5", 1.5),
     ("accept_unit=any", "any"),
+    ("write_function=single", "single"),
     ("delimiter=10", 10),
     ("delimiter=0x0D", 13),
 ]
@@ -250,7 +251,7 @@ NAMES = st.text(st.characters(codec="utf-8"), min_size=1) | st.binary(min_size=1
 NUMBERS, SECONDS = st.integers(0, 10**9), st.floats(0, 1e300)
 VALUES: dict[str, st.SearchStrategy[Any]] = {
     **dict.fromkeys(SECURITY_OPTIONS, NAMES),
-    **dict.fromkeys(("rs485", "accept_unit"), NAMES),
+    **dict.fromkeys(("rs485", "accept_unit", "write_function"), NAMES),
     **dict.fromkeys(("echo",), st.booleans()),
     **dict.fromkeys(("rts_delay", "silence", "timeout", "turnaround"), SECONDS),
     **dict.fromkeys(("request_spacing", "connect_delay", "max_pause"), SECONDS),

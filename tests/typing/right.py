@@ -48,6 +48,7 @@ ALL = [
 Client("tcp://192.0.2.10", retries=2, trace=print)
 Client("tcp://192.0.2.10", request_spacing=0.01, connect_delay=0.5, keepalive=None)
 Client("tcp://192.0.2.10", accept_unit="any", max_pause=5, timeouts_before_reconnect=1)
+Client("tcp://192.0.2.10", write_function="single").for_unit(2, write_function="multiple")
 Client("ascii:///dev/ttyUSB0", delimiter=0x0A)
 Client("rtu:///dev/ttyUSB0", rs485=None, rts_delay=None, echo=True, busy_retries=3, turnaround=0.2)
 Client("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)

@@ -423,4 +423,6 @@ class Fleet:
             with inside(name):
                 wanted[name] = json_value(points[name], wanted[name])
         line = self._lines[poller.config.connection_key]
-        await line.client_of(poller).for_unit(poller.unit).write_map(points, wanted)
+        function = poller.config.write_function
+        plc = line.client_of(poller).for_unit(poller.unit, write_function=function)
+        await plc.write_map(points, wanted)

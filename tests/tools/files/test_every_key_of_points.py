@@ -53,6 +53,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "time_zone": {"type": "date48", "time_zone": "Europe/Berlin"},
     "interval": {"interval": 60.5},
     "group": {"group": "slow"},
+    "write_function": {"write_function": "multiple"},
 }
 
 SCALE = Point("sf", H, 100, access="read")
