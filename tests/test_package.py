@@ -164,8 +164,7 @@ class TestMap:
     def test_each_folder_names_its_files(self, folder: str) -> None:
         text = importlib.import_module(f"libmodbus_py.{folder}").__doc__ or ""
         files = {name.split(".")[1] for name in MODULES if name.startswith(f"{folder}.")}
-        if folder in ("ports", "server"):  # a table names the files of transports
-            files -= {rules.port_class.split(".")[0] for rules in TRANSPORTS.values()}
+        if folder == "server":  # a table names the files of transports
             files -= {*TRANSPORTS}
         assert sorted(each for each in files if not re.search(rf"\b{each}\b", text)) == []
 
@@ -351,7 +350,7 @@ class TestLateImports:
                 # for serial ports and servers.
                 {"client.functions_blocking", "protocol._scan"},
                 {
-                    *("binding", "client.options", "client.line", "client.asyncio_driver"),
+                    *("binding", "client.connection", "client.line", "client.asyncio_driver"),
                     *("maps", "ports.endpoint", "ports.serial", "ports.tls", "security"),
                     *("protocol.pdu.reads", "protocol.pdu.writes", "protocol.pdu.interface"),
                     *("protocol.values", "protocol.tables"),
@@ -365,7 +364,7 @@ class TestLateImports:
             (
                 "from libmodbus_py import AsyncClient",
                 {"client.functions_async", "client.asyncio_driver"},
-                {"client.options", "client.line", "maps", "ports.endpoint", "protocol.values"},
+                {"client.line", "maps", "ports.endpoint", "protocol.values"},
             ),
             (
                 "from libmodbus_py import Device, Mapping, Server; Server(Device(Mapping(1)))",

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "ANSWERED", "MAX_IN_FLIGHT", "NOT_ASKED", "SENT", "SILENCE", "WAITING", "Batch", "Call",
-    "Matching", "Phase", "Timeouts", "no_answer", "raised",
+    "ANSWERED", "NOT_ASKED", "SENT", "SILENCE", "WAITING", "Batch", "Call", "Matching",
+    "Phase", "Timeouts", "no_answer", "raised",
 ]
 # fmt: on
 
@@ -44,10 +44,6 @@ NOT_ASKED: Final = object()
 
 SILENCE = (ModbusTimeoutError, *NO_UNIT)
 """The failures of a request to a silent device: no answer, or that of a gateway in its place."""
-
-# The buffers of two sockets hold this many requests and answers of full length. With more, each
-# side might wait for the other one to read before it goes on.
-MAX_IN_FLIGHT = 256
 
 
 class Timeouts:

@@ -14,7 +14,7 @@ from ..protocol.checks import seconds
 from ..protocol.errors import ModbusError, alike
 from .call import NOT_ASKED, SILENCE, Call, raised
 from .functions_async import AsyncFunctions
-from .handle import NoOthers, check_plan_options, public_methods, unexpected
+from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 
 # What only some methods need is imported by them.
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ class AsyncMany(AsyncFunctions):
 
         plan = planned(items, options)
         if plan is not items:  # what would be learnt of the device would be lost
-            answers = await self._read_batch(plan.requests, return_exceptions, self.holes)
+            answers = await self._read_batch(plan.requests, return_exceptions, self._refusals)
             if not return_exceptions:
                 raised(answers)
         else:
@@ -236,7 +236,7 @@ class AsyncMany(AsyncFunctions):
         return outcomes
 
     async def _read_batch(
-        self, requests: Iterable[pdu.Request[Any]], return_exceptions: bool, holes: Holes
+        self, requests: Iterable[pdu.Request[Any]], return_exceptions: bool, refusals: Holes
     ) -> list[Any]:
         """
         Send reads together; return their results, and ModbusErrors in place of some.
@@ -245,13 +245,13 @@ class AsyncMany(AsyncFunctions):
         answered: then all fail, and the next reads of a unit begin with another one.
         """
         reads = list(requests)
-        first = holes.first % len(reads) if return_exceptions and reads else 0
+        first = refusals.first % len(reads) if return_exceptions and reads else 0
         batch = self._batch(reads[first:] + reads[:first], return_exceptions, is_poll=True)
         await self._driver.run(batch)
         outcomes = batch.outcomes
         raised(outcomes, (ModbusError,))
         if return_exceptions and NOT_ASKED in outcomes:
-            holes.first += 1
+            refusals.first += 1
             silence = next(each for each in outcomes if isinstance(each, SILENCE))
             outcomes = [_given_up(call, silence) for call in batch.calls]
         last = len(reads) - first
@@ -261,18 +261,18 @@ class AsyncMany(AsyncFunctions):
         """Return the answers to a plan's requests, for its `results`; or raise the first error."""
         from ..maps.holes import is_refusal, reading
 
-        holes = self.holes
+        refusals = self._refusals
         answers: list[Any] = []
-        if not holes:
-            answers = await self._read_batch(plan.requests, return_exceptions, holes)
-        if holes or any(map(is_refusal, answers)):
+        if not refusals:
+            answers = await self._read_batch(plan.requests, return_exceptions, refusals)
+        if refusals or any(map(is_refusal, answers)):
             steps = reading(
                 plan.blocks,
-                holes,
-                self.now(),
+                refusals,
+                self._driver.now(),
                 self.statistics.connects,
                 is_strict=not return_exceptions,
-                tell=self._tell_of_hole,
+                tell=self._log_refusal,
             )
             try:
                 requests = next(steps)
@@ -280,7 +280,7 @@ class AsyncMany(AsyncFunctions):
                 outcomes = answers if requests == list(plan.requests) else None
                 while True:
                     if not outcomes:
-                        outcomes = await self._read_batch(requests, return_exceptions, holes)
+                        outcomes = await self._read_batch(requests, return_exceptions, refusals)
                     requests, outcomes = steps.send(outcomes), None
             except StopIteration as done:
                 answers = done.value
@@ -324,7 +324,7 @@ class AsyncPolls(Generic[Polled]):
 
     async def __anext__(self) -> Polled:
         client = self._client
-        due = self._pace.due(client.now())
+        due = self._pace.due(client._driver.now())
         if not await client._driver.wait_until(due):
             raise StopAsyncIteration
         self._pace.begin(due)

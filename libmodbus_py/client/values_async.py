@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Unpack, overload
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import IllegalFunction
-from .handle import NoOthers, check_plan_options, public_methods, unexpected
+from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 from .many_async import AsyncMany
 
 # What only some methods need is imported by them.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Unpack, overload
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import IllegalFunction
-from .handle import NoOthers, check_plan_options, public_methods, unexpected
+from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 from .many_blocking import BlockingMany
 
 # What only some methods need is imported by them.

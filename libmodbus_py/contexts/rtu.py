@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Literal
 
 from ..binding.library import check, ffi, lib
-from ..ports.serial import Parity, SerialPort
+from ..ports.options import Parity
+from ..ports.serial import SerialPort
 from ..ports.waiting import READ
 from ..protocol.checks import checked_callback, seconds
 from ..protocol.errors import ModbusTimeoutError

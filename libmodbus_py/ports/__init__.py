@@ -2,8 +2,9 @@
 Ports: TCP, TLS, UDP, Unix sockets and serial, and how to wait for them.
 
     endpoint        URLs of endpoints: transport, framing and options
-    schemes         the tables of schemes, transports and options of URLs; `TRANSPORTS` names the
-                    file of each transport, such as sockets, tls and serial
+    options         the table of options: what clients take, and URLs and the command line
+    schemes         the tables of schemes and transports
+    making          the port of a transport, such as one of sockets, tls and serial
     port            the base class of ports, their outages, and what forked children close
     hosts           hosts: as text, looked up in threads, and sockets that listen on them
     waiting         steps that yield what they wait for; the blocking way to run them

@@ -15,7 +15,7 @@ tcp: 192.0.2.10, 192.0.2.10:1502, [::1]:1502.
 
 HOST is a name, an IPv4 address or an IPv6 address in brackets; the default port is 502, and 802 for
 tls. With udp, each datagram contains one frame of Modbus/TCP; with rtu+udp, one RTU frame. The
-options of each transport and their meanings stand in `schemes`.
+options of each transport and their meanings stand in `options`.
 
 Every URL may contain options of clients: ``tcp://192.0.2.10?unit=7&timeout=0.5``.
 """
@@ -32,21 +32,8 @@ from typing import TYPE_CHECKING, Any
 from ..protocol.mistakes import close_option
 from ..protocol.scan import pause_between_frames
 from .hosts import host_and_port, split_host_and_port
-from .schemes import (
-    ASCII_DEFAULTS,
-    CLIENT_OPTIONS,
-    DEFAULT_PORT,
-    OTHER_NAMES,
-    SCHEMES,
-    SERIAL_DEFAULTS,
-    TRANSPORTS,
-    Option,
-    Scheme,
-    Transport,
-    character_bits,
-    options_of,
-    shape_of,
-)
+from .options import ASCII_DEFAULTS, CLIENT_OPTIONS, SERIAL_DEFAULTS, Option, character_bits
+from .schemes import DEFAULT_PORT, SCHEMES, TRANSPORTS, Scheme, Transport, options_of, shape_of
 
 if TYPE_CHECKING:
     from urllib.parse import SplitResult
@@ -244,18 +231,17 @@ def _options(
 
     allowed = {**own, **CLIENT_OPTIONS}
     options: dict[str, Any] = {}
-    for given, text in parse_qsl(query, keep_blank_values=True, errors="surrogateescape"):
-        name = OTHER_NAMES.get(given, given)
+    for name, text in parse_qsl(query, keep_blank_values=True, errors="surrogateescape"):
         if name not in allowed:
-            close = close_option(given, allowed)
-            raise ValueError(f"{url!r}: {given!r} must be one of {', '.join(allowed)}{close}")
+            close = close_option(name, allowed)
+            raise ValueError(f"{url!r}: {name!r} must be one of {', '.join(allowed)}{close}")
         if name in options:
             raise ValueError(f"{url!r}: {name} is given twice")
+        form = allowed[name].form
         try:
-            options[name] = allowed[name].convert(text)
+            options[name] = form.convert(text)
         except ValueError:
-            wanted = allowed[name].wanted
-            raise ValueError(f"{url!r}: {name} must be {wanted}, not {text!r}") from None
+            raise ValueError(f"{url!r}: {name} must be {form.wanted}, not {text!r}") from None
     return (
         {name: value for name, value in options.items() if name in own},
         {name: value for name, value in options.items() if name not in own},

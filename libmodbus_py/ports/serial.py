@@ -13,42 +13,27 @@ import select
 import struct
 import termios
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict, Unpack
+from operator import index
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, Unpack
 
 from ..binding.library import check, ffi, lib, make
-from ..protocol.checks import integer, log_warning, seconds
+from ..protocol.checks import log_warning
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.mistakes import unknown_option
 from ..protocol.scan import pause_between_frames
 from ..system import set_odd_baudrate
+from .options import SERIAL_OPTIONS, SerialSettings, character_bits, parity_of
 from .port import RECEIVED_BYTES, Port, Silence, lost
-from .schemes import SERIAL_DEFAULTS, character_bits, parity_of
 from .waiting import Steps, of_system
 
 if TYPE_CHECKING:
     from .endpoint import Endpoint
-    from .port import PortSettings
+    from .options import ConnectionOptions
 
-__all__ = ["ReadOnlySerialPort", "SerialPort", "SerialSettings"]
-
-Parity = Literal["N", "E", "O", "none", "even", "odd"]
-Rs485 = Literal["kernel", "rts-up", "rts-down"]
+__all__ = ["ReadOnlySerialPort", "SerialPort"]
 
 # st_rdev of the ports that this process has open: the lock does not show which process has it.
 _open_here: set[int] = set()
-
-
-class SerialSettings(TypedDict, total=False):
-    """The settings of a `SerialPort`."""
-
-    baudrate: int
-    parity: Parity
-    data_bits: int
-    stop_bits: int
-    rs485: Rs485 | None
-    rts_delay: float | None
-    echo: bool | None
-    silence: float | None
 
 
 class SerialPort(Port):
@@ -73,7 +58,7 @@ class SerialPort(Port):
     }
 
     @classmethod
-    def of(cls, endpoint: Endpoint, _settings: PortSettings) -> Self:
+    def of(cls, endpoint: Endpoint, _settings: ConnectionOptions) -> Self:
         """Return the port of a client for an endpoint."""
         return cls(endpoint.path, **endpoint.serial_settings)
 
@@ -82,28 +67,25 @@ class SerialPort(Port):
             raise TypeError(f"device must be a string, not {type(device).__name__}")
         if not device or "\0" in device:
             raise ValueError(f"device must be the path of a serial port, not {device!r}")
-        unknown = settings.keys() - SerialSettings.__annotations__.keys()
-        if unknown:
-            raise unknown_option(min(unknown), [*SerialSettings.__annotations__])
+        if unknown := settings.keys() - SERIAL_OPTIONS.keys():
+            raise unknown_option(min(unknown), [*SERIAL_OPTIONS])
+        usual: Any = {name: settings.get(name, row.default) for name, row in SERIAL_OPTIONS.items()}
+        for name, row in SERIAL_OPTIONS.items():
+            row.check(name, usual[name])
         self.device = device
-        usual: Any = {**SERIAL_DEFAULTS, **settings}
         self.parity: Literal["N", "E", "O"] = parity_of(usual["parity"])
-        self.rs485 = settings.get("rs485")
-        if self.rs485 not in (None, "kernel", *self.rts_modes):
-            raise ValueError(f'rs485 must be "kernel", "rts-up" or "rts-down", not {self.rs485!r}')
-        self.baudrate: int = integer("baudrate", usual["baudrate"], 1, 4_000_000)
-        self.data_bits: int = integer("data_bits", usual["data_bits"], 5, 8)
-        self.stop_bits: int = integer("stop_bits", usual["stop_bits"], 1, 2)
-        self.echo: bool | None = settings.get("echo")
-        if not isinstance(self.echo, bool | None):
-            raise TypeError(f"echo must be True, False or None, not {self.echo!r}")
+        self.rs485: str | None = usual["rs485"]
+        self.baudrate: int = index(usual["baudrate"])
+        self.data_bits: int = index(usual["data_bits"])
+        self.stop_bits: int = index(usual["stop_bits"])
+        self.echo: bool | None = usual["echo"]
         bits = character_bits({**usual, "parity": self.parity})
-        wait, silence = settings.get("rts_delay"), settings.get("silence")
+        wait, silence = usual["rts_delay"], usual["silence"]
         self.character: float = bits / self.baudrate
-        self.rts_delay: float = self.character if wait is None else seconds("rts_delay", wait, 0, 1)
+        self.rts_delay: float = self.character if wait is None else float(wait)
         specified = pause_between_frames(self.baudrate, bits)
         self.silence: Silence = Silence(
-            specified if silence is None else seconds("silence", silence, 0, 1),
+            specified if silence is None else float(silence),
             self.character,
             self.rts_delay if self.rs485 in self.rts_modes else 0.0,
         )

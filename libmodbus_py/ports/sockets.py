@@ -24,7 +24,7 @@ from .waiting import WRITE, Ready, Steps, of_system, timed_out
 
 if TYPE_CHECKING:
     from .endpoint import Endpoint
-    from .port import PortSettings
+    from .options import ConnectionOptions
 
 __all__ = ["StreamPort", "TcpPort", "UdpPort", "keep_alive", "refuse_own"]
 
@@ -223,9 +223,9 @@ class TcpPort(HostPort, StreamPort):
     """A TCP connection."""
 
     @classmethod
-    def of(cls, endpoint: Endpoint, settings: PortSettings) -> Self:
+    def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
         """Return the port of a client for an endpoint."""
-        return cls(endpoint.host, endpoint.port, settings.keepalive)
+        return cls(endpoint.host, endpoint.port, settings["keepalive"])
 
     def __init__(self, host: str, port: int, keepalive: float | None) -> None:
         super().__init__(host, port)
@@ -253,7 +253,7 @@ class UdpPort(HostPort):
     kind = socket.SOCK_DGRAM
 
     @classmethod
-    def of(cls, endpoint: Endpoint, _settings: PortSettings) -> Self:
+    def of(cls, endpoint: Endpoint, _settings: ConnectionOptions) -> Self:
         """Return the port of a client for an endpoint."""
         return cls(endpoint.host, endpoint.port)
 

@@ -24,6 +24,7 @@ from libmodbus_py import (
     State,
     pdu,
 )
+from libmodbus_py.client.sender import Sender
 from libmodbus_py.ports.schemes import SCHEMES
 from tests.simulation.scripted import Scripted
 from tests.support.clients import ALL, World, asking, read
@@ -185,7 +186,7 @@ def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(
         waiting = asyncio.create_task(plc.read_holding_registers(7, 1))
         await asyncio.sleep(0)
         with pytest.raises(error, match=r"unit must be .*0\.\.255"):
-            plc.submit(unit, pdu.ReadHoldingRegisters(1, 1), lambda: None)
+            Sender(plc).submit(unit, pdu.ReadHoldingRegisters(1, 1), lambda: None)
         assert await waiting == [7]
 
     run_client(good, use)

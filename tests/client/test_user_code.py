@@ -21,6 +21,7 @@ from libmodbus_py import (
     State,
     pdu,
 )
+from libmodbus_py.client.sender import Sender
 from libmodbus_py.ports.schemes import SCHEMES
 from tests.simulation.scripted import OnRequest, Scripted
 from tests.support.cases import each_case
@@ -196,8 +197,8 @@ def submitting(act: Callable[[AsyncClient, list[Any]], object]) -> list[Any]:
 
     async def use(plc: AsyncClient, _: Scripted) -> None:
         done = asyncio.Event()
-        plc.submit(1, pdu.ReadHoldingRegisters(1, 1), lambda: act(plc, told))
-        second = plc.submit(1, pdu.ReadHoldingRegisters(2, 1), done.set)
+        Sender(plc).submit(1, pdu.ReadHoldingRegisters(1, 1), lambda: act(plc, told))
+        second = Sender(plc).submit(1, pdu.ReadHoldingRegisters(2, 1), done.set)
         await done.wait()
         told.append(second.outcome)
         await asyncio.sleep(1)
@@ -213,7 +214,9 @@ def test_an_on_done_that_raises_is_logged(caplog: pytest.LogCaptureFixture) -> N
 
 def test_an_on_done_may_submit() -> None:
     def submit(plc: AsyncClient, told: list[Any]) -> None:
-        third = plc.submit(1, pdu.ReadHoldingRegisters(3, 1), lambda: told.append(third.outcome))
+        third = Sender(plc).submit(
+            1, pdu.ReadHoldingRegisters(3, 1), lambda: told.append(third.outcome)
+        )
 
     assert submitting(submit) == [[2], [3]]
 
@@ -227,8 +230,8 @@ class Submitting(pdu.ReadHoldingRegisters):
 
     def decode_response(self, data: bytes) -> list[int]:
         read = pdu.ReadHoldingRegisters(6, 1)
-        submitted = self.plc.submit(1, read, lambda: self.told.append(submitted.outcome))
-        self.plc.submit(1, read, fail).withdraw()
+        submitted = Sender(self.plc).submit(1, read, lambda: self.told.append(submitted.outcome))
+        Sender(self.plc).submit(1, read, fail).withdraw()
         return super().decode_response(data)
 
 

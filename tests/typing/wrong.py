@@ -43,7 +43,7 @@ Client("tcp://192.0.2.10", may_send=print)  # wrong
 AsyncClient("tcp://192.0.2.10", statistics={})  # wrong
 Security("own.pem", trust=5)  # wrong
 Security("own.pem", trust="ca.pem", password=b"x")  # wrong
-Security("own.pem", ca=5)  # wrong
+Security("own.pem", ca="ca.pem")  # wrong
 Client("tls://192.0.2.10", security="own.pem")  # wrong
 Client("tls://192.0.2.10", framing="rtu")  # wrong
 Read("coil", 0)  # wrong

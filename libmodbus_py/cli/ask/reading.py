@@ -140,7 +140,7 @@ class Reader:
         status = Status(after=STATUS_AFTER_S)
         ask = partial(self._answers, context, status)
         try:
-            facts = self._holes, context.now(), context.statistics.connects
+            facts = self._holes, time.monotonic(), context.statistics.connects
             cells = plan.cells(carried_out(reading(plan.blocks, *facts), ask), ask(plan.others))
         finally:
             status.clear()

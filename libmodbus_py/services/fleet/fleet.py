@@ -424,5 +424,5 @@ class Fleet:
                 wanted[name] = json_value(points[name], wanted[name])
         line = self._lines[poller.config.connection_key]
         function = poller.config.write_function
-        plc = line.client_of(poller).for_unit(poller.unit, write_function=function)
+        plc = line.sender_of(poller).client.for_unit(poller.unit, write_function=function)
         await plc.write_map(points, wanted)
