@@ -126,10 +126,14 @@ class Call:
             given = type(request).__name__
             raise TypeError(f"{name.format(index)} must be a request object of pdu, not {given}")
         if is_broadcast and not request.may_be_broadcast:
-            raise ValueError(
-                f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
-                f"and {request} is not a write"
-            )
+            from ..protocol.pdu import RawRequest
+
+            if not isinstance(request, RawRequest):
+                raise ValueError(
+                    f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
+                    f"and {request} is not a write; broadcast=False, if a device answers it"
+                )
+            is_broadcast = False  # who sends bytes knows whether they are answered
         self.pdu = pdu = request.encode()
         if not isinstance(pdu, bytes):
             given = type(pdu).__name__
@@ -165,6 +169,15 @@ class Call:
     def forget(self) -> None:
         """Note that no caller waits for the outcome any more."""
         self.is_done = True
+
+    @property
+    def is_read(self) -> bool:
+        """True if it may be sent twice, and changes nothing."""
+        return self.request is not None and self.request.repeatable and not self.changes
+
+    def await_another_connection(self) -> None:
+        """Wait again, because its connection has ended; its time goes on."""
+        self.state = WAITING
 
     def send_no_more(self) -> None:
         """Note that it is not to be sent again."""
@@ -297,6 +310,14 @@ class Matching(ABC):
         self.unanswered = self.unasked = 0
         self.is_in_step = True
         self.rest = rest
+
+    def drop_rest(self) -> bool:
+        """Drop the beginning of a frame if it can be no part of an answer; return True if so."""
+        return False
+
+    def has_begun(self) -> bool:
+        """Return True if bytes of an answer have come."""
+        return bool(self.rest)
 
     def wake(self, at: float) -> None:
         """Set the alarm, unless there is an earlier one."""

@@ -30,7 +30,7 @@ from .call import ANSWERED, SENT, Batch, Call, Matching
 from .ids import Ids
 from .outcomes import Outcomes, add_hint, explain_end
 from .queue import Queue
-from .reconnecting import FORKED, Notices, Reconnecting, State
+from .reconnecting import FORKED, IDLE, Notices, Reconnecting, State
 from .statistics import Statistics
 
 if TYPE_CHECKING:
@@ -71,15 +71,17 @@ class Transactions:
             str(port), settings["max_pause"], self.statistics, self.notices, settings["on_state"]
         )
         self.matching: Matching
+        any_unit, any_id = settings["accept_unit"] == "any", settings["ids"] == "ignore"
+        # With any id, a late answer would be taken for that of the next request.
+        self._most_unanswered = 1 if any_id else settings["timeouts_before_reconnect"]
+        shared = endpoint, self.statistics, self._trace
         if endpoint.has_transactions:
-            any_unit = settings["accept_unit"] == "any"
-            self.matching = Ids(endpoint, self.statistics, self._trace, any_unit=any_unit)
+            self.matching = Ids(*shared, any_unit=any_unit, any_id=any_id)
         else:
             from .line import Line
 
-            self.matching = Line(
-                endpoint, self.statistics, self._trace, port.silence, settings["delimiter"]
-            )
+            delimiter = settings["delimiter"]
+            self.matching = Line(*shared, port.silence, delimiter, any_unit=any_unit)
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
         self._settings = settings
@@ -88,6 +90,8 @@ class Transactions:
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
         self._next_start = 0.0
+        self._opened_at = 0.0
+        self.idle_close: float | None = settings["idle_close"]
 
     @property
     def alarm(self) -> float:
@@ -208,11 +212,9 @@ class Transactions:
     def _is_useless(self) -> bool:
         """Return True if the connection is dead, or an answer on it was cut off."""
         matching = self.matching
-        is_dead = (
-            self._is_socket and matching.unanswered >= self._settings["timeouts_before_reconnect"]
-        )
+        is_dead = self._is_socket and matching.unanswered >= self._most_unanswered
         # The next answer would be appended to half a frame that no request expects.
-        is_cut = matching.rest and self.in_flight == len(self._silent)
+        is_cut = matching.rest and self.in_flight == len(self._silent) and not matching.drop_rest()
         return is_dead or bool(is_cut)
 
     def _send(self, call: Call, now: float) -> bytes:
@@ -251,6 +253,7 @@ class Transactions:
     def opened(self, now: float) -> None:
         """The connection was established: send what waits for it."""
         self._reset(now)
+        self._opened_at = now
         if self._settings["connect_delay"]:
             self._next_start = now + self._settings["connect_delay"]
         for call in list(self._queue.waiting):
@@ -259,6 +262,7 @@ class Transactions:
                 self._queue.remove(call)
                 call.settle(None)
         self.life.opened()
+        self.matching.wake(self.idle_until(now))
 
     def begin_connecting(self, now: float) -> float | None:
         """
@@ -297,7 +301,9 @@ class Transactions:
         if by_itself and self.life.fruitless and self.in_flight:
             add_hint(error, explain_end(self._scheme, error.errno))
         self.life.lost(error, now, by_itself=by_itself)
-        self._fail_all(error, now)
+        # Some devices close connections, and may do so while a request is under way to them.
+        has_answered = by_itself and self._is_socket and not self.life.fruitless
+        again = self._fail_all(error, now, but_reads=has_answered and not self.matching.has_begun())
         # A connection that was given up as dead has taken its time, and the next one may be alive.
         if by_itself and self.life.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
@@ -305,6 +311,7 @@ class Transactions:
             self._queue.remove(call)
             if not call.is_done:
                 self.submit(call, now)
+        self._queue.waiting.extendleft(reversed(again))
 
     def closed(self, now: float) -> None:
         """Note that the client was closed: all requests fail, now and later."""
@@ -347,12 +354,23 @@ class Transactions:
 
     # --- failures -----------------------------------------------------------------------------
 
-    def _fail_all(self, error: ModbusConnectionError, now: float) -> None:
+    def _fail_all(
+        self, error: ModbusConnectionError, now: float, *, but_reads: bool = False
+    ) -> list[Call]:
+        """Fail the requests in flight; with `but_reads`, return those to be sent once more."""
+        again: list[Call] = []
         for call in self._reset(now):
+            if but_reads and call.is_read:
+                call.await_another_connection()
+                self.statistics.note(call.function, "lost")
+                self.matching.wake(call.deadline)
+                again.append(call)
+                continue
             call.state = ANSWERED
             call.reply = alike(error)
             self._answered.append(call)
         self.settle(now)
+        return again
 
     def refuse(self, error: ModbusError, later: Collection[Call] = ()) -> None:
         """Fail all requests that wait, except some."""
@@ -427,8 +445,25 @@ class Transactions:
             self._note_ends(matching.expire(now))
             if not matching.has_ids:
                 self._end_waits_for_silence(now)
+            self.end_idle(now)
         else:
             self._end_waits(now)
+
+    def idle_until(self, now: float) -> float:
+        """Return when the connection is to be closed if no request comes; infinite for never."""
+        idle = self.idle_close
+        if idle is None or not self.life.is_open:
+            return math.inf
+        is_used = self.in_flight or self.is_wanted
+        return idle + (now if is_used else max(self._opened_at, self.statistics.last_success or 0))
+
+    def end_idle(self, now: float) -> None:
+        """Ask the driver to close a connection that has been idle for too long."""
+        until = self.idle_until(now)
+        if until <= now:
+            self.broken = self.broken or IDLE
+        else:
+            self.matching.wake(until)
 
     def _end_silent(self, now: float) -> None:
         over = [call for due, call in self._silent if due <= now]

@@ -60,7 +60,7 @@ class Handle:
         self._write_function: WriteFunction = settings["write_function"]
         self._endpoint = endpoint
         self._connection = Transactions(endpoint, settings, port)
-        self._has_broadcast = endpoint.framing in ("rtu", "ascii")
+        self._has_broadcast = not endpoint.has_transactions and settings["broadcast"]
         self._driver = make_driver(port, self._connection)
         self._refusals_of: dict[int, Holes] = {}
 

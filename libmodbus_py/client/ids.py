@@ -2,7 +2,8 @@
 Which answer belongs to which request, where frames have transaction ids: Modbus/TCP, TLS and UDP.
 
 An answer belongs to the request with its id. An id is used again after all others, and not while
-a late answer with it may arrive; such an answer is dropped and counted.
+a late answer with it may arrive; such an answer is dropped and counted. What comes while every
+request has been answered is no part of an answer: it is dropped, as the heartbeats of some modems.
 """
 
 from __future__ import annotations
@@ -29,16 +30,24 @@ class Ids(Matching):
     """
     The requests in flight on one connection, by their transaction ids.
 
-    With `any_unit`, other units may answer, because some devices always answer as unit 255.
+    With `any_unit`, other units may answer, because some devices always answer as unit 255. With
+    `any_id`, a frame answers the only request in flight, whatever its id.
     """
 
     has_ids = True
 
     def __init__(
-        self, endpoint: Endpoint, statistics: Statistics, trace: Trace, *, any_unit: bool = False
+        self,
+        endpoint: Endpoint,
+        statistics: Statistics,
+        trace: Trace,
+        *,
+        any_unit: bool = False,
+        any_id: bool = False,
     ) -> None:
         super().__init__(statistics, trace)
         self._any_unit = any_unit
+        self._any_id = any_id
         self._framing: Framing = endpoint.framing
         self._last = 0
         self._answered_at = 0.0
@@ -73,6 +82,8 @@ class Ids(Matching):
             if self.is_traced:
                 self._trace.tell("received", self._framer.encode(each), unit, pdu[0])
             call = self.pending.pop(number, None)
+            if call is None and self._any_id and self.pending:
+                _, call = self.pending.popitem()
             if call is None:
                 self._drop(each, now)
                 continue
@@ -109,7 +120,9 @@ class Ids(Matching):
         self._statistics.invalid += 1
         if self.is_traced:
             self._trace.tell("received", error.received)
-        if not self._framer.in_step:
+        if not self._framer.in_step and self._is_all_answered():
+            self._renew_framer()
+        elif not self._framer.in_step:
             self.is_in_step = False
             for call in self.pending.values():
                 call.reply = copy.copy(error)
@@ -119,6 +132,20 @@ class Ids(Matching):
             self._keep_stray(error.received)
         else:
             self.pending[_number(error.received)].reply = error  # unless the right answer follows
+
+    def _renew_framer(self) -> bytearray:
+        self._framer: Framer = make_framer(self._framing, "client")
+        self.rest = self._framer.rest
+        return self.rest
+
+    def _is_all_answered(self) -> bool:
+        return not (self.pending or self._abandoned)
+
+    def drop_rest(self) -> bool:
+        if not self._is_all_answered():
+            return False
+        self._framer.rest.clear()
+        return True
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:
         frame = mbap(_number(call.adu), call.answerer, pdu)
@@ -147,7 +174,8 @@ class Ids(Matching):
         error = no_answer(timeout, self._strays or rest)
         if self._strays and self._strays[:2] != number:
             other = _number(self._strays)
-            error.args = (f"{error.args[0]}: id {other}, not {_number(number)}",)
+            hint = 'ids="ignore" would take it'
+            error.args = (f"{error.args[0]}: id {other}, not {_number(number)}; {hint}",)
             error.answers_another = True
         return error
 
@@ -166,8 +194,7 @@ class Ids(Matching):
 
     def reset(self, now: float) -> list[Call]:
         calls = list(self.pending.values())
-        self._framer: Framer = make_framer(self._framing, "client")
-        self._begin_again(self._framer.rest)
+        self._begin_again(self._renew_framer())
         self._abandoned: dict[int, None] = {}
         self._strays = b""
         return calls

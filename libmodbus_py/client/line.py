@@ -125,8 +125,11 @@ class Line(Matching):
         trace: Trace,
         silence: Silence,
         delimiter: int = LINE_FEED,
+        *,
+        any_unit: bool = False,
     ) -> None:
         super().__init__(statistics, trace)
+        self._any_unit = any_unit
         self._endpoint = endpoint
         self._silence = silence
         self._delimiter = delimiter
@@ -249,6 +252,8 @@ class Line(Matching):
         if self.is_traced:
             self._trace.tell("received", self._framer.encode(found), unit, pdu[0])
         function = pdu[0] & 0x7F
+        if self._any_unit and call is not None:
+            unit = call.unit
         if call is None or unit != call.unit or function != call.pdu[0]:
             self._note_other(unit, function, call, now)
         elif pdu == call.pdu and self._echo.is_there and not self._echo.has_returned:
@@ -357,6 +362,9 @@ class Line(Matching):
         is_damaged = any(each in rest.replace(call.adu, b"", 1) for each in starts)
         if isinstance(self._wrong, FrameError) and is_damaged:
             self._fail(call, self._wrong, now)
+
+    def has_begun(self) -> bool:
+        return bool(self._received)
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:
         return bytes(self._received)

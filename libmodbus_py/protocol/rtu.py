@@ -91,6 +91,8 @@ def find_response(data: bytes, unit: int, function: int, *, is_over: bool) -> by
                 return data[at + 1 : end - 2]
             if end == UNFINISHED and not is_over:
                 return b""
+            if is_one_adu(data[at:]):  # of another length than the function has
+                return data[at + 1 : -2]
     return None
 
 

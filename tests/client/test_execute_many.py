@@ -293,25 +293,32 @@ def closing_after(count: int, connections: Callable[[], int]) -> OnRequest:
 def test_lost_connection_raises_for_the_first_without_an_answer(world: World) -> None:
     peer = world.peer("tcp", closing_after(7, lambda: peer.connections))
     with world.connect(peer.url, max_in_flight=16) as context:
-        with pytest.raises(ModbusConnectionError, match="address=7,") as caught:
+        with pytest.raises(ModbusConnectionError, match="address=14,") as caught:
             context.execute_many(reads(30))
         assert caught.value.errno == errno.ECONNRESET
-        assert peer.connections == 1
+        assert peer.connections == 2  # each read may be cut off once
         assert context.execute_many(reads(5)) == echoes(5)
-        assert peer.connections == 2
+        assert peer.connections == 3
+
+
+def test_reads_that_are_cut_off_once_are_sent_once_more(world: World) -> None:
+    peer = world.peer("tcp", closing_after(10, lambda: peer.connections))
+    with world.connect(peer.url, max_in_flight=4) as context:
+        assert context.execute_many(reads(40)) == echoes(40)
+        assert peer.connections == 4
 
 
 def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on(world: World) -> None:
-    peer = world.peer("tcp", closing_after(10, lambda: peer.connections))
+    peer = world.peer("tcp", closing_after(2, lambda: peer.connections))
     with world.connect(peer.url, max_in_flight=4) as context:
         found = context.execute_many(reads(40), return_exceptions=True)
         lost = failed(found, ModbusConnectionError)
-        assert lost == [10, 11, 12, 13, 24, 25, 26, 27, 38, 39]
+        assert lost == [4, 5, 10, 11, 16, 17, 22, 23, 28, 29, 34, 35]  # cut off twice
         assert len({id(found[at]) for at in lost}) == len(lost)
         for at in lost:
             assert found[at].asked == f"ReadHoldingRegisters(address={at}, count=1)"
             assert (found[at].errno, found[at].unit) == (errno.ECONNRESET, 1)
-        assert peer.connections == 3
+        assert peer.connections == 14
 
 
 # --- threads, signals, closing ---------------------------------------------------------------

@@ -58,7 +58,9 @@ def write(options: argparse.Namespace) -> int:
         _show(options, [request for _, request in requests])
         return 0
     endpoint = endpoint_of(options)
-    is_broadcast = not endpoint.has_transactions and endpoint.client_options.get("unit") == 0
+    client = endpoint.client_options
+    has_broadcast = not endpoint.has_transactions and client.get("broadcast", True)
+    is_broadcast = has_broadcast and client.get("unit") == 0
     if options.verify and is_broadcast:
         raise ValueError("--verify cannot be used with unit 0: nothing answers a broadcast")
     with closing(connected(options)) as context:

@@ -107,10 +107,10 @@ class DeviceConfig:
         change("endpoint", endpoint)
         change("connection_key", key)
         integer("unit", self.unit, 0, 255)
-        if self.unit == 0 and not endpoint.has_transactions:
-            raise WrongValue(
-                "unit", "must not be 0 on this transport: no device answers a broadcast"
-            )
+        is_broadcast = endpoint.client_options.get("broadcast", not endpoint.has_transactions)
+        if self.unit == 0 and is_broadcast:
+            reason = "must not be 0 on this transport without broadcast=0 in its URL"
+            raise WrongValue("unit", f"{reason}: no device answers a broadcast")
         if not isinstance(self.map, RegisterMap):
             raise WrongType("map", f"must be a RegisterMap, not {type(self.map).__name__}")
         points = [each for each in self.map.values() if each.access != "write"]

@@ -234,7 +234,7 @@ class GatewayLine(SharedLine[Forwarded]):
         self.url: str = str(endpoint)
         self.endpoint: Endpoint = endpoint
         self.statistics: LineStatistics = LineStatistics(self.url, self.client.statistics)
-        self._has_broadcast = not self.sender.has_ids
+        self._has_broadcast = self.sender.has_broadcast
         self._writes_first = options.writes_first
         self._silent = SilentUnits(self.client.timeout)
         self._cache = Cache()
