@@ -100,11 +100,10 @@ class Waker:
         """Wait until there is something to read; return False if the time is over first."""
         if seconds > LONGEST:
             return self._watched in self._polled(self._poll, seconds)
-        # As `_polled` and `milliseconds`, without three calls for each request.
-        ready = self._poll.poll(-int(-seconds * 1000 // 1) if seconds > 0 else 0)
-        for descriptor, _ in ready:
-            if descriptor == self.descriptor:
-                raise Woken
+        # As `_polled`, without three calls for each request; poll rounds up.
+        ready = self._poll.poll(seconds * 1000 if seconds > 0 else 0)
+        if ready and ready[0][0] == self.descriptor:
+            raise Woken
         return bool(ready)
 
     def wait(self, descriptor: int, events: int, deadline: float) -> bool:
