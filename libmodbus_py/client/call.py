@@ -215,11 +215,6 @@ class Call:
         """Note that no caller waits for the outcome any more."""
         self.is_done = True
 
-    @property
-    def is_read(self) -> bool:
-        """True if it may be sent twice, and changes nothing."""
-        return self.request is not None and self.request.repeatable and not self.changes
-
     def await_another_connection(self) -> None:
         """Wait again, because its connection has ended; its time goes on."""
         self.state = WAITING

@@ -28,7 +28,7 @@ from ..protocol.checks import finished, log_failure
 from ..protocol.errors import FrameError, ModbusConnectionError, ModbusError, alike
 from .call import Batch, Call, Matching
 from .ids import Ids
-from .outcomes import Outcomes, add_hint, explain_end
+from .outcomes import CLOSED, Outcomes, add_hint, explain_end
 from .queue import Queue
 from .reconnecting import FORKED, IDLE, Notices, Reconnecting, State
 from .statistics import Statistics
@@ -290,7 +290,7 @@ class Transactions:
             add_hint(error, explain_end(self._scheme, error.errno))
         self.life.lost(error, now, by_itself=by_itself)
         # Some devices close connections, and may do so while a request is under way to them.
-        has_answered = by_itself and self._is_socket and not self.life.fruitless
+        has_answered = by_itself and error.errno in CLOSED and not self.life.fruitless
         again = self._fail_all(error, now, but_reads=has_answered and not self.matching.has_begun())
         # A connection that was given up as dead has taken its time, and the next one may be alive.
         if by_itself and self.life.fruitless >= LOSSES_BEFORE_END:
@@ -346,7 +346,7 @@ class Transactions:
         """Fail the requests in flight; with `but_reads`, return those to be sent once more."""
         again: list[Call] = []
         for call in self._reset(now):
-            if but_reads and call.is_read:
+            if but_reads and not call.changes:
                 call.await_another_connection()
                 self.statistics.note(call.function, "lost")
                 again.append(call)

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Ids"]
 
+# Bytes that may come between an answer and the next request; manuals of modems say up to 40.
+MAX_HEARTBEATS = 256
+
 # The most ids that are kept for late answers; requests need the others.
 MAX_ABANDONED = 0x8000
 
@@ -125,7 +128,7 @@ class Ids(Matching):
         self._statistics.invalid += 1
         if self.is_traced:
             self._trace.tell("received", error.received)
-        if not self._framer.in_step and self._is_all_answered():
+        if not self._framer.in_step and self._is_all_answered() and self.unasked <= MAX_HEARTBEATS:
             self._renew_framer()
         elif not self._framer.in_step:
             self.is_in_step = False

@@ -24,7 +24,7 @@ __all__ = ["FORKED", "IDLE", "Notices", "OnState", "Reconnecting", "State"]
 FIRST_PAUSE_S = 0.1
 
 IDLE = ModbusConnectionError("closed, because no request came for `idle_close`")
-"""Why a connection ends that no request needs: this is no failure, and nobody is told of it."""
+"""The reason of an end that is no failure, and is not reported: no request needs the connection."""
 
 FORKED = "this process was forked off"
 
