@@ -185,7 +185,10 @@ class TestPublicNames:
         assert missing == []
 
     def test_there_are_few_at_the_top(self) -> None:
-        assert len(libmodbus_py.__all__) <= 48
+        stub = (PACKAGE / "__init__.pyi").read_text()
+        names = re.findall(r"^from .* import .* as (\w+)$", stub, re.MULTILINE)
+        assert len(names) <= 46
+        assert {*libmodbus_py.__all__} < {*names}
 
     @pytest.mark.parametrize("package", [libmodbus_py, pdu])
     def test_everything_is_there_for_whoever_asks_in_any_way(self, package: Any) -> None:
@@ -202,7 +205,6 @@ class TestPublicNames:
     def test_short_paths_lead_to_the_modules_themselves(self, name: str) -> None:
         home = importlib.import_module(f"libmodbus_py.{SHORT_PATHS[name]}")
         assert importlib.import_module(f"libmodbus_py.{name}") is home
-        assert getattr(libmodbus_py, name) is home
 
     def test_every_public_name_of_every_module_exists(self) -> None:
         for name in IMPORTABLE:
@@ -227,7 +229,6 @@ class TestPublicNames:
         assert {path for path in others if path.suffix not in ignored} == data
 
     def test_every_error_is_public(self) -> None:
-        assert set(errors.__all__) <= set(libmodbus_py.__all__)
         classes = {
             name
             for name, value in vars(errors).items()

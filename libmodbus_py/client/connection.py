@@ -65,8 +65,10 @@ class Transactions:
         self.statistics: Statistics = settings["statistics"] or Statistics()
         self.url: str = str(endpoint)
         self._trace = Trace(self.url, settings["trace"], later=self.notices.add)
+        # Who waits for a device misses it during a pause.
+        max_pause = 0.0 if endpoint.is_listening else settings["max_pause"]
         self.life: Reconnecting = Reconnecting(
-            str(port), settings["max_pause"], self.statistics, self.notices, settings["on_state"]
+            str(port), max_pause, self.statistics, self.notices, settings["on_state"]
         )
         self.matching: Matching
         any_unit, any_id = settings["accept_unit"] == "any", settings["ids"] == "ignore"

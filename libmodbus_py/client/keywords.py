@@ -34,7 +34,7 @@ class NoOthers(TypedDict):
 
 
 class nothing:
-    """What an argument is that was not given: errors say "must be ..., not nothing"."""
+    """The kind of an argument that was not given: errors say "must be ..., not nothing"."""
 
 
 def unexpected(method: Any, given: Iterable[str], known: Collection[str] = ()) -> TypeError:
@@ -100,7 +100,7 @@ def _as_written(method: FunctionType) -> FunctionType:
 
 
 def _add_defaults(method: FunctionType) -> None:
-    """Give each argument of a method a default, but `self`."""
+    """Set a default for each argument of a method, but for `self`."""
     positional = method.__code__.co_argcount
     defaults = method.__defaults__ or ()
     method.__defaults__ = (nothing(),) * (positional - 1 - len(defaults)) + defaults

@@ -47,6 +47,7 @@ A line keeps the order of requests to a unit: those behind one that waits wait, 
 from __future__ import annotations
 
 import math
+from typing import Any
 from weakref import WeakKeyDictionary
 
 from ..ports.endpoint import Endpoint
@@ -62,7 +63,8 @@ from ..protocol.errors import (
     ModbusError,
 )
 from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_after, make_framer
-from ..protocol.rtu import find_response
+from ..protocol.pdu.request import Request
+from ..protocol.rtu import find_response, has_own_length
 from .answers import Answers
 from .call import Call, Matching, no_answer
 from .statistics import Statistics
@@ -134,6 +136,7 @@ class Line(Matching):
         self._silence = silence
         self._delimiter = delimiter
         self._echo = Echo(endpoint.options.get("echo"))
+        self._own: Request[Any] | None = None  # the latest request, if it has its own length rule
         self._framer = self._make_framer()
         self._call: Call | None = None
         self._ended: list[Call] = []
@@ -149,7 +152,8 @@ class Line(Matching):
         self._waits: WeakKeyDictionary[Call, float] = WeakKeyDictionary()
 
     def _make_framer(self) -> Framer:
-        framer = make_framer(self._endpoint.framing, "client", self._endpoint.pause)
+        end = self._endpoint
+        framer = make_framer(end.framing, "client", end.pause, self._own)
         if isinstance(framer, AsciiFramer):
             framer.delimiter = self._delimiter
         return framer
@@ -182,10 +186,15 @@ class Line(Matching):
         return self._waits.get(call, math.inf) <= now and not self.may_start(call, now)
 
     def start(self, call: Call, now: float) -> bytes:
+        request = call.request
+        own = request if request is not None and has_own_length(request) else None
+        self._own, last = own, self._own
         if self._framer.pending or self._echo.is_holding:
             rest = self._framer.end() + self._echo.forget()
             if self._trace.is_on():
                 self._trace.tell("received", rest)
+            self._framer = self._make_framer()
+        elif own is not last:
             self._framer = self._make_framer()
         adu = self._framer.encode(Frame(call.unit, call.pdu))
         self._received.clear()

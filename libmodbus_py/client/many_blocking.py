@@ -108,11 +108,12 @@ class BlockingMany(BlockingFunctions):
 
         Returns:
             A list of values for each item, in the order of the items; a dict by name if `items`
-            is a mapping.
+            is a mapping. None stands for data that is no value of the item's type.
 
         Raises:
-            TypeError, ValueError: an argument is wrong, as for `Plan`; or registers hold no value
-                of the type of an item.
+            TypeError, ValueError: an argument is wrong, as for `Plan`.
+            NoValue: all data of an item is no value of its type; with `return_exceptions` it is
+                returned in place of the item's values.
             IllegalDataAddress: a merged request covers cells that the device
                 lacks. With a `Plan`, the items that the device refuses are found by halving the
                 request; with `return_exceptions` they are left out (`unreadable`), otherwise
@@ -129,7 +130,10 @@ class BlockingMany(BlockingFunctions):
                 raised(answers)
         else:
             answers = self._answers(plan, return_exceptions)
-        return plan.results(answers)
+        values = plan.results(answers)
+        if not return_exceptions:
+            raised(values.values() if isinstance(values, dict) else values)
+        return values
 
     @overload
     def watch(
@@ -195,8 +199,7 @@ class BlockingMany(BlockingFunctions):
             time. Otherwise it yields what `read_many` returns with ``return_exceptions=True``.
 
         Raises:
-            TypeError, ValueError: an argument is wrong; nothing was sent. If `what` is no map, the
-                iterator itself raises ValueError for registers that hold no value of their type.
+            TypeError, ValueError: an argument is wrong; nothing was sent.
         """
         if options:
             check_plan_options(self.watch, options)

@@ -104,6 +104,10 @@ class Port(ABC):
     def close(self) -> None:
         """Restore the settings of the line and close the port; may be called repeatedly."""
 
+    def shut(self) -> None:
+        """Close the port for good: a client that listens gives up its address."""
+        self.close()
+
     @abstractmethod
     def abandon(self) -> None:
         """Close the descriptor without an effect on the line, which belongs to a parent process."""

@@ -81,12 +81,19 @@ class TlsPort(TcpPort):
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
         """Return the port of a client for an endpoint."""
         security = security_of(endpoint, settings["security"])
-        return cls(endpoint.host, endpoint.port, settings["keepalive"], security)
+        keepalive, source = settings["keepalive"], settings["source"]
+        return cls(endpoint.host, endpoint.port, keepalive, source, security=security)
 
     def __init__(
-        self, host: str, port: int, keepalive: float | None, security: ClientSecurity
+        self,
+        host: str,
+        port: int,
+        keepalive: float | None,
+        source: str | None = None,
+        *,
+        security: ClientSecurity,
     ) -> None:
-        super().__init__(host, port, keepalive)
+        super().__init__(host, port, keepalive, source)
         self._security = security
         self._session: ssl.SSLSession | None = None  # which the next connection resumes (R-42)
         self._begin(None)

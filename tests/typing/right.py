@@ -52,6 +52,7 @@ Client("tcp://192.0.2.10", write_function="single").for_unit(2, write_function="
 Client("tcp://192.0.2.10", ids="ignore", idle_close=5)
 Client("rtu:///dev/ttyUSB0", unit=0, broadcast=False)
 Client("ascii:///dev/ttyUSB0", delimiter=0x0A)
+Client("rtu:///dev/ttyUSB0", rs485=lambda is_sending: None)
 Client("rtu:///dev/ttyUSB0", rs485=None, rts_delay=None, echo=True, busy_retries=3, turnaround=0.2)
 Client("tcp://192.0.2.10?unit=17", timeout=0.5, retries=1)
 Client("rtu:///dev/ttyUSB0", baudrate=9600, parity="N")
