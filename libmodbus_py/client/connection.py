@@ -66,10 +66,9 @@ class Transactions:
         self.url: str = str(endpoint)
         self._trace = Trace(self.url, settings["trace"], later=self.notices.add)
         # Who waits for a device misses it during a pause.
-        max_pause = 0.0 if endpoint.is_listening else settings["max_pause"]
-        self.life: Reconnecting = Reconnecting(
-            str(port), max_pause, self.statistics, self.notices, settings["on_state"]
-        )
+        pause = 0.0 if endpoint.is_listening else settings["max_pause"]
+        life = Reconnecting(str(port), pause, self.statistics, self.notices, settings["on_state"])
+        self.life: Reconnecting = life
         self.matching: Matching
         any_unit, any_id = settings["accept_unit"] == "any", settings["ids"] == "ignore"
         # With any id, a late answer would be taken for that of the next request.
@@ -88,8 +87,7 @@ class Transactions:
         self._outcomes = Outcomes(endpoint, port, self.queue, self.life, self.statistics)
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
-        self._next_start = 0.0
-        self._opened_at = 0.0
+        self._next_start = self._opened_at = 0.0
         self.idle_close: float | None = settings["idle_close"]
 
     @property
@@ -292,8 +290,8 @@ class Transactions:
             add_hint(error, explain_end(self._scheme, error.errno))
         self.life.lost(error, now, by_itself=by_itself)
         # Some devices close connections, and may do so while a request is under way to them.
-        has_answered = by_itself and error.errno in CLOSED and not self.life.fruitless
-        again = self._fail_all(error, now, but_reads=has_answered and not self.matching.has_begun())
+        is_closed = by_itself and error.errno in CLOSED and not self.life.fruitless
+        again = self._fail_all(error, now, but_reads=is_closed and not self.matching.has_begun())
         # A connection that was given up as dead has taken its time, and the next one may be alive.
         if by_itself and self.life.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)

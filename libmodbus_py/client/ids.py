@@ -2,8 +2,9 @@
 Which answer belongs to which request, where frames have transaction ids: Modbus/TCP, TLS and UDP.
 
 An answer belongs to the request with its id. An id is used again after all others, and not while
-a late answer with it may arrive; such an answer is dropped and counted. What comes while every
-request has been answered is no part of an answer: it is dropped, as the heartbeats of some modems.
+a late answer with it may arrive; such an answer is dropped and counted. A few bytes that come while
+every request has been answered are no part of an answer: they are dropped, as the heartbeats of
+some modems.
 """
 
 from __future__ import annotations
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from ..ports.trace import Trace
 
 __all__ = ["Ids"]
-
-# Bytes that may come between an answer and the next request; manuals of modems say up to 40.
-MAX_HEARTBEATS = 256
 
 # The most ids that are kept for late answers; requests need the others.
 MAX_ABANDONED = 0x8000
@@ -88,11 +86,11 @@ class Ids(Matching):
             if self.is_traced:
                 self._trace.tell("received", mbap(number, unit, pdu), unit, pdu[0])
             call = self.pending.pop(number, None)
-            if call is None and self._any_id and self.pending:
-                _, call = self.pending.popitem()
             if call is None:
-                self._drop(number, mbap(number, unit, pdu), now)
-                continue
+                if not (self._any_id and self.pending):
+                    self._drop(number, mbap(number, unit, pdu), now)
+                    continue
+                _, call = self.pending.popitem()
             if call.unit == unit or self._any_unit:
                 self.unanswered: int = 0
                 self._answered_at = now
@@ -128,9 +126,7 @@ class Ids(Matching):
         self._statistics.invalid += 1
         if self.is_traced:
             self._trace.tell("received", error.received)
-        if not self._framer.in_step and self._is_all_answered() and self.unasked <= MAX_HEARTBEATS:
-            self._renew_framer()
-        elif not self._framer.in_step:
+        if not self._framer.in_step:
             self.is_in_step = False
             for call in self.pending.values():
                 call.answer(copy.copy(error))
@@ -141,17 +137,8 @@ class Ids(Matching):
         else:
             self.pending[_number(error.received)].doubt(error)
 
-    def _renew_framer(self) -> bytearray:
-        kind = UdpFramer if self._is_datagram else TcpFramer
-        self._framer: TcpFramer = kind("client")
-        self.rest = self._framer.rest
-        return self.rest
-
-    def _is_all_answered(self) -> bool:
-        return not (self.pending or self._abandoned)
-
     def drop_rest(self) -> bool:
-        if not self._is_all_answered():
+        if self.pending or self._abandoned:
             return False
         self._framer.rest.clear()
         return True
@@ -203,7 +190,8 @@ class Ids(Matching):
 
     def reset(self, now: float) -> list[Call]:
         calls = list(self.pending.values())
-        self._begin_again(self._renew_framer())
+        self._framer: TcpFramer = (UdpFramer if self._is_datagram else TcpFramer)("client")
+        self._begin_again(self._framer.rest)
         self._abandoned: dict[int, None] = {}
         self._strays = b""
         return calls

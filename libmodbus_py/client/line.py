@@ -455,8 +455,8 @@ class Line(Matching):
         return [call]
 
 
-# A frame that is equal to the request may be an echo: a possible answer to reads, because it has the
-# same length; to writes of several cells, what some devices answer.
+# A frame that is equal to the request may be an echo: a possible answer to reads, because it has
+# the same length; to writes of several cells, what some devices answer.
 _LIKE_ANSWERS = frozenset([0x01, 0x02, 0x0F, 0x10, 0x17])
 
 
