@@ -84,21 +84,23 @@ class AsyncioDriver:
             self._bind()
         done = loop.create_future()
         try:
-            self.ask(job, done)
+            self._submit(job, done)
             if not job.is_done:
                 await done
         finally:
             if not job.is_done:
                 self.withdraw(job)
 
-    def ask(self, job: Call | Batch, caller: Future[None] | Callable[[], object]) -> None:
+    def ask(self, job: Call | Batch, caller: Callable[[], object]) -> None:
         """
-        Send requests; once they are over, perhaps before this method returns, tell the caller.
+        Send requests; once they are over, perhaps before this method returns, call a function.
 
-        The result of a future is set; a function is called, and what it raises is logged.
+        What it raises is logged.
         """
-        if asyncio.get_running_loop() is not self._loop:
-            self._bind()
+        self._bind()
+        self._submit(job, caller)
+
+    def _submit(self, job: Call | Batch, caller: Future[None] | Callable[[], object]) -> None:
         self._callers[job] = caller
         job.on_end(self._note_end)
         try:

@@ -80,6 +80,7 @@ class Transactions:
             from .line import Line
 
             self.matching = Line(*shared, port.silence, settings["delimiter"], any_unit=any_unit)
+        self._has_ids = endpoint.has_transactions
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
         self._settings = settings
@@ -183,7 +184,7 @@ class Transactions:
             return False
         adus: list[bytes] = []
         traced: list[Call] = []
-        unsettled, most = len(self._answered), queue.limit
+        unsettled, most = self._answered, queue.limit
         if (is_traced := self._trace.is_on()) is not matching.is_traced:
             matching.trace_frames(is_on=is_traced)
         while (call := queue.next(now, self.in_flight, unsettled)) is not None:
@@ -242,8 +243,7 @@ class Transactions:
         """The connection was established: send what waits for it."""
         self._reset(now)
         self._opened_at = now
-        if self._settings["connect_delay"]:
-            self._next_start = now + self._settings["connect_delay"]
+        self._next_start = max(self._next_start, now + self._settings["connect_delay"])
         for call in list(self.queue.waiting):
             call.note_connection(now)
             if call.request is None:
@@ -416,7 +416,7 @@ class Transactions:
                     if self.life.fruitless:  # the other side is alive
                         self.life.prove()
                     call.settle(result)
-                    if not self.matching.has_ids:
+                    if not self._has_ids:
                         self.matching.conclude(call, None, now)
             else:
                 assert reply is not None
@@ -446,7 +446,7 @@ class Transactions:
             ended = matching.expire(now)
             self.in_flight -= len(ended)
             self._answered += ended
-            if not matching.has_ids:
+            if not self._has_ids:
                 self._end_waits_for_silence(now)
             self.end_idle(now)
         else:

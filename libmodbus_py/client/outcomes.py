@@ -1,5 +1,5 @@
 """
-What becomes of requests that failed: a repetition, or an error with the likely mistake.
+The outcome of each request that failed: a repetition, or an error with the likely mistake.
 """
 
 from __future__ import annotations

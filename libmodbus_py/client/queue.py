@@ -40,11 +40,11 @@ class Queue:
         """The requests to be sent again, and then those to be sent for the first time."""
         return [*self.again, *self.waiting]
 
-    def next(self, now: float, in_flight: int, unsettled: int) -> Call | None:
+    def next(self, now: float, in_flight: int, unsettled: Collection[Call]) -> Call | None:
         """
         Remove and return the next request; None, and the alarm is set, if none may be sent.
 
-        `unsettled` requests were answered, and have no outcome yet.
+        The `unsettled` requests were answered, and have no outcome yet.
         """
         if not self._has_ids:
             return None if in_flight or unsettled else self._next_on_line(now)

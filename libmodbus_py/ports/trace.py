@@ -94,7 +94,7 @@ class Trace:
         self._callback = callback
         self._peer = peer
         self._later = later  # makes a call with a name later; None for at once
-        # True if somebody may listen: a program that has not imported logging logs nothing.
+        # True if a log handler may want frames: without logging imported, there is none.
         self.is_on: Callable[[], bool] = (
             partial(contains, sys.modules, "logging") if callback is None else lambda: True
         )

@@ -48,6 +48,7 @@ TRANSACTION, UNIT, FUNCTION = slice(0, 2), 6, 7
 
 _HEADER = struct.Struct(">HHH")
 HEADER = struct.Struct(">HHHB")  # with the unit
+MAX_FRAME = HEADER.size + MAX_PDU
 _CRC = struct.Struct("<H")
 
 
@@ -132,7 +133,7 @@ class TcpFramer(Framer):
     """
 
     has_broadcast = False
-    max_size = MAX_PDU + 7
+    max_size = MAX_FRAME
 
     def __init__(self, role: Role = "server") -> None:
         super().__init__()
@@ -148,9 +149,10 @@ class TcpFramer(Framer):
 
         This takes a quarter of the time of `scan`.
         """
-        if len(data) > FUNCTION and not self.rest and self.in_step:
+        size = len(data)
+        if FUNCTION < size <= MAX_FRAME and not self.rest and self.in_step:
             transaction, protocol, length, unit = HEADER.unpack_from(data)
-            if not protocol and len(data) == _HEADER.size + length <= self.max_size:
+            if length == size - UNIT and not protocol:
                 return unit, data[FUNCTION:], transaction
         return None
 
