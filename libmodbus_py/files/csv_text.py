@@ -245,6 +245,7 @@ CELLS: dict[str, Callable[[str], Any]] = {
     "int": whole_in,
     "float": number_in,
     "float | None": number_in,
+    "WriteFunction | None": str,
     "bool": flag_in,
     "tuple[str, ...]": _words,
 }

@@ -137,7 +137,7 @@ RAW = {"raw_minimum": "minimum", "raw_maximum": "maximum", "raw_initial": "initi
 
 READERS: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys(("name", "units", "description", "encoding", "scale_from", "bit"), str),
-    **dict.fromkeys(("time_zone", "group", "device"), str),
+    **dict.fromkeys(("time_zone", "group", "device", "write_function"), str),
     **dict.fromkeys(("address", "address_hex", "address_dec"), str),
     **dict.fromkeys(("count", "registers", "bytes"), whole_in),
     **dict.fromkeys((*NUMBERS, *RAW, "plausible_maximum", "rewrite"), number_in),

@@ -77,6 +77,8 @@ class Point:
         rewrite: the seconds after which a fleet writes the last value that it wrote again, and
             again, 0.01..86400, for devices that need it; None for never.
         initial: the value with which a simulated device begins, as `encode` takes it.
+        write_function: the functions that write the point: "single" for 5 and 6, "multiple" for 15
+            and 16; None for those of the client, or of the device of a fleet.
 
     Attributes:
         read: the `Read` of all cells, for a `Plan`.
@@ -118,6 +120,7 @@ class Point:
     group: str = ""
     rewrite: float | None = None
     initial: Any = None
+    write_function: Literal["single", "multiple"] | None = None
     read: Read = field(init=False, repr=False, compare=False)
     meaning: Meaning = field(init=False, repr=False, compare=False)
     _scaling: Scaling | None = field(init=False, repr=False, compare=False)

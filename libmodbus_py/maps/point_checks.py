@@ -13,7 +13,7 @@ from ..protocol.checks import integer, seconds, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue, placed
 from ..protocol.pdu.request import store
 from ..protocol.plain import shortest
-from ..protocol.tables import TABLES, checked_table
+from ..protocol.tables import TABLES, checked_table, checked_write_function
 from ..protocol.values import ValueType
 from .meaning import Meaning, Part, Scaling, number, part_of
 from .plan import Read
@@ -100,6 +100,8 @@ def check_point(point: Point) -> None:
         seconds("interval", point.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
     if point.rewrite is not None:
         seconds("rewrite", point.rewrite, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+    if point.write_function is not None:
+        checked_write_function(point.write_function, ("single", "multiple"))
     if not isinstance(point.border, bool):
         raise WrongType("border", f"must be true or false, not {point.border!r}")
     store(point, access=_access(point), meaning=_meaning(point, read.kind))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, Unpack
 
 from ..protocol import pdu
 from ..protocol.mistakes import WrongType, WrongValue, close_to
+from ..protocol.tables import WriteFunction, checked_write_function
 from .plan import PlanOptions
 from .point import Point
 from .point_plan import PointPlan, borders_of, scale_mistakes, sources_of
@@ -110,7 +111,7 @@ class RegisterMap(Mapping[str, Point]):
         self,
         values: Mapping[str, Any],
         *,
-        multiple: bool = False,
+        write_function: WriteFunction = "auto",
         sources: Mapping[str, Any] | None = None,
     ) -> list[pdu.Request[None]]:
         """
@@ -121,8 +122,10 @@ class RegisterMap(Mapping[str, Point]):
 
         Args:
             values: the values by name, as `Point.encode` takes them.
-            multiple: True to write even single coils and registers with functions 15 and 16,
-                for devices that lack functions 5 and 6.
+            write_function: "single" for functions 5 and 6, with a request for each coil or
+                register, so that a device sees a value of two registers in two halves; "multiple"
+                for 15 and 16; "auto" for 5 and 6 for single ones, 15 and 16 for several. Points
+                may name their own (`Point.write_function`).
             sources: the values that were read of the points of `scale_sources`, by name.
 
         Raises:
@@ -139,7 +142,7 @@ class RegisterMap(Mapping[str, Point]):
         ]
         from .writing import write_requests  # brings the functions that write
 
-        return write_requests(changes, multiple)
+        return write_requests(changes, checked_write_function(write_function))
 
     def scale_sources(self, values: Mapping[str, Any]) -> list[str]:
         """

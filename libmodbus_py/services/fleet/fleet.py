@@ -436,5 +436,6 @@ class Fleet:
 
     async def _send(self, poller: Poller, values: Mapping[str, Any]) -> None:
         line = self._lines[poller.config.connection_key]
-        client = line.sender_of(poller).client.for_unit(poller.unit)
-        await client.write_map(poller.config.map, values)
+        function = poller.config.write_function
+        plc = line.sender_of(poller).client.for_unit(poller.unit, write_function=function)
+        await plc.write_map(poller.config.map, values)

@@ -56,6 +56,7 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "group": {"group": "slow"},
     "rewrite": {"rewrite": 30},
     "initial": {"initial": [1, 2], "count": 2},
+    "write_function": {"write_function": "multiple"},
 }
 
 SCALE = Point("sf", H, 100, access="read")
