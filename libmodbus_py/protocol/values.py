@@ -62,6 +62,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from .checks import integer
 from .mistakes import Path, WrongType, WrongValue
 from .number_types import NUMBERS
+from .plain import text_of
 from .value_types import ORDERS, WIDE_ORDERS, WIDE_REGISTERS, ValueType, cells_of, checked_order
 from .words import (
     MAX_STRING_BYTES,
@@ -284,13 +285,37 @@ class Interpretation(NamedTuple):
     order: str
     value: Any
 
+    @property
+    def doubt(self) -> tuple[bool, bool, int]:
+        """
+        The degree of implausibility, to compare the value with others of the same registers.
 
+        A number, or a text without control characters, is the more plausible the fewer characters
+        it has for its registers. Behind these come what few devices have, and what is mostly
+        chance: numbers with an exponent, short texts, float16 and BCD; then bits.
+        """
+        kind = value_type(self.type)
+        text = self.value if kind.is_text else text_of(self.value, kind)
+        if kind.is_text:
+            is_chance = len(text) < LEAST_TEXT or not text.isprintable()
+        else:
+            is_chance = not re.fullmatch("-?[0-9.]+", text) or not self.type.startswith(_LIKELY)
+        return self.type.startswith("bits"), is_chance, len(text) - REGISTER_DIGITS * kind.registers
+
+
+LEAST_TEXT = 4
+"""Characters of a text that is hardly chance: of two random registers, 1 of 50 are printable."""
+
+REGISTER_DIGITS = 4
+"""Digits by which a number may be longer for each register, without being less plausible."""
+
+_LIKELY = ("int", "uint", "float32", "float64")
 _USUAL = re.compile("(u?int|float|bcd|bits)(16|32|48|64)")
 
 
 def readings(registers: Iterable[int]) -> list[Interpretation]:
     """
-    Return all interpretations of registers as one value.
+    Return all interpretations of registers as one value, the most plausible ones first.
 
     This helps when a manual is wrong: one of the interpretations is the value that the device
     displays. If several orders of a type lead to the same value, only the first one is returned
@@ -320,4 +345,4 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
                 continue  # numbers with a 0 in front, rather than text
             # By repr, because a nan is not equal to itself.
             found.setdefault((name, repr(value)), Interpretation(name, order, value))
-    return list(found.values())
+    return sorted(found.values(), key=lambda reading: reading.doubt)

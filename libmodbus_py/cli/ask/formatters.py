@@ -35,6 +35,10 @@ NUMBER_CHARACTERS = 5
 """The width of an address, so that the addresses of several commands are below each other."""
 
 
+MOST_AT_ONCE, SIZES, LIKELY = 125, (1, 2, 4), 3
+"""Of --type all: the most registers of one value; those of a part of them; values of a part."""
+
+
 class ValueText(NamedTuple):
     """
     One value as text for people, and for CSV (`plain`), behind its address or name.
@@ -79,7 +83,7 @@ def result_of(item: Item, cells: list[int] | ModbusError, source: Any = None) ->
         if item.point is not None:
             return _of_point(item, item.point, cells, source)
         if item.form == ALL:
-            rows, fields = _in_all_ways(cells)
+            rows, fields = _in_all_ways(item, cells)
         elif item.kind is not None:
             rows, fields = _of_type(item, item.kind, cells)
         else:
@@ -137,17 +141,36 @@ def _of_type(item: Item, kind: ValueType, cells: list[int]) -> _Shown:
     return rows, {**fields, "no_value": texts} if texts else fields
 
 
-def _in_all_ways(cells: list[int]) -> _Shown:
-    """Return every interpretation of registers as one value."""
-    found: list[Interpretation] = readings(cells)
-    if not found:
-        raise ValueError(f"{len(cells)} registers can only be text, and these are not")
-    width = max(len(reading.type) for reading in found)
+def _in_all_ways(item: Item, cells: list[int]) -> _Shown:
+    """
+    Return what registers mean, each with the number of its first register, plausible ones first:
+    all interpretations as one value, and, from each register on, the likely ones of fewer.
+    """
+    placed: list[tuple[int, Interpretation]] = []
+    for at in range(len(cells)):
+        sizes = [size for size in SIZES if size < len(cells) and at + size <= len(cells)]
+        parts = [each for size in sizes for each in readings(cells[at : at + size])]
+        parts.sort(key=lambda reading: reading.doubt)
+        # Of signed and unsigned values that are equal, one is enough here.
+        distinct: dict[str, Interpretation] = {}
+        for part in parts:
+            distinct.setdefault(repr(part.value), part)
+        likely = [*distinct.values()][:LIKELY]
+        if at == 0 and len(cells) <= MOST_AT_ONCE:
+            likely = sorted([*readings(cells), *likely], key=lambda reading: reading.doubt)
+        placed += [(at, each) for each in likely]
+    width = max(len(reading.type) for _, reading in placed)
+    orders = max(len(reading.order) for _, reading in placed)
     rows = [
-        ValueText(f"{name:<{width}}  {order}", *_texts(value, value_type(name)))
-        for name, order, value in found
+        ValueText(
+            f"{item.number(at):>{NUMBER_CHARACTERS}}  {name:<{width}}  {order:<{orders}}",
+            *_texts(value, value_type(name)),
+        )
+        for at, (name, order, value) in placed
     ]
-    return rows, {"registers": cells, "readings": plain(found)}
+    first = item.address + item.base
+    fields = [{"address": first + at, **plain(reading)} for at, reading in placed]
+    return rows, {"registers": cells, "readings": fields}
 
 
 def _of_point(item: Item, point: Point, cells: list[int], source: Any) -> ReadResult:

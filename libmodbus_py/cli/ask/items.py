@@ -19,10 +19,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from ...maps.plan import Borders, Read
-from ...protocol.checks import integer
 from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.plain import number_of
-from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE, TABLES
+from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE
 from ...protocol.values import ValueType, parse_reference, value_type
 from ...protocol.words import REFERENCE_TABLES, close_word, plain, table_named
 from ...protocol.words import TABLE_WORDS as VENDORS
@@ -148,8 +147,6 @@ class Words:
         while self._words:
             item = self.take_item()
             items.append(item if item.point else replace(item, count=self._take_count(item)))
-            if item.form == ALL:  # they are one value
-                integer("count", items[-1].count, 1, TABLES["holding_registers"].most_read)
         return items
 
     def borders(self) -> Borders:
