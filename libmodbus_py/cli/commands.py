@@ -46,6 +46,9 @@ COMMANDS = {
 }
 """Name -> module in this package, and the purpose."""
 
+OF_PROGRAM = ("-h", "--help", "--help-all", "--version")
+"""Options without a command."""
+
 EXAMPLES = """\
 examples:
   libmodbus-py serve --example meter
@@ -64,6 +67,11 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     # Options before the command have no values, so the first word must be the command.
     if not arguments or arguments[0] not in COMMANDS:
         names = whole_parser(())
+        if arguments and arguments[0].startswith("-") and arguments[0] not in OF_PROGRAM:
+            at = next((at for at, word in enumerate(arguments) if word in COMMANDS), 1)
+            name = arguments[at] if arguments[at:] and arguments[at] in COMMANDS else "COMMAND"
+            before = " ".join(arguments[:at])
+            names.error(f"options stand behind the command: {PROGRAM} {name} {before} ...")
         names.parse_args(arguments)
         names.error("COMMAND must come first")
     name, *others = arguments
@@ -92,8 +100,8 @@ def _is_read(arguments: Sequence[str]) -> bool:
     from .foreign import is_place
 
     if arguments[0].startswith("-"):
-        is_asked = arguments[0] in ("-h", "--help", "--help-all", "--version")
-        return not is_asked and any(map(is_place, arguments))
+        is_of_others = arguments[0] in OF_PROGRAM or not COMMANDS.keys().isdisjoint(arguments)
+        return not is_of_others and any(map(is_place, arguments))
     return is_place(arguments[0])
 
 

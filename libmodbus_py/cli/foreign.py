@@ -43,6 +43,7 @@ OPTIONS = {
     **dict.fromkeys(("--host", "--ip"), "VALUE without an option"),
     "--function": FUNCTION,
     "--baud": "-b VALUE",
+    "--bit": "hr N.VALUE, a bit of a register, of which 0 is the lowest",
 }
 """Option of another program -> what is typed here; VALUE stands for its value."""
 

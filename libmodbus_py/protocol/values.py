@@ -260,7 +260,7 @@ def _string(name: str, encoding: str, padding: str) -> ValueType:
     found = re.fullmatch(r"string:([0-9]{1,9})", type_named(name) or "")
     if not found:
         wanted = f"one of {', '.join(TYPES)}, string:N"
-        close = close_word(name, TYPES, TYPE_WORDS)
+        close = close_word(name, [*TYPES, "string:N"], TYPE_WORDS)
         raise WrongValue("type", f"must be {wanted}, not {reprlib.repr(name)}{close}")
     size = int(found[1])
     if not 1 <= size <= MAX_STRING_BYTES:

@@ -86,6 +86,9 @@ def result_of(item: Item, cells: list[int] | ModbusError, source: Any = None) ->
             rows, fields = _in_all_ways(item, cells)
         elif item.kind is not None:
             rows, fields = _of_type(item, item.kind, cells)
+        elif item.bit is not None:
+            bit = cells[0] >> item.bit & 1
+            rows, fields = [ValueText(item.number(), str(bit), str(bit))], {"value": bool(bit)}
         else:
             is_hex = item.form == HEX and item.table in (*REGISTERS, "fifo_queue")
             form = "0x{:04X}" if is_hex else "{}"
@@ -114,6 +117,8 @@ def _whence(item: Item) -> dict[str, Any]:
     if item.point is not None:
         return {"name": item.point.name}
     found: dict[str, Any] = {"table": item.table, "address": item.address + item.base}
+    if item.bit is not None:
+        found["bit"] = item.bit
     return {**found, "file": item.file} if item.table == "file" else found
 
 

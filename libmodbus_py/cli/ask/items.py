@@ -4,8 +4,9 @@ Items that are read or written: tables and addresses, references, names; taken f
 ::
 
     hr 100    40101    voltage      a cell of a table, a reference, a point of a map
-    hr 100:float32                  a type for this item, in place of --type
+    hr 100:float32:CDAB             a type and an order for this item, in place of --type, --order
     hr 100-105    40101-40106       a range of cells
+    hr 100.3      40101.3           a bit of a register, 0 the lowest
     40101=5    hr 100=5             a value behind it, for a write
 """
 
@@ -19,6 +20,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from ...maps.plan import Borders, Read
+from ...protocol.checks import integer
 from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.plain import number_of
 from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE
@@ -53,7 +55,9 @@ USUAL = {"order": "ABCD", "encoding": "ascii", "padding": "\0"}
 ALL, HEX = "all", "hex"
 """Forms of registers without a type: every interpretation (--type all), and hexadecimal."""
 
-_PLACE = re.compile(r"(?P<first>-?[^-:]*)(?:-(?P<last>[0-9]+))?(?P<type>:.+)?", re.DOTALL)
+_PLACE = re.compile(
+    r"(?P<first>-?[^-:.]*)(?:\.(?P<bit>[0-9]+)|(?:-(?P<last>[0-9]+))?(?P<type>:.+)?)", re.DOTALL
+)
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,7 @@ class Item:
         base: the number of the first cell of a table, 0 or 1.
         is_range: True if the words say how many cells there are.
         form: `ALL`, `HEX`, or empty.
+        bit: the bit of the register that is the value; None for the whole.
     """
 
     table: str
@@ -80,6 +85,7 @@ class Item:
     base: int = 0
     is_range: bool = False
     form: str = ""
+    bit: int | None = None
 
     @property
     def size(self) -> int:
@@ -88,9 +94,10 @@ class Item:
 
     def number(self, cell: int = 0) -> str:
         """Return the number of a cell of this item, counted as the first one was typed."""
+        bit = "" if self.bit is None else f".{self.bit}"
         if self.word or not self.typed:
-            return str(self.address + self.base + cell)
-        return f"{self.typed[0]}{int(self.typed[1:]) + cell:0{len(self.typed) - 1}}"
+            return f"{self.address + self.base + cell}{bit}"
+        return f"{self.typed[0]}{int(self.typed[1:]) + cell:0{len(self.typed) - 1}}{bit}"
 
     def label(self, cell: int = 0) -> str:
         """Return the name of a cell of this item as it would be typed, such as "hr 101"."""
@@ -176,7 +183,7 @@ class Words:
             if self._type is not None or self._form == ALL:
                 raise ValueError(f"{first} has the type that the map gives, and takes no --type")
             return _of_point(self.map[first])
-        if name.partition("-")[0].isdecimal():
+        if re.match("[0-9]+[-.]|[0-9]+$", name):
             return self._referred(first)
         if self.map is not None:
             self.map.plan([first])  # raises an error with similar names
@@ -196,8 +203,11 @@ class Words:
         """Take the count of an item; 1 if the next word is not a count."""
         if item.is_range or not self._words or not re.match("[+-]?[0-9]", self._words[0]):
             return item.count
-        if not item.word and re.match("[0-9]{5,6}(?![0-9])", self._words[0]):  # a reference
+        reference = "[0-9]{5,6}[.:]" if item.word else "[0-9]{5,6}(?![0-9])"
+        if re.match(reference, self._words[0]):
             return item.count
+        if item.bit is not None:
+            raise ValueError(f"{item.label()} is one bit, and takes no count")
         return number_of("count", self._words.popleft())
 
     def _pop(self) -> str:
@@ -216,7 +226,7 @@ class Words:
         before, has_value, _ = word.partition("=")
         if name in TABLE_WORDS or self._is_point(word):
             return True
-        if has_value and (self._is_point(before) or re.fullmatch("[0-9]{5,6}(:.+)?", before)):
+        if has_value and (self._is_point(before) or re.fullmatch("[0-9]{5,6}([.:].+)?", before)):
             return True
         # Short words such as "di" may be texts to write; a table has an address behind it.
         has_address = len(self._words) > 1 and re.match("[0-9]", self._words[1])
@@ -233,7 +243,7 @@ class Words:
             )
         if not self._words:
             raise ValueError(f"{first} lacks an address")
-        typed, last, kind = _split(self._pop())
+        typed, bit, last, kind = _split(self._pop())
         number = number_of("file", file) if file else 0
         base = 0 if name == "file" else self._base
         try:
@@ -242,17 +252,18 @@ class Words:
             raise ValueError(f"{error}{_meant(first, typed, TABLE_WORDS[name])}") from None
         end = address if last is None else _address(last, base)
         item = Item(TABLE_WORDS[name], address, file=number, word=first, typed=typed, base=base)
-        return self._with_type(item, kind, end)
+        return self._with_type(item, kind, end) if bit is None else _with_bit(item, bit)
 
     def _referred(self, first: str) -> Item:
-        typed, last, kind = _split(first)
+        typed, bit, last, kind = _split(first)
         table, address = parse_reference(typed)
         if table == "file":
             raise ValueError(f"{typed!r} lacks the number of the file: type file:N {address}")
         end = parse_reference(last) if last is not None else (table, address)
         if end[0] != table:
             raise ValueError(f"{first!r}: both references must be of one table")
-        return self._with_type(Item(table, address, typed=typed, base=self._base), kind, end[1])
+        item = Item(table, address, typed=typed, base=self._base)
+        return self._with_type(item, kind, end[1]) if bit is None else _with_bit(item, bit)
 
     def _with_type(self, item: Item, name: str | None, last: int) -> Item:
         """Return an item with its type, or that of --type, up to the cell at an address."""
@@ -273,15 +284,30 @@ class Words:
         return replace(item, count=cells // item.size)
 
     def _kind(self, name: str | None) -> ValueType | None:
-        return None if name is None else value_type(name, **self._options_of_types)
+        if name is None:
+            return None
+        kind, _, order = name.rpartition(":")
+        if not kind or order.isdecimal():  # string:8
+            return value_type(name, **self._options_of_types)
+        return value_type(kind, **{**self._options_of_types, "order": order})
 
 
-def _split(text: str) -> tuple[str, str | None, str | None]:
-    """Return the address, the end of the range and the type of a word such as 100-105:float32."""
+def _split(text: str) -> tuple[str, str | None, str | None, str | None]:
+    """
+    Return the address, the bit, the end of the range and the type of a word such as 100.3 or
+    100-105:float32.
+    """
     found = _PLACE.fullmatch(text)
     if found is None:
-        return text, None, None
-    return found["first"], found["last"], found["type"] and found["type"][1:]
+        return text, None, None, None
+    return found["first"], found["bit"], found["last"], found["type"] and found["type"][1:]
+
+
+def _with_bit(item: Item, text: str) -> Item:
+    """Return the item of one bit of a register."""
+    if item.table not in REGISTER_TABLES:
+        raise ValueError(f"{item.label()}.{text}: only holding and input registers have bits")
+    return replace(item, bit=integer("bit", number_of("bit", text), 0, 15))
 
 
 def _address(text: str, base: int) -> int:

@@ -28,7 +28,7 @@ Read values of a device, in as few requests as possible.
 
 {WHAT}
 and may be followed by a number of values (1). Several may follow each other.
-An address may have a type (hr 100:float32) and be a range (hr 100-105).
+An address may have a type (hr 8:float32:CDAB), a range (8-15), a bit (8.15).
 With --map and without WHAT, all points of the map are read."""
 
 READING = """\
@@ -43,9 +43,9 @@ Write values to a device, one request for each WHAT. All values are
 checked before the first request.
 
 {WHAT}
-followed by its values, as in hr 10 5 6, or 40011=5. Several may follow each
-other. Values of coils are 0, 1, off, on, false and true. After -- a text may
-begin with -; options must be before it."""
+followed by its values, as in hr 10 5 6, 40011=5 or hr 10.3=on, a bit. Several
+may follow each other. Values of coils and bits are 0, 1, off, on, false, true.
+After -- a text may begin with -; options must be before it."""
 
 WRITING = """\
 examples:

@@ -167,13 +167,18 @@ def _requests(options: argparse.Namespace, item: Item, texts: list[str]) -> list
     for flag, is_set in (("--mask", options.mask), ("--and-read", options.and_read)):
         if is_set and item.table != "holding_registers":
             raise ValueError(f"{flag} is for holding registers, not {item.label()}")
-    if options.mask and texts:
-        raise ValueError("--mask and values exclude each other")
+    if options.mask and (texts or item.bit is not None):
+        raise ValueError("--mask excludes values, and a bit such as hr 10.3")
     if options.mask:
         masks = [number_of("mask", text) for text in options.mask]
         return [pdu.MaskWriteRegister(item.address, *masks)]
     if not texts:
         raise ValueError(f"there is no value to write to {item.label()}")
+    if item.bit is not None:
+        if len(texts) > 1 or options.and_read:
+            raise ValueError(f"{item.label()} is one bit: it takes one value, and no --and-read")
+        bit = 1 << item.bit
+        return [pdu.MaskWriteRegister(item.address, 0xFFFF - bit, bit * bit_of(texts[0]))]
     if item.is_range and len(texts) != item.count:
         raise ValueError(f"the range from {item.label()} on needs {item.count} values")
     if item.table == "coils":
