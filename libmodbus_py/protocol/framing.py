@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from .errors import MAX_RECEIVED, FrameError
 from .frames import Frame, Framer, Overheard, add_error, checked_frame
-from .rtu import RtuCutter
 from .scan import ALLOWANCE, MAX_PDU, crc16, lib
 
 if TYPE_CHECKING:
@@ -234,6 +233,8 @@ class RtuFramer(Framer):
         if role not in ("client", "server"):
             raise ValueError(f'role must be "client" or "server", not {role!r}')
         super().__init__()
+        from .rtu import RtuCutter  # with all function codes, which no client of TCP needs
+
         self.quiet = pause + ALLOWANCE
         self._cutter = RtuCutter(role, own)
         self._usual = "request" if role == "server" else "response"
