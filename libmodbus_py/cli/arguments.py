@@ -286,11 +286,18 @@ class _Form(argparse.Action):
         namespace.written_to = values or None
 
 
-def add_forms(command: Any, csv: str = "", json: str = "print JSON in lines") -> None:
+def add_forms(
+    command: Any,
+    csv: str = "",
+    json: str = "print JSON in lines",
+    *,
+    csv_file: str = "write it to a new FILE",
+) -> None:
     """Add --json, and --csv if there is a text for it; with a file the output is written there."""
     for name, text in (("csv", csv), ("json", json)):
         if text:
-            help = f"--{name} [FILE]\n  {text}, or write it to a new FILE"
+            to_file = csv_file if name == "csv" else "write it to a new FILE"
+            help = f"--{name} [FILE]\n  {text}, or {to_file}"
             declare(command, help, **{name: {"action": _Form, "const": ""}})
 
 

@@ -62,7 +62,8 @@ def _run(arguments: Sequence[str]) -> int:
     options.screen = sys.stdout  # while what is printed goes to a file
     options.written_to = getattr(options, "written_to", None)
     try:
-        with written_to(options.written_to):
+        goes_on = getattr(options, "adds_rows", False) and bool(options.csv)
+        with written_to(options.written_to, goes_on=goes_on):
             return int(options.run(options))
     except (ValueError, TypeError) as error:
         parser: argparse.ArgumentParser = options.parser

@@ -121,12 +121,13 @@ def print_csv(rows: Iterable[Iterable[Any]]) -> None:
 
 
 @contextlib.contextmanager
-def written_to(path: str | None) -> Iterator[None]:
+def written_to(path: str | None, *, goes_on: bool = False) -> Iterator[None]:
     """
     Write all that is printed to a new file while the block runs; print it if there is no path.
 
     A file in which nothing was written does not remain, so that the command can be repeated. An
-    OSError names the file, which ends with a whole line.
+    OSError names the file, which ends with a whole line. With `goes_on`, what is printed is added
+    to a regular file that exists.
     """
     if path is None:
         yield
@@ -134,7 +135,9 @@ def written_to(path: str | None) -> Iterator[None]:
     try:
         raw = _File(path, "x")
     except FileExistsError:
-        raise ValueError(f"{path} exists, and would be overwritten") from None
+        if not (goes_on and os.path.isfile(path)):
+            raise ValueError(f"{path} exists, and would be overwritten") from None
+        raw = _File(path, "a")
     file = io.TextIOWrapper(io.BufferedWriter(raw), encoding="utf-8", newline="")
     try:
         with file, contextlib.redirect_stdout(file):
@@ -149,16 +152,22 @@ def written_to(path: str | None) -> Iterator[None]:
 class _File(io.FileIO):
     """A file whose errors name it, and that loses the line which does not fit on a full disk."""
 
-    _whole_lines = 0  # bytes
+    def __init__(self, path: str, mode: str) -> None:
+        super().__init__(path, mode)
+        self._whole_lines = self.tell()  # bytes
+        self._failure: OSError | None = None
 
     def write(self, data: Any) -> int:
+        if self._failure is not None:  # after a line that was cut off, nothing may follow
+            raise self._failure
         begin = self.tell()
         try:
             count: int = super().write(data)
         except OSError as error:
             with contextlib.suppress(OSError):
                 self.truncate(self._whole_lines)
-            raise OSError(error.errno, error.strerror, self.name) from None
+            self._failure = OSError(error.errno, error.strerror, self.name)
+            raise self._failure from None
         end = bytes(data[:count]).rfind(b"\n") + 1
         self._whole_lines = begin + end if end else self._whole_lines
         return count

@@ -56,15 +56,52 @@ def test_output_goes_to_a_new_file(url: str, tmp_path: Path, option: str) -> Non
     done = run("read", url, option, path, "hr", 0)
     assert done == (0, "", "")
     assert path.read_text().count("\n") == (2 if option == "--csv" else 1)
-    again = run("read", url, "hr", 0, option, path)
+    again = run("read", url, "hr", 1, option, path)
     assert again.code == 2
-    assert f"{path} exists, and would be overwritten" in again.err
+    assert str(path) in again.err
+    assert path.read_text().count("\n") == (2 if option == "--csv" else 1)
     other = tmp_path / f"without a suffix{option}"
     assert run("read", url, "hr", 0, f"{option}={other}").code == 0
     assert other.read_text()
     bare = tmp_path / f"bare{option}"  # a path, which says enough
     assert run("read", url, option, bare, "hr", 0).code == 0
     assert bare.read_text()
+
+
+def test_csv_goes_on_with_a_file_of_the_same_columns(url: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.touch()  # an empty file has no other columns
+    words = ("read", url, "hr", 0, 2)
+    for _ in range(2):
+        assert run(*words, "--csv", path) == (0, "", "")
+    heading, *rows = path.read_text().splitlines()
+    assert heading == "time,hr 0,hr 1,error"
+    assert [row.count(",") for row in rows] == [3, 3]
+    path.write_text(f"{heading}\n2026-01-01T00:00:00Z,1")  # the power failed meanwhile
+    assert run(*words, "--watch", "0.01", "--count", "2", "--csv", path).code == 0
+    assert [row.count(",") for row in path.read_text().splitlines()] == [3, 1, 3, 3]
+
+
+def test_csv_refuses_what_it_cannot_go_on_with(url: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time,hr 0,error\n")
+    both = "log.csv has the columns 'time,hr 0,error', and not 'time,hr 0,hr 1,error': name another"
+    done = run("read", url, "hr", 0, 2, "--csv", path)
+    assert (done.code, both in done.err) == (2, True)
+    assert "exists" in run("read", url, "hr", 0, "--json", path).err
+    assert path.read_text() == "time,hr 0,error\n"
+    os.mkfifo(tmp_path / "fifo.csv")  # which would be waited for
+    assert "exists" in run("read", url, "hr", 0, "--csv", tmp_path / "fifo.csv").err
+
+
+def test_rows_that_a_full_disk_does_not_take_cost_no_earlier_ones(url: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    before = "time,hr 0,error\n" + "2026-01-01T00:00:00Z,1,\n" * 3
+    path.write_text(before)
+    with small_files():
+        done = run("read", url, "hr", 0, "--csv", path)
+    assert (done.code, done.err) == (1, f"libmodbus-py: {path}: File too large\n")
+    assert path.read_text() == before
 
 
 @each_case("option", ["--csv", "--json"])

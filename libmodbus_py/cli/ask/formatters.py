@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import time
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
@@ -275,7 +276,7 @@ def printer_of(
 ) -> Printer:
     """Return what prints results of several units, or one; those of polls with the time."""
     if options.csv:
-        return _CsvRows(items, has_unit=several).print
+        return _CsvRows(items, has_unit=several, path=options.written_to).print
     if options.json:
         return partial(_print_object, has_time=are_polls)
     return partial(_print_line if are_polls else _print_lines, has_unit=several)
@@ -325,11 +326,17 @@ def _fields(results: Sequence[ReadResult]) -> dict[str, Any]:
 
 
 class _CsvRows:
-    """Prints a header, then a row for each poll: the time, the unit, the values and the error."""
+    """
+    Prints a header, then a row for each poll: the time, the unit, the values and the error.
 
-    def __init__(self, items: Sequence[Item], *, has_unit: bool) -> None:
+    A file that has these columns already gets no second header; one with others is a ValueError.
+    """
+
+    def __init__(self, items: Sequence[Item], *, has_unit: bool, path: str | None) -> None:
         self._titles = [title for item in items for title in _titles(item)]
         self._has_unit = has_unit
+        self._header = ["time", *["unit"] * has_unit, *self._titles, "error"]
+        self._gap = None if path is None else _gap(path, self._header)
         self._has_begun = False
 
     def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
@@ -339,9 +346,31 @@ class _CsvRows:
         remarks = filter(None, (each.failure or each.remark for each in results))
         if not self._has_begun:
             self._has_begun = True
-            print_csv([["time", *["unit"] * self._has_unit, *self._titles, "error"]])
+            if self._gap is None:
+                print_csv([self._header])
+            else:
+                print(end=self._gap)
         whence = [time_text(time.time()), *[str(unit)] * self._has_unit]
         print_csv([[*whence, *cells, reason or "; ".join(remarks)]])
+
+
+def _gap(path: str, header: list[str]) -> str | None:
+    """
+    Return what is written before rows are added to a file: nothing, or the end of its last line;
+    None if it is empty. Raise ValueError if it has other columns.
+    """
+    if not os.path.getsize(path):
+        return None
+    from ...files.csv_text import csv_rows
+
+    wanted = csv_rows([header]).rstrip("\n")
+    with open(path, "rb") as file:
+        first = file.readline().decode(errors="replace").rstrip("\r\n")
+        file.seek(-1, os.SEEK_END)
+        is_whole = file.read() == b"\n"
+    if first != wanted:
+        raise ValueError(f"{path} has the columns {first!r}, and not {wanted!r}: name another file")
+    return "" if is_whole else "\n"
 
 
 class TerminalTable:

@@ -125,7 +125,7 @@ def _add_read(command: argparse.ArgumentParser) -> None:
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
     declare(form, "--hex\n  print registers in hexadecimal")
-    arguments.add_forms(form, "print CSV")
+    arguments.add_forms(form, "print CSV", csv_file="add rows to FILE")
     declare(
         group,
         OF_WATCH,
@@ -135,7 +135,7 @@ def _add_read(command: argparse.ArgumentParser) -> None:
     )
     over_http.add_page(group, "the values of --watch")
     arguments.add_requests(command, several=True)
-    command.set_defaults(run=_read)
+    command.set_defaults(run=_read, adds_rows=True)
 
 
 def _add_write(command: argparse.ArgumentParser) -> None:
