@@ -48,9 +48,9 @@ OPTIONS = {
 """Option of another program -> what is typed here; VALUE stands for its value."""
 
 TAKEN = {
-    "-p": (re.compile("[0-9]+"), PORT),
-    "--parity": (re.compile("[0-9]+"), PORT),
-    "-s": (re.compile("(?![12]$)[0-9]+"), UNIT),
+    "-p": ("[0-9]+", PORT),
+    "--parity": ("[0-9]+", PORT),
+    "-s": ("(?![12]$)[0-9]+", UNIT),
 }
 """Option that is one here, too -> the values that it has only there, and what is typed here."""
 
@@ -70,7 +70,7 @@ def equivalents(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
         following = words[at + 1] if at + 1 < len(words) else ""
         if word not in SWITCHES and not value and not following.startswith("-"):
             value = following
-        if word in TAKEN and TAKEN[word][0].fullmatch(value):
+        if word in TAKEN and re.fullmatch(TAKEN[word][0], value):
             answer = TAKEN[word][1]
         elif word in OPTIONS and _is_foreign(parser, word, words[:at]):
             answer = OPTIONS[word]

@@ -198,13 +198,13 @@ def _fill_of(padding: str, encoding: str) -> bytes:
     return two[len(one) :]
 
 
-_MAC = re.compile(r"[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}", re.ASCII)
+_MAC = r"[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}"
 
 
 def _pack_mac(name: str | Path, value: object) -> bytes:
     if not isinstance(value, str):
         raise WrongType(name, f"must be a string, not {type(value).__name__}")
-    if not _MAC.fullmatch(value):
+    if not re.fullmatch(_MAC, value):
         raise WrongValue(name, f"must be like 0D:D7:4C:C6:44:8E, not {reprlib.repr(value)}")
     return bytes.fromhex(f"0000{value.replace(':', '').replace('-', '')}")
 
@@ -310,7 +310,7 @@ REGISTER_DIGITS = 4
 """Digits by which a number may be longer for each register, without being less plausible."""
 
 _LIKELY = ("int", "uint", "float32", "float64")
-_USUAL = re.compile("(u?int|float|bcd|bits)(16|32|48|64)")
+_USUAL = "(u?int|float|bcd|bits)(16|32|48|64)"
 
 
 def readings(registers: Iterable[int]) -> list[Interpretation]:
@@ -332,7 +332,7 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
     cells = cells_of(registers)
     count = integer("the number of registers", len(cells), 1, 125)
     fitting = [kind for kind in TYPES.values() if kind.registers == count]
-    names = [kind.name for kind in fitting if _USUAL.fullmatch(kind.name)]
+    names = [kind.name for kind in fitting if re.fullmatch(_USUAL, kind.name)]
     orders = [*ORDERS, *(WIDE_ORDERS if count == WIDE_REGISTERS else ())]
     found: dict[tuple[str, str], Interpretation] = {}
     for name in [*names, f"string:{2 * count}"]:

@@ -67,6 +67,8 @@ def test_a_read_brings_a_blocking_client() -> None:
     assert "libmodbus_py.client.blocking" in found
     assert not found & {"asyncio", "ssl", "logging", "csv", "datetime", "json"}
     assert not found & {"libmodbus_py.server", "libmodbus_py.protocol.pdu.writes"}
+    # The rules of RTU bring every function code; a read prints no CSV, and asks no package.
+    assert not found & {"libmodbus_py.protocol.rtu", "libmodbus_py.files", "importlib.metadata"}
     assert "libmodbus_py.maps.point" not in found
 
 
