@@ -125,8 +125,8 @@ def starting(options: argparse.Namespace) -> Iterator[_ServingCommand]:
         def reopen() -> str:
             try:
                 file.reopen()
-            except OSError as error:
-                return f"{path}: {error.strerror}; the former file is still used"
+            except (OSError, ValueError) as error:
+                return f"nothing is recorded: {error}"
             trail.note_own("audit", "opened again")
             return f"{path}: opened again"
 
