@@ -16,7 +16,7 @@ from typing import Any, ParamSpec, Self, TypeVar
 
 # fmt: off
 __all__ = [
-    "OTHER_SPELLINGS", "SERIAL_SETTINGS", "Mistake", "Path", "WrongType", "WrongValue",
+    "OTHER_SPELLINGS", "SERIAL_SETTINGS", "Mistake", "Path", "Problem", "WrongType", "WrongValue",
     "close_option", "close_to", "inside", "item", "named_arguments", "named_parameters",
     "path_text", "placed", "unknown_option",
 ]
@@ -60,6 +60,12 @@ class Mistake(Exception):
 
 class WrongValue(Mistake, ValueError):
     """A `Mistake` that is a ValueError."""
+
+
+class Problem(str):
+    """A line about a file that was read again and cannot be used, or not without a restart."""
+
+    __slots__ = ()
 
 
 class WrongType(Mistake, TypeError):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from ...client.asynchronous import MAX_PAUSE
 from ...files.texts import compared, reread
 from ...ports.options import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
+from ...protocol.mistakes import Problem
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import Route, parse_route
@@ -149,7 +150,7 @@ def _read_again(gateway: Gateway, path: str, before: config.GatewayFile) -> str:
         gateway.change_routes(file.routes)
         line = compared(path, "route", earlier, now)
         if (file.listen, repr(file.options)) != (before.listen, repr(before.options)):
-            line += "; changes that are not routes need a restart of the gateway"
+            line = Problem(f"{line}; changes that are not routes need a restart of the gateway")
         return line
 
     return reread(lambda: config.load(path, known=before.routes), use)

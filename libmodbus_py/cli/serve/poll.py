@@ -16,7 +16,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from ...files.texts import compared
-from ...protocol.logs import HarmlessLogger
+from ...protocol.logs import HarmlessLogger, log_reload
+from ...protocol.mistakes import Problem
 from ...server.running import Handler, frozen_garbage, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, FleetFileError, load
@@ -241,10 +242,12 @@ async def _reload(
                 fleet.replace(file.devices)
                 line = compared(path, "device", before, {each.name: each for each in file.devices})
                 if (file.outputs, file.journal) != (kept.outputs, kept.journal):
-                    line += "; its outputs have changed, and are used after a restart"
+                    line = Problem(
+                        f"{line}; its outputs have changed, and are used after a restart"
+                    )
             except (TypeError, ValueError) as error:
-                line = f"the former content is used: {error}"
-            logger.warning("%s", "; ".join([line, *of_others]))
+                line = Problem(f"the former content is used: {error}")
+            log_reload(logger, [line, *of_others])
     finally:
         thread.stop()
 

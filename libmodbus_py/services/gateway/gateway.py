@@ -132,7 +132,7 @@ class Gateway(Serving):
         # As many requests as may wait, and as many as may be in flight.
         most = 2 * self._options.queue + 16
         dispatcher = self._dispatcher = Dispatcher(
-            own, self._options.own, most, self._authorize, self.traffic, self._auditor
+            own, self._options.own, most, self._authorize, self.traffic, self._auditor, self._log
         )
         self._loop = asyncio.get_running_loop()
         try:
