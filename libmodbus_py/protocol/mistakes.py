@@ -126,7 +126,7 @@ OTHER_SPELLINGS = {
     **dict.fromkeys(("byte_order", "byteorder", "word_order", "endian"), "order"),
     **dict.fromkeys(("multiplier", "factor", "gain"), "scale"),
     **dict.fromkeys(("poll_interval", "period", "scan_interval"), "interval"),
-    **dict.fromkeys(("host", "uri", "endpoint"), "url"),
+    **dict.fromkeys(("host", "uri", "endpoint", "to"), "url"),
 }
 """Names of arguments in other packages -> their names here, for errors."""
 
@@ -135,7 +135,7 @@ SERIAL_SETTINGS = frozenset(
 )
 """Settings that are part of the URL of a serial port, for classes that take none of them."""
 
-URLS = frozenset(("url", "to", "devices", "routes", "security"))
+URLS = frozenset(("url", "devices", "routes", "security"))
 """Names of arguments beside which a setting of a serial port may be expected."""
 
 

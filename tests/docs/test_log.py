@@ -49,9 +49,7 @@ def test_the_table_has_each_message_with_its_level() -> None:
     for path in SOURCES.rglob("*.py"):
         source = path.read_text()
         sources += source
-        coded |= {
-            text: level for text, level in messages(ast.parse(source)) if text.strip("…: ")
-        }
+        coded |= {text: level for text, level in messages(ast.parse(source)) if text.strip("…: ")}
     rows = {text: level for text, level, meaning, remedy in ROW.findall(PAGE)}
     assert {text: level for text, level in coded.items() if rows.get(text) != level} == {}
     # The others are put together, such as the line about files that were read again.

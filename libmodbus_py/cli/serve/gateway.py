@@ -135,12 +135,12 @@ def _overridden(
     urls: list[str], routes: list[Route], options: argparse.Namespace
 ) -> tuple[list[str], list[Route]]:
     """Return where to listen and the routes, with the options that were typed."""
-    places = [*urls, *(route.to for route in routes)]
+    places = [*urls, *(route.url for route in routes)]
     places = [each.url for each in with_options(places, options, SERIAL_OPTIONS)]
     listen = with_options(places[: len(urls)], options, SECURITY_OPTIONS)
     devices = with_options(places[len(urls) :], options, OF_DEVICES)
     return [each.url for each in listen], [
-        replace(route, to=each.url) for route, each in zip(routes, devices, strict=True)
+        replace(route, url=each.url) for route, each in zip(routes, devices, strict=True)
     ]
 
 

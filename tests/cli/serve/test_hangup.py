@@ -24,7 +24,7 @@ from tests.support.peers import until
 
 FILES = {
     "serve": "[[unit]]\nid = 1\n[[unit.holding_registers]]\naddress = 0\nvalue = 1\n",
-    "gateway": 'listen = ["tcp://127.0.0.1:0"]\n[[route]]\nto = "tcp://127.0.0.1:1"\n',
+    "gateway": 'listen = ["tcp://127.0.0.1:0"]\n[[route]]\nurl = "tcp://127.0.0.1:1"\n',
     "poll": '[[device]]\nname = "a"\nurl = "tcp://127.0.0.1:1"\nmap = "map.csv"\n',
 }
 
@@ -190,7 +190,7 @@ def test_a_gateway_ends_with_the_newest_routes(tmp_path: Path) -> None:
     with Server(Device(Mapping(10))).background("tcp://127.0.0.1:0") as running:
 
         def write(units: str) -> None:
-            route = f"[[route]]\nto = '{running.urls[0]}'\nunits = '{units}'\n"
+            route = f"[[route]]\nurl = '{running.urls[0]}'\nunits = '{units}'\n"
             path.write_text(f"listen = ['tcp://127.0.0.1:0']\n{route}")
 
         write("1")

@@ -51,7 +51,7 @@ FILES = {
     "serve": (["tls://127.0.0.1:0", "--device"], "[[unit]]\nid = 1\n", "1 unit"),
     "gateway": (
         ["tls://127.0.0.1:0", "--config"],
-        '[[route]]\nto = "tcp://127.0.0.1:1"\n',
+        '[[route]]\nurl = "tcp://127.0.0.1:1"\n',
         "1 route",
     ),
     "poll": ([], FLEET_OF_ONE, "1 device"),
