@@ -58,8 +58,7 @@ def _listed(shapes: Iterable[str]) -> str:
 URLS = f"""\
 {_listed(shape_of(scheme) for scheme in SCHEMES)}
      Settings follow ?, as in "tcp://192.0.2.10?unit=7&timeout=2", under the
-     names of options, with _ in place of -; an option overrides them. Quote
-     such a URL, because shells interpret &."""
+     names of options with _ for -; options override them. Quote URLs with &."""
 """The end of each --help of a client."""
 
 SCHEMES_OF_URLS = _listed(f"{scheme}://" for scheme in SCHEMES)

@@ -66,7 +66,7 @@ from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_
 from ..protocol.pdu.request import Request
 from ..protocol.rtu import has_own_length
 from .answers import Answers
-from .call import Call, Matching, Phase, no_answer
+from .call import Call, Matching, no_answer
 from .statistics import Statistics
 
 __all__ = ["Line"]
@@ -182,7 +182,7 @@ class Line(Matching):
     def is_overdue(self, call: Call, now: float) -> bool:
         return self._waits.get(call, math.inf) <= now and not self.may_start(call, now)
 
-    def start(self, call: Call, now: float) -> None:
+    def start(self, call: Call, now: float) -> bytes:
         request = call.request
         own = request if request is not None and has_own_length(request) else None
         self._own, last = own, self._own
@@ -193,7 +193,7 @@ class Line(Matching):
             self._framer = self._make_framer()
         elif own is not last:
             self._framer = self._make_framer()
-        call.adu = adu = self._framer.encode(Frame(call.unit, call.pdu))
+        adu = self._framer.encode(Frame(call.unit, call.pdu))
         self._received.clear()
         self._quiet_at = self._wrong = self._held = None
         self.unasked: int = 0
@@ -208,6 +208,7 @@ class Line(Matching):
             pair.check(now)
         if not call.is_silent:
             self._call = call
+        return adu
 
     def _pair(self, call: Call, now: float) -> Pair:
         key = call.unit, call.pdu[0]
@@ -290,7 +291,7 @@ class Line(Matching):
 
     def _hold(self, call: Call, pdu: bytes, now: float) -> None:
         self._held, self._held_at = pdu, now
-        call.state = Phase.ANSWERED
+        call.hold()
         self._begin_hold(call, pdu, now)
 
     def _begin_hold(self, call: Call, pdu: bytes, now: float) -> None:
@@ -304,7 +305,7 @@ class Line(Matching):
         self._answers.add(call.unit, call.pdu, pdu)
         self._note_time(call, pdu, came_at, now)
         self.unanswered: int = 0
-        call.reply = pdu
+        call.answer(pdu)
         self._end(call)
 
     def _note_time(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
@@ -314,7 +315,7 @@ class Line(Matching):
 
     def _fail(self, call: Call, error: ModbusError, now: float) -> None:
         error.received = bytes(self._received)
-        call.reply = error
+        call.answer(error)
         self._pair(call, now).doubt(now, call.timeouts.timeout, call)
         self._end(call)
 

@@ -7,11 +7,12 @@ The rows of what only clients know are in `client.options`.
 """
 
 # Annotations are values here, so `annotations` of `__future__` is not imported.
+import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypedDict
 
-from ..protocol.checks import DURATION, duration_of, integer, seconds
+from ..protocol.checks import DURATION, checked_callback, duration_of, integer, seconds
 
 if TYPE_CHECKING:
     from ..security.security import GivenContext, Security
@@ -120,6 +121,22 @@ def _parity(_name: str, value: object) -> None:
     parity_of(value)
 
 
+RS485_MODES = ("kernel", "rts-up", "rts-down")
+
+GPIO_LINE = re.compile("gpio:(/.+)/([^/]+)")
+"""The chip and the number or name of a line, as in "gpio:/dev/gpiochip0/17"."""
+
+
+def _rs485(name: str, value: object) -> None:
+    if not isinstance(value, str):
+        checked_callback(name, value)
+    elif value not in RS485_MODES and not GPIO_LINE.fullmatch(value):
+        raise ValueError(
+            f'{name} must be "kernel", "rts-up", "rts-down", a function, or a line such as '
+            f'"gpio:/dev/gpiochip0/17", not {value!r}'
+        )
+
+
 def _echo(name: str, value: object) -> None:
     if not isinstance(value, bool | None):
         raise TypeError(f"{name} must be True, False or None, not {value!r}")
@@ -130,6 +147,18 @@ def _delimiter(name: str, value: object) -> None:
 
     if not is_delimiter(integer(name, value, 0, 0xFF)):
         raise ValueError(f"{name} must be an ASCII code with no other use, not {value}")
+
+
+def _source(name: str, value: object) -> None:
+    from .hosts import own_address  # programs that only parse options need no sockets
+
+    own_address(name, value)
+
+
+def _greeting(name: str, value: object) -> None:
+    from .greeting import greeting_of
+
+    greeting_of(name, value)
 
 
 def _security(name: str, value: object) -> None:
@@ -146,7 +175,7 @@ def _security(name: str, value: object) -> None:
 MAX_IN_FLIGHT = 256
 
 Parity = Literal["N", "E", "O", "none", "even", "odd"]
-Rs485 = Literal["kernel", "rts-up", "rts-down"]
+Rs485 = str | Callable[[bool], object]
 
 
 class ConnectionOptions(TypedDict, total=False):
@@ -264,6 +293,26 @@ class ConnectionOptions(TypedDict, total=False):
             optional(durations(1, 32_767)),
         ),
     ]
+    source: Annotated[
+        str | None,
+        Option(
+            "the address of this machine to connect from, maybe with a port, as 192.0.2.5:40000. "
+            "For TCP, TLS and UDP. A TCP connection from a port of its own ends with a reset, so "
+            "that the port is free for the next one.",
+            _text("ADDRESS"),
+            check=optional(_source),
+        ),
+    ]
+    greeting: Annotated[
+        str | None,
+        Option(
+            "what a device that connects to the client sends besides frames, such as 20 bytes. "
+            "Several items have commas between them: the number of bytes that it sends first, "
+            "texts, and bytes such as 0x0d0a. For listen+tcp:// and listen+rtu+tcp://.",
+            _text("ITEMS"),
+            check=optional(_greeting),
+        ),
+    ]
     accept_unit: Annotated[
         Literal["same", "any"],
         Option(
@@ -305,9 +354,9 @@ class SerialSettings(TypedDict, total=False):
     rs485: Annotated[
         Rs485 | None,
         Option(
-            "direction control of an RS-485 transceiver: kernel, rts-up or rts-down",
+            "what switches an RS-485 transceiver: kernel, rts-up, rts-down, gpio:CHIP/LINE",
             _text("MODE"),
-            check=optional(one_of("kernel", "rts-up", "rts-down")),
+            check=optional(_rs485),
         ),
     ]
     rts_delay: Annotated[

@@ -20,7 +20,6 @@ from typing import Any, TextIO
 from ...client.blocking import Client
 from ...maps.holes import Holes, carried_out, reading
 from ...maps.plan import Borders, Plan
-from ...maps.point_plan import borders_of
 from ...maps.watched import PointIntervals, Totals
 from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, ModbusError
@@ -99,7 +98,7 @@ class Reader:
         self.items: list[Item] = words.all_items(options.group or ())
         self.unit = unit
         self._sources = words.sources_of(self.items)
-        self._borders = borders_of(() if words.map is None else words.map.values())
+        self._borders = words.borders()
         self._plan = _ItemPlan([*self._sources, *self.items], self._borders)
         points = [item.point for item in self.items]
         own = [None if point is None else point.interval for point in points]
