@@ -12,7 +12,7 @@ from pathlib import Path
 import libmodbus_py
 
 SOURCES = Path(libmodbus_py.__file__).parent
-PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "log.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "log.md").read_text()
 
 LEVELS = {"info": "info", "warning": "warning", "error": "error", "exception": "error"}
 
