@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from ..protocol.logs import HarmlessLogger
 
-__all__ = ["LimitedLog"]
+__all__ = ["LimitedLog", "in_time"]
 
 INTERVAL_S = 60.0
 
@@ -39,7 +39,6 @@ class LimitedLog:
         self._logger = logger
         self._clock = clock
         self._reasons: dict[tuple[str, str], _Reason] = {}
-        self._timers: dict[asyncio.AbstractEventLoop, dict[float, asyncio.TimerHandle]] = {}
 
     def warning(self, message: str, *args: object, reason: str = "") -> None:
         """Log a warning, or count it; `reason` is the part of it that makes it another one."""
@@ -57,23 +56,13 @@ class LimitedLog:
         known.count, known.latest = known.count + 1, args
         if now >= known.ends:
             self._log(known, now)
-        elif loop is not None and known.ends not in self._timers.get(loop, (known.ends,)):
-            ends = known.ends
-            self._timers[loop][ends] = loop.call_at(ends, self._end_minute, loop, ends)
-
-    @contextlib.contextmanager
-    def in_time(self) -> Iterator[None]:
-        """Log the number of warnings at the end of each minute while the block runs, in a loop."""
-        loop = asyncio.get_running_loop()
-        self._timers.setdefault(loop, {})
-        try:
-            yield
-        finally:
-            for timer in self._timers.pop(loop, {}).values():
-                timer.cancel()
+        elif loop is not None and (timers := _timers.get(loop)) is not None:
+            key_of_timer = self, known.ends  # one timer for all reasons of that time
+            if key_of_timer not in timers:
+                timers[key_of_timer] = loop.call_at(known.ends, self._end_minute, loop, known.ends)
 
     def _end_minute(self, loop: asyncio.AbstractEventLoop, ends: float) -> None:
-        self._timers[loop].pop(ends, None)
+        del _timers[loop][self, ends]
         self._log_counts(ends)
 
     def _log_counts(self, now: float) -> None:
@@ -83,7 +72,7 @@ class LimitedLog:
                 if known.count:
                     self._log(known, now)
                 else:
-                    del self._reasons[key]
+                    self._reasons.pop(key, None)
 
     def _log(self, known: _Reason, now: float) -> None:
         if known.count == 1:
@@ -92,3 +81,18 @@ class LimitedLog:
             text = f"{known.message}; %d since the last line like this"
             self._logger.warning(text, *known.latest, known.count)
         known.count, known.ends = 0, now + INTERVAL_S
+
+
+_timers: dict[asyncio.AbstractEventLoop, dict[tuple[LimitedLog, float], asyncio.TimerHandle]] = {}
+
+
+@contextlib.contextmanager
+def in_time() -> Iterator[None]:
+    """Let all logs that are used in this event loop log in time while the block runs."""
+    loop = asyncio.get_running_loop()
+    _timers.setdefault(loop, {})
+    try:
+        yield
+    finally:
+        for timer in _timers.pop(loop, {}).values():
+            timer.cancel()

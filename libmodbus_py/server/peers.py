@@ -98,7 +98,9 @@ class Peers(Turns):
             client.close()
         elif len(self) >= self._most and not self._make_room(self._connections, "max_connections"):
             self.statistics.refused_full += 1
-            self.log.warning("%s: refused: %d connections (max_connections)", name, len(self))
+            self.log.warning(
+                "%s: refused: %d connections are open (max_connections)", name, len(self)
+            )
             client.close()
         else:
             self._add(client, name, shared, make)

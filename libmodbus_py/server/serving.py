@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NoReturn
 
 from ..device.hooks import timed
-from ..device.limited_log import LimitedLog
+from ..device.limited_log import LimitedLog, in_time
 from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.trace import OnTraced, Trace, Traced, is_traced
 from ..protocol.checks import checked_callback
@@ -156,7 +156,7 @@ class Serving(ABC):
                         self._limits, self.statistics, stack.close, auditor=auditor, log=log
                     )
                 stack.callback(peers.close)
-                stack.enter_context(log.in_time())
+                stack.enter_context(in_time())
                 opened = []
                 for endpoint in endpoints:
                     server = self._made(endpoint, service, peers, sources, stack.close)

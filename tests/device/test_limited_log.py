@@ -9,7 +9,7 @@ import logging
 
 import pytest
 
-from libmodbus_py.device.limited_log import MAX_REASONS, LimitedLog
+from libmodbus_py.device.limited_log import MAX_REASONS, LimitedLog, in_time
 from libmodbus_py.protocol.logs import HarmlessLogger
 from tests.simulation.stage import Stage
 
@@ -74,7 +74,7 @@ def test_the_number_comes_at_the_end_of_the_minute_within_a_loop(
     stage: Stage, log: LimitedLog, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def flood() -> None:
-        with log.in_time():
+        with in_time():
             for port in range(10):
                 log.warning("%s: too fast", port)
                 log.warning("%s: too many", port)
