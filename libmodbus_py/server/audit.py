@@ -122,8 +122,8 @@ class Audit:
 
     Args:
         call: called with an `AuditEvent` in the server's loop, so it should be quick. If it is an
-            object with a method `check`, as `AuditFile` is, that is called before each event, and
-            raises an exception if the event could not be recorded.
+            object with a method `check`, as `AuditFile` is, that is called before each write, and
+            raises an exception if its event could not be recorded.
         required: True to refuse writes with exception 4 while `check` or the function fails.
             Without `check`, the first write whose event fails has been carried out.
 
@@ -214,7 +214,8 @@ class Audit:
     def _pass_on(self) -> None:
         while self._waiting:
             try:
-                self._check()
+                if self._is_failing:
+                    self._check()
                 finished("audit", self._call(self._waiting[0]))
             except Exception as error:
                 self._fail(error)
@@ -265,6 +266,7 @@ class AuditFile:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = path
         self._descriptor = self._opened()
+        self._own = os.fstat(self._descriptor)
         self._failure: Exception | None = None  # of the last `reopen`
         self._is_cut = False
 
@@ -273,8 +275,11 @@ class AuditFile:
         Write an event.
 
         Raises:
-            OSError: the event could not be written completely.
+            OSError: the event could not be written completely; or the file was deleted or moved,
+                or could not be opened again.
+            ValueError: the file that was to be opened again is not an audit trail.
         """
+        self._check_path()
         line = event.json().encode() + b"\n"
         if self._is_cut:  # an earlier line was: this one must not be taken for its rest
             line = b"\n" + line
@@ -293,18 +298,14 @@ class AuditFile:
                 the file could not be opened again.
             ValueError: the file that was to be opened again is not an audit trail.
         """
-        if self._failure is not None:
-            raise self._failure.with_traceback(None)
-        own = os.fstat(self._descriptor)
-        if not os.path.samestat(own, os.stat(self._path)):
-            raise self._error(errno.ESTALE, "another file has this path; open it again")
-        if stat.S_ISREG(own.st_mode):
+        mode = self._check_path().st_mode
+        if stat.S_ISREG(mode):
             disk = os.fstatvfs(self._descriptor)
             if disk.f_flag & os.ST_RDONLY:
                 raise self._error(errno.EROFS)
             if disk.f_bavail * disk.f_frsize < ROOM_BYTES and disk.f_blocks:
                 raise self._error(errno.ENOSPC)
-        elif stat.S_ISFIFO(own.st_mode):
+        elif stat.S_ISFIFO(mode):
             pipe = select.poll()
             pipe.register(self._descriptor, select.POLLOUT)
             events = pipe.poll(0)
@@ -312,6 +313,15 @@ class AuditFile:
                 raise self._error(errno.EAGAIN, "the reader of this pipe is too slow")
             if events[0][1] & select.POLLERR:
                 raise self._error(errno.EPIPE, "this pipe has no reader")
+
+    def _check_path(self) -> os.stat_result:
+        """Return what has the path, which is the open file; else raise OSError or ValueError."""
+        if self._failure is not None:
+            raise self._failure.with_traceback(None)
+        named = os.stat(self._path)
+        if not os.path.samestat(named, self._own):
+            raise self._error(errno.ESTALE, "another file has this path; open it again")
+        return named
 
     def _error(self, number: int, text: str = "") -> OSError:
         return OSError(number, text or os.strerror(number), os.fspath(self._path))
@@ -325,7 +335,8 @@ class AuditFile:
         """
         self.close()
         try:
-            self._descriptor, self._failure = self._opened(), None
+            self._descriptor = self._opened()
+            self._own, self._failure = os.fstat(self._descriptor), None
         except (OSError, ValueError) as error:
             self._failure = error
             raise

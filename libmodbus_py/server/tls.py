@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import ssl
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from ..device.limited_log import LimitedLog
 from ..ports.trace import Trace
@@ -39,6 +39,15 @@ class Wire(Channel, Protocol):
 
     def end(self) -> None:
         """Close the connection when all requests are answered, and the answers sent."""
+
+
+class Whose(NamedTuple):
+    """A certificate that is described only in a line that is logged: that takes a while."""
+
+    certificate: bytes
+
+    def __str__(self) -> str:
+        return f": {describe(self.certificate)}" if self.certificate else ""
 
 
 class Handshakes:
@@ -301,8 +310,7 @@ class TlsSession:
         if (auditor := self._handshakes.auditor) is not None:
             holder = holder_of(certificate) if certificate else None
             auditor.note_peer("handshake", self.address, reason, holder)
-        whose = f": {describe(certificate)}" if certificate else ""
-        message = "%s: TLS refused: %s%s"
+        message, whose = "%s: TLS refused: %s%s", Whose(certificate)
         self._handshakes.log.warning(message, self.address, reason, whose, reason=reason)
         self._finish()
 
