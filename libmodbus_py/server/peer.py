@@ -54,7 +54,7 @@ class Turns(ABC):
     ) -> None:
         self.limits = limits
         self.statistics = statistics
-        self.log = log
+        self.log: LimitedLog = log
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         # Connections with a deadline -> the time of the deadline.
         self.deadlines: dict[Peer, float] = {}

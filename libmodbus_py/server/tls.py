@@ -62,7 +62,7 @@ class Handshakes:
         log: LimitedLog | None = None,
     ) -> None:
         security.check_server()
-        self.log = log or LimitedLog(logger)
+        self.log: LimitedLog = log or LimitedLog(logger)
         self.security = security
         self.timeout: float = limits.handshake_timeout
         self._interval = limits.certificate_interval

@@ -183,7 +183,7 @@ class Sources:
         auditor: Audit | None = None,
         log: LimitedLog | None = None,
     ) -> None:
-        self.log = log or LimitedLog(logger)
+        self.log: LimitedLog = log or LimitedLog(logger)
         self._limits = limits
         self._statistics = statistics
         self._auditor = auditor
