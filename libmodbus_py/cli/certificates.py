@@ -176,7 +176,7 @@ def _make_for_trials(options: argparse.Namespace) -> int:
     }
     for role in options.role or ROLES:
         file = re.sub(r"\W+", "-", role.lower()).strip("-")
-        if not file or file in made:
+        if not file or file in made or file == "crl":
             raise ValueError(f"--role {role!r} gives no file name of its own, but {file!r}")
         identity = make(f"Modbus trial {role}", authority, role=role, days=days)
         made[file] = identity, f"a client with the role {role}"

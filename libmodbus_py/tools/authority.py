@@ -83,13 +83,17 @@ class Authority:
             self._read_list()
 
     def _read_list(self) -> None:
-        revoked = x509.load_pem_x509_crl(self.list_path.read_bytes())
+        try:
+            revoked = x509.load_pem_x509_crl(self.list_path.read_bytes())
+        except ValueError:
+            raise ValueError(f"{self.list_path}: no revocation list in PEM format") from None
         if not revoked.is_signature_valid(self.identity.key.public_key()):
             raise ValueError(f"{self.list_path} is not signed by {self._directory / 'ca.pem'}")
         self._revoked = {each.serial_number: each for each in revoked}
         self.list_ends = time_in(revoked, "next_update")
-        numbers = revoked.extensions.get_extension_for_class(x509.CRLNumber)
-        self._number = numbers.value.crl_number
+        for each in revoked.extensions:
+            if isinstance(each.value, x509.CRLNumber):
+                self._number = each.value.crl_number
 
     def issued(self) -> dict[str, Issued]:
         """
