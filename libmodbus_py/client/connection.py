@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 from ..ports.trace import Trace
 from ..protocol.checks import finished, log_failure
-from ..protocol.errors import FrameError, ModbusConnectionError, ModbusError, alike
+from ..protocol.errors import ModbusConnectionError, ModbusError, alike
 from .call import ANSWERED, SENT, Batch, Call, Matching
 from .ids import Ids
 from .outcomes import Outcomes, add_hint, explain_end
@@ -425,8 +425,6 @@ class Transactions:
         self._end_silent(now)
         if self.life.is_open:
             self._note_ends(matching.expire(now))
-            if not matching.has_ids:
-                self._end_waits_for_silence(now)
         else:
             self._end_waits(now)
 
@@ -453,14 +451,3 @@ class Transactions:
                 continue
             self._queue.remove(call)
             self._outcomes.refuse(call, self.life.not_in_time(call.timeouts.timeout))
-
-    def _end_waits_for_silence(self, now: float) -> None:
-        """Fail the requests that have waited too long for silence on the line."""
-        for call in self._queue.calls:
-            if self.matching.is_overdue(call, now):
-                self._queue.remove(call)
-                received = self.matching.received_with(call, b"")
-                error = FrameError("the line does not fall silent", received=received)
-                self._outcomes.fail_unsent(call, error)
-                if call.batch is not None:
-                    self._free(call.batch)

@@ -7,13 +7,13 @@ compared with those that were sent, in their order, and equal ones are taken out
 Equal bytes alone do not prove an echo: the response to a write is equal to its request, and a
 master may send the same write again and again. Unless a user has set whether there is an echo, it
 is found out from *telling* frames only. Such a frame can be nothing else when it comes back: the
-request of a read at a client, because its response differs (that to a write does so, too, but there
-are devices that answer with the whole request); a response that is no possible request at a server. If a telling frame comes back whole, there is an
-echo; if other bytes come in its place, there is none. Until then other frames that come back are
-left in, and decide nothing: on a line with an echo that is not set, a server carries out its own
-responses to writes again and again until it answers a read. An echo that was found out is
-disbelieved at the first frame that does not come back. Time is no evidence: converters keep bytes
-for longer than some masters wait.
+request of a read at a client (that of a write of several cells differs from its response, too, but
+some devices answer with the whole request); a response that is no possible request at a server. If
+a telling frame comes back whole, there is an echo; if other bytes come in its place, there is none.
+Until then other frames that come back are left in, and decide nothing: on a line with an echo that
+is not set, a server carries out its own responses to writes again and again until it answers a
+read. An echo that was found out is disbelieved at the first frame that does not come back. Time is
+no evidence: converters keep bytes for longer than some masters wait.
 """
 
 from __future__ import annotations

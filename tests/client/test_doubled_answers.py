@@ -131,8 +131,9 @@ def test_values_are_right_again_after_a_pause(pause: float) -> None:
     assert kinds(present) == [InvalidResponse]
     for address in range(102, 110):
         talk.wait(pause)
-        batch, count = talk.ask(address), len(talk.sent)
-        talk.wait_for(count + (address == 102))  # the line must be silent
+        count = len(talk.sent) + 1
+        batch = talk.ask(address)
+        talk.wait_for(count)  # the unit must be silent
         talk.wait(0.01)
         talk.come(value(address))
         talk.wait(0.1)
@@ -172,4 +173,4 @@ def test_what_changes_for_ever_takes_no_more_memory() -> None:
     with little_kept():
         for count in range(2 * REMEMBERED, 5 * REMEMBERED):
             add(count)
-    assert answers.slowest == 0.1
+    assert answers.slowest_of(1) == 0.1
