@@ -352,9 +352,8 @@ class Line(Matching):
         Look for the answer between noise; end the wait for one that is damaged. After mere noise,
         an answer may still follow.
         """
-        if self._held is not None:
-            return
-        data = bytes(self._received)
+        # The bytes before an answer on HOLD are judged.
+        data = bytes(self._received if self._held is None else self._framer.rest)
         if self._endpoint.framing == "rtu":
             heard = data.replace(call.adu, b"", 1) if self._echo.is_there else data
             pdu = find_response(heard, call.unit, call.pdu[0], is_over=is_over)
@@ -363,7 +362,8 @@ class Line(Matching):
                 self._judge(Frame(call.unit, pdu), now)
             if pdu is not None:
                 return
-        if isinstance(self._wrong, FrameError) and self._is_of(call, data):
+        is_damaged = isinstance(self._wrong, FrameError) and self._held is None
+        if is_damaged and self._is_of(call, data):
             self._fail(call, self._wrong, now)
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:

@@ -13,8 +13,7 @@ The rules:
 
 1. As many requests are in flight as the client has room for, at least one.
 2. On a line without transaction ids a unit is not asked while its late answer may still come
-   (`AsyncClient.ready_at`); requests to other units overtake it. Nor is any unit asked while
-   late answers to an earlier client of the same port may come (`replaces`).
+   (`AsyncClient.ready_at`); requests to other units overtake it.
 3. A trial is sent when no other request waits. When that does not happen, it is sent after it
    waited for one timeout, but no two trials in a row.
 4. A trial that others wait for ends after the time of the slowest answers on this line, because
@@ -153,7 +152,6 @@ class SharedLine(ABC, Generic[Each]):
         self.is_closed: bool = False
         self._loop = asyncio.get_running_loop()
         self._has_ids = client.has_ids
-        self._quiet_until = 0.0
         self._longest_wait = longest_wait
         self._most_trials = most_trials
         self._urgent, self._usual = make_queue(), make_queue()
@@ -236,10 +234,6 @@ class SharedLine(ABC, Generic[Each]):
         """Remove a request that waits; return False if it does not."""
         return any(queue.remove(each) for queue in (self._urgent, self._usual, self._trials))
 
-    def replaces(self, before: AsyncClient) -> None:
-        """Send nothing while late answers to another client of the same port may come."""
-        self._quiet_until = self._loop.time() + before.timeout
-
     def stop(self) -> list[Each]:
         """Send nothing any more; remove and return all requests that wait."""
         self.is_closed = True
@@ -281,7 +275,7 @@ class SharedLine(ABC, Generic[Each]):
     def _ready_at(self, each: Each) -> float:
         if self._has_ids:
             return 0.0
-        return max(self._quiet_until, self.client.ready_at(each.unit, each.request.function))
+        return self.client.ready_at(each.unit, each.request.function)
 
     def _pick(self, now: float) -> Each | None:
         """Remove and return the request to send now; None if none may be."""

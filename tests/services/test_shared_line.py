@@ -221,18 +221,6 @@ async def test_a_unit_that_owes_an_answer_is_not_asked_and_others_are() -> None:
 
 
 @simulated
-async def test_a_line_that_replaces_another_one_waits_for_its_timeout_unless_it_has_ids() -> None:
-    for owing, at_once in (({}, []), (None, [1])):
-        line = Line(owing=owing)
-        line.replaces(cast(AsyncClient, Client(1, None)))
-        line.put(1)
-        await asyncio.sleep(TIMEOUT - 0.01)
-        assert line.log == at_once
-        await asyncio.sleep(0.02)
-        assert line.log == [1]
-
-
-@simulated
 async def test_what_waited_for_too_long_is_not_sent() -> None:
     line = Line(longest_wait=5.0)
     first, *_ = line.put(1, 2)

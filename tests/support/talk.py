@@ -33,7 +33,8 @@ class Talk:
 
     Args:
         url: whose connection; nothing is opened. The line has been open for long; `is_new` for one
-            of which nothing is known.
+            that was just opened.
+        after: another client, which was closed in the same process.
         options: of the client; 16 may be in flight where frames carry ids.
 
     Attributes:
@@ -42,9 +43,16 @@ class Talk:
     """
 
     def __init__(
-        self, url: str = TCP, *, is_open: bool = True, is_new: bool = False, **options: Any
+        self,
+        url: str = TCP,
+        *,
+        is_open: bool = True,
+        is_new: bool = False,
+        after: Talk | None = None,
+        **options: Any,
     ) -> None:
-        forget_lines()
+        if after is None:
+            forget_lines()
         endpoint = parse(url)
         most = 16 if endpoint.framing in ("tcp", "udp") else 1
         given = {"max_in_flight": most, **options}
@@ -57,7 +65,7 @@ class Talk:
         self.statistics = self.connection.statistics
         self.notices = self.connection.notices
         self.timeouts = self.settings.timeouts
-        self.now = 0.0
+        self.now = after.now if after else 0.0
         self.is_new = is_new
         self.sent: list[bytes] = []
         self.times: list[float] = []
