@@ -362,9 +362,9 @@ class Line(Matching):
                 self._judge(Frame(call.unit, pdu), now)
             if pdu is not None:
                 return
-        is_damaged = isinstance(self._wrong, FrameError) and self._held is None
-        if is_damaged and self._is_of(call, data):
-            self._fail(call, self._wrong, now)
+        wrong = self._wrong
+        if isinstance(wrong, FrameError) and self._held is None and self._is_of(call, data):
+            self._fail(call, wrong, now)
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:
         return bytes(self._received)
