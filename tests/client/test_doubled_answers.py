@@ -113,6 +113,20 @@ def test_answers_that_vary_in_time_are_believed_at_once() -> None:
     assert held < 5
 
 
+def test_polls_of_values_that_flip_take_no_longer_than_others() -> None:
+    chance, seconds = random.Random(1), {}
+    for name, most in (("different", None), ("constant", 0), ("flip", 1), ("few", 15)):
+        talk = Talk(LINE, timeout=1)
+        for each in range(3000):
+            batch = talk.ask(each % 10)
+            talk.wait(chance.uniform(0.004, 0.006))
+            talk.come(value(each if most is None else chance.randint(0, most)))
+            while not batch.is_done:
+                talk.wait(0.001)
+        seconds[name] = talk.now
+    assert max(seconds.values()) < 1.02 * min(seconds.values())
+
+
 # --- a unit that stood still -----------------------------------------------------------------
 
 

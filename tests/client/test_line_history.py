@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import gc
 import os
+import random
 import threading
 from pathlib import Path
 
 import pytest
 
-from libmodbus_py import InvalidResponse, pdu
+from libmodbus_py import InvalidResponse, ModbusError, pdu
 from libmodbus_py.client.history import REMEMBERED_LINES, History, history_of
 from libmodbus_py.ports.endpoint import parse
 from tests.support.cases import each_case
@@ -69,6 +70,31 @@ def test_the_first_answer_after_opening_a_known_line_is_held_for_twice_the_slowe
     talk.wait(0.002)
     assert batch.outcomes == [[2]]
     exchange(talk, 3, after=0.01)
+
+
+@each_case("url", [LINE, "rtu+tcp://192.0.2.1"])
+def test_a_client_for_each_poll_has_no_value_of_another_request(url: str) -> None:
+    """Of 2 000 answers each 40th is late by 1 to 50 ms, and comes to the next client, too."""
+    chance, former, count, late = random.Random(1), None, 0, []
+    for _ in range(400):
+        former = talk = Talk(url, after=former, is_new=True, timeout=0.1)
+        for address in range(1, 6):
+            sent = len(talk.sent) + 1
+            batch = talk.ask(address)
+            while not batch.is_done:
+                if len(talk.sent) == sent:
+                    sent, count = sent + 1, count + 1
+                    after = 0.1 + chance.uniform(0.001, 0.05) if count % 40 == 17 else 0.008
+                    late.append((talk.times[-1] + after, value(7 * address)))
+                    late.sort()
+                if late and late[0][0] <= talk.connection.alarm:
+                    talk.wait_until(max(late[0][0], talk.now))
+                    talk.come(late.pop(0)[1])
+                else:
+                    talk.wait_until(talk.connection.alarm)
+            assert isinstance(batch.outcomes[0], ModbusError) or batch.outcomes == [[7 * address]]
+        closed(talk)
+    assert count > 1900
 
 
 # --- a line of which nothing is known ----------------------------------------------------------
