@@ -65,7 +65,7 @@ FRAMERS: dict[str, Callable[[], Framer]] = {
 """The framers of streams."""
 
 # The longest beginning of a frame that is worth waiting for.
-PENDING = {"tcp": 260, "rtu server": 256, "rtu client": 256, "ascii": 513}
+PENDING = {"tcp": 260, "rtu server": 264, "rtu client": 256, "ascii": 513}
 
 
 _FILE = Path(__file__).parents[1] / "tests" / "support" / "vectors.json"
@@ -94,8 +94,11 @@ def check_stream(name: str, stream: bytes, sizes: Sequence[int]) -> None:
     seen = stream.upper() if name == "ascii" else stream
     for frame in whole:
         if isinstance(frame, Frame):
-            assert encode(frame) in seen
-            seen = seen[seen.index(encode(frame)) + len(encode(frame)) :]
+            adu = encode(frame)
+            if name == "ascii":
+                adu = adu[:-2]  # either byte of its end may be missing
+            assert adu in seen
+            seen = seen[seen.index(adu) + len(adu) :]
     assert rest <= PENDING[name]
 
 

@@ -44,9 +44,9 @@ from typing import Any, NamedTuple
 from libmodbus_py.client.call import NOT_ASKED, Batch, Call, Phase, Timeouts
 from libmodbus_py.client.connection import Transactions
 from libmodbus_py.client.history import forget_lines
-from libmodbus_py.client.options import CheckedOptions
+from libmodbus_py.client.options import checked_options
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.ports.port import make_port
+from libmodbus_py.ports.making import make_port
 from libmodbus_py.protocol import pdu
 from libmodbus_py.protocol.errors import ExceptionResponse, ModbusConnectionError
 from libmodbus_py.protocol.framing import Frame, crc16, make_framer, mbap, rtu
@@ -226,11 +226,12 @@ class World:
     # --- the client ----------------------------------------------------------------------------
 
     def make_client(self) -> None:
-        settings = CheckedOptions(
-            turnaround=1.0,
-            timeouts_before_reconnect=1000,
-            max_in_flight=4 if self.has_ids else 1,
-        )
+        options = {
+            "turnaround": 1.0,
+            "timeouts_before_reconnect": 1000,
+            "max_in_flight": 4 if self.has_ids else 1,
+        }
+        settings = checked_options(self.endpoint, options)
         self.connection = Transactions(self.endpoint, settings, make_port(self.endpoint, settings))
         self.connection.life.connecting()
         self.connection.opened(self.now)

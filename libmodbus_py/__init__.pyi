@@ -2,16 +2,13 @@
 The public names of the package, each once: type checkers read this file, and so does Python.
 """
 
-from . import device_file as device_file
 from . import errors as errors
 from . import framing as framing
-from . import low_level as low_level
 from . import pdu as pdu
 from . import values as values
 from .client.asynchronous import AsyncClient as AsyncClient
 from .client.blocking import Client as Client
 from .client.reconnecting import State as State
-from .client.statistics import Statistics as Statistics
 from .contexts.rtu import RtuContext as RtuContext
 from .contexts.tcp import TcpContext as TcpContext
 from .device.access import Access as Access
@@ -37,11 +34,9 @@ from .protocol.errors import IllegalDataAddress as IllegalDataAddress
 from .protocol.errors import IllegalDataValue as IllegalDataValue
 from .protocol.errors import IllegalFunction as IllegalFunction
 from .protocol.errors import InvalidResponse as InvalidResponse
-from .protocol.errors import MemoryParityError as MemoryParityError
 from .protocol.errors import ModbusConnectionError as ModbusConnectionError
 from .protocol.errors import ModbusError as ModbusError
 from .protocol.errors import ModbusTimeoutError as ModbusTimeoutError
-from .protocol.errors import NegativeAcknowledge as NegativeAcknowledge
 from .protocol.errors import ServerDeviceBusy as ServerDeviceBusy
 from .protocol.errors import ServerDeviceFailure as ServerDeviceFailure
 from .security.security import Security as Security

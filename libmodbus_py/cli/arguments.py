@@ -14,17 +14,15 @@ import argparse
 import re
 from functools import partial
 
-from ..ports.schemes import (
+from ..ports.options import (
+    ASCII_DEFAULTS,
     CLIENT_OPTIONS,
-    OTHER_NAMES,
     PARITIES,
-    SCHEMES,
     SECURITY_OPTIONS,
+    SERIAL_DEFAULTS,
     SERIAL_OPTIONS,
-    TRANSPORTS,
-    options_of,
-    shape_of,
 )
+from ..ports.schemes import SCHEMES, TRANSPORTS, options_of, shape_of
 from .foreign import place
 
 TYPE_CHECKING = False  # see commands
@@ -34,7 +32,7 @@ if TYPE_CHECKING:
 
     from ..client.blocking import Client
     from ..ports.endpoint import Endpoint
-    from ..ports.schemes import Option
+    from ..ports.options import Form, Option
 
 # fmt: off
 __all__ = [
@@ -60,8 +58,7 @@ def _listed(shapes: Iterable[str]) -> str:
 URLS = f"""\
 {_listed(shape_of(scheme) for scheme in SCHEMES)}
      Settings follow ?, as in "tcp://192.0.2.10?unit=7&timeout=2", under the
-     names of options, with _ in place of -; an option overrides them. Quote
-     such a URL, because shells interpret &."""
+     names of options with _ for -; options override them. Quote URLs with &."""
 """The end of each --help of a client."""
 
 SCHEMES_OF_URLS = _listed(f"{scheme}://" for scheme in SCHEMES)
@@ -71,12 +68,8 @@ SHORT = {"unit": "-u", "baudrate": "-b", "parity": "-p", "data_bits": "-d", "sto
 
 SUFFIXES = (".csv", ".json", ".jsonl", ".ndjson", ".tsv", ".txt", ".log")
 
-RARE = {
-    *("busy_retries", "max_in_flight", "turnaround", "request_spacing", "connect_delay"),
-    *("timeouts_before_reconnect", "keepalive", "max_pause", "accept_unit", "delimiter"),
-    *("rs485", "rts_delay", "echo", "silence", *SECURITY_OPTIONS),
-}
-"""Options that --help leaves out."""
+OFTEN_USED = {"unit", "timeout", "retries", *SERIAL_DEFAULTS}
+"""The options of URLs that --help shows; --help-all shows the others, too."""
 
 REPEATED = ("pin",)
 """Options that may be given several times; a URL has their values with commas between."""
@@ -297,31 +290,31 @@ def _add(
     for name, option in options.items():
         if name in without:
             continue
-        others = [flag(other) for other, known in OTHER_NAMES.items() if known == name]
-        flags = [*filter(None, [SHORT.get(name)]), flag(name), *others]
-        head = " ".join([*["rare"] * (name in RARE), *flags, *filter(None, [option.placeholder])])
-        more: dict[str, Any] = {"type": read_as(option)}
-        if not option.placeholder:
+        form = option.form
+        words = ["" if name in OFTEN_USED else "rare", SHORT.get(name, ""), flag(name)]
+        head = " ".join(filter(None, [*words, form.placeholder]))
+        more: dict[str, Any] = {"type": read_as(form)}
+        if not form.placeholder:
             more = {"action": argparse.BooleanOptionalAction}
         if name in REPEATED:
             more["action"] = "append"
         if name == "parity":
             more["complete"] = PARITY_WORDS
         repeated = "; may be repeated" * (name in REPEATED)
-        declare(group, f"{head}\n  {option.text}{repeated}", usual, **{name: more})
+        declare(group, f"{head}\n  {option.summary}{repeated}", usual, **{name: more})
 
 
-def read_as(option: Option, separator: str | None = None) -> Callable[[str], Any]:
+def read_as(form: Form, separator: str | None = None) -> Callable[[str], Any]:
     """Return the function that converts what is typed: a value, or several with a separator."""
 
     def read(text: str) -> Any:
         values = []
         for part in text.split(separator) if separator else [text]:
             try:
-                values.append(option.convert(part.strip() if separator else part))
+                values.append(form.convert(part.strip() if separator else part))
             except ValueError:
-                which = f"{part!r} must be {option.wanted}"
-                text = which if separator else f"must be {option.wanted}, not {text!r}"
+                which = f"{part!r} must be {form.wanted}"
+                text = which if separator else f"must be {form.wanted}, not {text!r}"
                 raise argparse.ArgumentTypeError(text) from None
         return values if separator else values[0]
 
@@ -329,16 +322,10 @@ def read_as(option: Option, separator: str | None = None) -> Callable[[str], Any
 
 
 def _of_clients() -> dict[str, Any]:
-    from dataclasses import fields
-
-    from ..client.options import CheckedOptions
-
-    return {each.name: each.default for each in fields(CheckedOptions)}
+    return {name: row.default for name, row in CLIENT_OPTIONS.items()}
 
 
 def _of_serial_ports() -> dict[str, Any]:
-    from ..ports.schemes import ASCII_DEFAULTS, SERIAL_DEFAULTS
-
     others = {name: value for name, value in ASCII_DEFAULTS.items() if name in SERIAL_DEFAULTS}
     told = {name: f"{SERIAL_DEFAULTS[name]}; ascii: {value}" for name, value in others.items()}
     words = {letter: word for word, letter in reversed(PARITIES.items())}

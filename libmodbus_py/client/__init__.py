@@ -9,9 +9,11 @@ From the caller to the wire:
     values_blocking    the same of blocking clients, which packaging/generate_blocking.py makes;
                        so are many_blocking and functions_blocking
     handle             a unit, its timeouts, and the connection that it shares
+    keywords           wrong keyword arguments of methods, answered with the right one
     blocking           the blocking client, `Client`
     asynchronous       AsyncClient
-    options            the options of both, and the parts made of them
+    sender             sends without a task for each request, for gateways and fleets
+    options            the options that only clients know, and the check of all
     call               one request, its timeouts and its outcome; several requests of a caller
     blocking_driver    waits with poll, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer

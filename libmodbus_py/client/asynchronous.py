@@ -4,20 +4,14 @@ The asyncio client.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Self, Unpack
+from typing import Self, Unpack
 
-from ..protocol import pdu
-from ..protocol.checks import integer
 from ..protocol.mistakes import named_arguments
 from .asyncio_driver import AsyncioDriver
-from .call import Call, Phase
+from .options import AsyncOptions, listed_options
 from .values_async import AsyncValues
 
-if TYPE_CHECKING:
-    from .options import AsyncOptions
-
-__all__ = ["MAX_PAUSE", "AsyncClient", "Submitted"]
+__all__ = ["MAX_PAUSE", "AsyncClient"]
 
 # Seconds: a device that was switched on again is back after half a minute at most.
 MAX_PAUSE = 30.0
@@ -68,16 +62,10 @@ class AsyncClient(AsyncValues):
     """
 
     def __init__(self, url: str, **options: Unpack[AsyncOptions]) -> None:
-        from ..ports.endpoint import parse
-
-        super().__init__(
-            parse(url),
-            options,
-            lambda endpoint, settings, port, connection: AsyncioDriver(port, connection),
-            max_pause=MAX_PAUSE,
-            may_send=None,
-        )
+        super().__init__(url, options, AsyncOptions, AsyncioDriver, max_pause=MAX_PAUSE)
         self._last = _Last(self._driver)
+
+    __init__.__doc__ = listed_options(AsyncOptions, max_pause=MAX_PAUSE)
 
     async def close(self) -> None:
         """
@@ -98,104 +86,6 @@ class AsyncClient(AsyncValues):
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
-
-    def submit(
-        self, unit: int, request: pdu.Request[Any], on_done: Callable[[], object]
-    ) -> Submitted:
-        """
-        Send a request without waiting for its response.
-
-        This is for programs that forward thousands of requests, for which a task each would be
-        expensive.
-
-        Args:
-            unit: the unit of the request, 0..255.
-            request: any request object of `libmodbus_py.pdu`.
-            on_done: called once when the outcome is known, possibly before this method returns.
-                It must not block. Exceptions that it raises are logged.
-
-        Returns:
-            The submitted request; its `outcome` is set before `on_done` is called.
-
-        Raises:
-            TypeError, ValueError: the request cannot be sent.
-            RuntimeError: the client belongs to another event loop.
-        """
-        if type(unit) is not int or not 0 <= unit <= 255:
-            unit = integer("unit", unit, 0, 255)
-        call = Call(unit, request, self._timeouts, unit == 0 and self._has_broadcast)
-        self._driver.ask(call, on_done)
-        return Submitted(call, self._driver)
-
-    @property
-    def has_ids(self) -> bool:
-        """True if frames carry transaction ids, so that any unit may be asked at any time."""
-        return self._connection.matching.has_ids
-
-    @property
-    def room(self) -> int:
-        """
-        The most requests that should be pending now: `max_in_flight`, or 0 while a write has no
-        outcome yet. Requests that are submitted meanwhile are sent after it, even if its outcome
-        shows that their unit does not answer.
-        """
-        return self._connection.room
-
-    def ready_at(self, unit: int, function: int | None = None) -> float:
-        """
-        Return when a unit may get a request, in the time of the event loop; 0.0 if at once.
-
-        On a serial line, a unit gets no request of the same function for one `timeout` after a
-        failure, because its late response could not be told from the next one. A request that is
-        submitted earlier waits for that time, and so do those to the same unit behind it.
-
-        Args:
-            unit: the unit, 0..255.
-            function: the function code, 1..127; None for all functions of the unit.
-        """
-        return self._connection.matching.ready_at(unit, function)
-
-
-class Submitted:
-    """A request that was submitted."""
-
-    __slots__ = ("_call", "_driver")
-
-    def __init__(self, call: Call, driver: AsyncioDriver) -> None:
-        self._call = call
-        self._driver = driver
-
-    @property
-    def outcome(self) -> Any:
-        """Return the result, or the exception that `AsyncClient.execute` would raise."""
-        return self._call.outcome
-
-    def withdraw(self) -> None:
-        """Drop the request: `on_done` is not called, and a late response is ignored."""
-        self._driver.withdraw(self._call)
-
-    @property
-    def is_sent(self) -> bool:
-        """False while the request waits to be sent, for the first time or again."""
-        return self._call.state is not Phase.WAITING
-
-    @property
-    def is_answered(self) -> bool:
-        """True if a response was received, even if it may still turn out to be another one's."""
-        return self._call.state is Phase.ANSWERED
-
-    def send_no_more(self) -> bool:
-        """
-        Withdraw the request if it waits to be sent; else do not send it again.
-
-        Returns:
-            True if it was withdrawn.
-        """
-        self._call.send_no_more()
-        if self.is_sent:
-            return False
-        self.withdraw()
-        return True
 
 
 class _Last:

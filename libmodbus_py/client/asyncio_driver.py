@@ -130,6 +130,7 @@ class AsyncioDriver:
         if self._attempt is not None:
             self._attempt.cancel()
             await asyncio.wait([self._attempt])
+        self._port.shut()
 
     def forget(self) -> None:
         """Close the port after the last handle was garbage collected."""
@@ -162,6 +163,8 @@ class AsyncioDriver:
         if self._attempt is not None and self._loop is not None and not self._loop.is_closed():
             self._attempt.cancel()
         self._close_port()
+        if self._attempt is None:
+            self._port.shut()
         self._life.close()
         self._alarm.cancel()
 

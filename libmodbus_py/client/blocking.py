@@ -4,22 +4,12 @@ The blocking client.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Self, Unpack
+from typing import Self, Unpack
 
-from ..ports.schemes import PARITIES, options_of
 from ..protocol.mistakes import named_arguments
 from .blocking_driver import BlockingDriver
+from .options import Options, listed_options
 from .values_blocking import BlockingValues
-
-if TYPE_CHECKING:
-    from ..ports.endpoint import Endpoint
-    from ..ports.serial import SerialSettings
-    from .options import Options
-
-    class ClientOptions(Options, SerialSettings, total=False):
-        """The options of `Client`, among them the settings of a serial port."""
-
 
 __all__ = ["Client"]
 
@@ -68,22 +58,18 @@ class Client(BlockingValues):
     Args:
         url: such as "tcp://192.0.2.10?unit=17" or "rtu:///dev/ttyUSB0?baudrate=9600"
             (`libmodbus_py.ports.endpoint`).
-        options: `unit`, `timeout` and others, which ``__init__`` lists with their defaults; on a
-            serial port also `baudrate` (19200), `parity` ("E"), `data_bits` (8; 7 for "ascii"),
-            `stop_bits` (1), `rs485`, `rts_delay`, `echo` and `silence`
-            (`ports.serial.SerialPort`). They take precedence over those of the URL.
+        options: `unit`, `timeout` and others, which take precedence over those of the URL;
+            ``__init__`` lists all with their defaults. Those of a serial port, such as
+            `baudrate`, are for URLs of serial ports.
 
     Raises:
         TypeError, ValueError: the URL or an option is wrong.
     """
 
-    def __init__(self, url: str, **options: Unpack[ClientOptions]) -> None:
-        endpoint, others = _parsed(url, options)
-        super().__init__(
-            endpoint,
-            others,
-            lambda endpoint, settings, port, connection: BlockingDriver(port, connection),
-        )
+    def __init__(self, url: str, **options: Unpack[Options]) -> None:
+        super().__init__(url, options, Options, BlockingDriver)
+
+    __init__.__doc__ = listed_options(Options)
 
     def close(self) -> None:
         """
@@ -103,22 +89,3 @@ class Client(BlockingValues):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _parsed(url: str, options: Mapping[str, Any]) -> tuple[Endpoint, Mapping[str, Any]]:
-    """Return an endpoint with the options that are of its line, and the options of the client."""
-    from ..ports.endpoint import parse
-
-    endpoint = parse(url)
-    if endpoint.has_transactions:
-        return endpoint, options
-    from dataclasses import replace
-
-    settings = dict(endpoint.options)
-    others: dict[str, Any] = {}
-    of_line = options_of(endpoint.scheme)
-    for name, value in options.items():
-        (settings if name in of_line else others)[name] = value
-    if isinstance(parity := settings.get("parity"), str):
-        settings["parity"] = PARITIES.get(parity.lower(), parity)
-    return replace(endpoint, options=settings), others

@@ -54,7 +54,7 @@ class BlockingDriver:
         self._pauses: set[Waker] = set()
         self._start_anew()
         abandoned_in_children(self)
-        weakref.finalize(self, port.close)
+        weakref.finalize(self, port.shut)
 
     def _start_anew(self) -> None:
         # Reentrant, so that a signal handler that sends a request during another one gets an error
@@ -146,7 +146,7 @@ class BlockingDriver:
             self.waker.close()
 
     def _shut(self) -> None:
-        self._port.close()
+        self._port.shut()
         self._connection.closed(self._now())
         self.waker.close()
 

@@ -28,17 +28,13 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "ANSWERED", "MAX_IN_FLIGHT", "NOT_ASKED", "SENT", "WAITING", "Batch", "Call", "Matching",
+    "ANSWERED", "NOT_ASKED", "SENT", "WAITING", "Batch", "Call", "Matching",
     "Phase", "Timeouts", "no_answer", "raised",
 ]
 # fmt: on
 
 NOT_ASKED: Final = object()
 """The outcome of a request that has none yet, or was never sent."""
-
-# The buffers of two sockets hold this many requests and answers of full length. With more, each
-# side might wait for the other one to read before it goes on.
-MAX_IN_FLIGHT = 256
 
 
 class Timeouts:

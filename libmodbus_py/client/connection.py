@@ -36,7 +36,7 @@ from .statistics import Statistics
 if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from ..ports.port import Port
-    from .options import CheckedOptions
+    from .options import AsyncOptions
 
 __all__ = ["Transactions"]
 
@@ -54,7 +54,7 @@ class Transactions:
     Of the port only the name, the silence and the certificate are used.
     """
 
-    def __init__(self, endpoint: Endpoint, settings: CheckedOptions, port: Port) -> None:
+    def __init__(self, endpoint: Endpoint, settings: AsyncOptions, port: Port) -> None:
         self.in_flight: int = 0
         # The reason to replace the connection by a new one.
         self.broken: ModbusConnectionError | None = None
@@ -62,28 +62,30 @@ class Transactions:
         self.is_flooded: bool = False
         # Requests whose frames are to be traced once they were sent.
         self.untraced: list[Call] = []
-        self.is_guarded: bool = settings.may_send is not None
+        self.is_guarded: bool = settings["may_send"] is not None
         self.notices: Notices = Notices()
-        self.statistics: Statistics = settings.statistics or Statistics()
+        self.statistics: Statistics = settings["statistics"] or Statistics()
         self.url: str = str(endpoint)
-        self._trace = Trace(self.url, settings.trace, later=self.notices.add)
+        self._trace = Trace(self.url, settings["trace"], later=self.notices.add)
+        # Who waits for a device misses it during a pause.
+        max_pause = 0.0 if endpoint.is_listening else settings["max_pause"]
         self.life: Reconnecting = Reconnecting(
-            str(port), settings.max_pause, self.statistics, self.notices, settings.on_state
+            str(port), max_pause, self.statistics, self.notices, settings["on_state"]
         )
         self.matching: Matching
         if endpoint.has_transactions:
-            any_unit = settings.accept_unit == "any"
+            any_unit = settings["accept_unit"] == "any"
             self.matching = Ids(endpoint, self.statistics, self._trace, any_unit=any_unit)
         else:
             from .line import Line
 
             self.matching = Line(
-                endpoint, self.statistics, self._trace, port.silence, settings.delimiter
+                endpoint, self.statistics, self._trace, port.silence, settings["delimiter"]
             )
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
         self._settings = settings
-        self._queue = Queue(self.matching, settings.max_in_flight)
+        self._queue = Queue(self.matching, settings["max_in_flight"])
         self._outcomes = Outcomes(endpoint, port, self._queue, self.life, self.statistics)
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
@@ -151,10 +153,10 @@ class Transactions:
 
     def forbidden(self) -> ModbusConnectionError | None:
         """Return the error for requests that `may_send` does not allow now; None if it does."""
-        if self._settings.may_send is None:
+        if self._settings["may_send"] is None:
             return None
         try:
-            allowed = finished("may_send", self._settings.may_send())
+            allowed = finished("may_send", self._settings["may_send"]())
             if allowed is True:
                 return None
             if allowed is not False:
@@ -190,8 +192,8 @@ class Transactions:
         unsettled = len(self._answered)
         while (call := queue.next(now, self.in_flight, unsettled)) is not None:
             adus.append(self._send(call, now))
-            if self._settings.request_spacing:
-                self._next_start = now + self._settings.request_spacing
+            if self._settings["request_spacing"]:
+                self._next_start = now + self._settings["request_spacing"]
                 break
             if not (queue.waiting or queue.again):
                 break
@@ -209,7 +211,7 @@ class Transactions:
         """Return True if the connection is dead, or an answer on it was cut off."""
         matching = self.matching
         is_dead = (
-            self._is_socket and matching.unanswered >= self._settings.timeouts_before_reconnect
+            self._is_socket and matching.unanswered >= self._settings["timeouts_before_reconnect"]
         )
         # The next answer would be appended to half a frame that no request expects.
         is_cut = matching.rest and self.in_flight == len(self._silent)
@@ -231,8 +233,8 @@ class Transactions:
             self._queue.note_write(call)
         self.in_flight += 1
         if call.is_silent:
-            self._silent.append((now + self._settings.turnaround, call))
-            matching.wake(now + self._settings.turnaround)
+            self._silent.append((now + self._settings["turnaround"], call))
+            matching.wake(now + self._settings["turnaround"])
         batch = call.batch
         if batch is not None and batch.under_way < batch.limit:
             self._go_on(batch)
@@ -251,8 +253,8 @@ class Transactions:
     def opened(self, now: float) -> None:
         """The connection was established: send what waits for it."""
         self._reset(now)
-        if self._settings.connect_delay:
-            self._next_start = now + self._settings.connect_delay
+        if self._settings["connect_delay"]:
+            self._next_start = now + self._settings["connect_delay"]
         for call in list(self._queue.waiting):
             call.used = now - call.since
             if call.request is None:

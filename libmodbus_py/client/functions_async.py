@@ -13,7 +13,8 @@ from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import InvalidResponse, ModbusError
 from .call import Call
-from .handle import Handle, NoOthers, public_methods, unexpected
+from .handle import Handle
+from .keywords import NoOthers, public_methods, unexpected
 
 if TYPE_CHECKING:
     from .asyncio_driver import AsyncioDriver

@@ -54,6 +54,7 @@ A line keeps the order of requests to a unit: those behind one that waits wait, 
 
 from __future__ import annotations
 
+from typing import Any
 from weakref import WeakKeyDictionary
 
 from ..ports.endpoint import Endpoint
@@ -68,8 +69,17 @@ from ..protocol.errors import (
     InvalidResponse,
     ModbusError,
 )
-from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_after, make_framer
-from ..protocol.rtu import find_response
+from ..protocol.framing import (
+    LINE_FEED,
+    AsciiFramer,
+    Frame,
+    Framer,
+    RtuFramer,
+    delimiter_after,
+    make_framer,
+)
+from ..protocol.pdu.request import Request
+from ..protocol.rtu import has_own_length
 from .call import Call, Matching, Phase, no_answer
 from .history import Pair, history_of
 from .statistics import Statistics
@@ -108,6 +118,7 @@ class Line(Matching):
         self._silence = silence
         self._delimiter = delimiter
         self._echo = Echo(endpoint.options.get("echo"))
+        self._own: Request[Any] | None = None  # the latest request, if it has its own length rule
         self._framer = self._make_framer()
         self._call: Call | None = None
         self._ended: list[Call] = []
@@ -125,7 +136,8 @@ class Line(Matching):
         self._waits: WeakKeyDictionary[Call, float] = WeakKeyDictionary()
 
     def _make_framer(self) -> Framer:
-        framer = make_framer(self._endpoint.framing, "client", self._endpoint.pause)
+        end = self._endpoint
+        framer = make_framer(end.framing, "client", end.pause, self._own)
         if isinstance(framer, AsciiFramer):
             framer.delimiter = self._delimiter
         return framer
@@ -157,10 +169,15 @@ class Line(Matching):
         return True
 
     def start(self, call: Call, now: float) -> None:
+        request = call.request
+        own = request if request is not None and has_own_length(request) else None
+        self._own, last = own, self._own
         if self._framer.pending or self._echo.is_holding:
             rest = self._framer.end() + self._echo.forget()
             if self._trace.is_on():
                 self._trace.tell("received", rest)
+            self._framer = self._make_framer()
+        elif own is not last:
             self._framer = self._make_framer()
         call.adu = adu = self._framer.encode(Frame(call.unit, call.pdu))
         self._received.clear()
@@ -354,9 +371,9 @@ class Line(Matching):
         """
         # The bytes before an answer on HOLD are judged.
         data = bytes(self._received if self._held is None else self._framer.rest)
-        if self._endpoint.framing == "rtu":
+        if isinstance(self._framer, RtuFramer):
             heard = data.replace(call.adu, b"", 1) if self._echo.is_there else data
-            pdu = find_response(heard, call.unit, call.pdu[0], is_over=is_over)
+            pdu = self._framer.find_response(heard, call.unit, call.pdu[0], is_over=is_over)
             if pdu:
                 self._framer = self._make_framer()
                 self._judge(Frame(call.unit, pdu), now)

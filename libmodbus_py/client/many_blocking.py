@@ -15,7 +15,7 @@ from ..protocol.checks import seconds
 from ..protocol.errors import ModbusError
 from .call import raised
 from .functions_blocking import BlockingFunctions
-from .handle import NoOthers, check_plan_options, public_methods, unexpected
+from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 
 # What only some methods need is imported by them.
 if TYPE_CHECKING:
@@ -105,11 +105,12 @@ class BlockingMany(BlockingFunctions):
 
         Returns:
             A list of values for each item, in the order of the items; a dict by name if `items`
-            is a mapping.
+            is a mapping. None stands for data that is no value of the item's type.
 
         Raises:
-            TypeError, ValueError: an argument is wrong, as for `Plan`; or registers hold no value
-                of the type of an item.
+            TypeError, ValueError: an argument is wrong, as for `Plan`.
+            NoValue: all data of an item is no value of its type; with `return_exceptions` it is
+                returned in place of the item's values.
             IllegalDataAddress: a merged request covers cells that the device
                 lacks. With a `Plan`, the items that the device refuses are found by halving the
                 request; with `return_exceptions` they are left out (`unreadable`), otherwise
@@ -124,7 +125,10 @@ class BlockingMany(BlockingFunctions):
             answers = self._run_batch(plan.requests, return_exceptions)
         else:
             answers = self._answers(plan, return_exceptions)
-        return plan.results(answers)
+        values = plan.results(answers)
+        if not return_exceptions:
+            raised(values.values() if isinstance(values, dict) else values)
+        return values
 
     @overload
     def watch(
@@ -190,8 +194,7 @@ class BlockingMany(BlockingFunctions):
             time. Otherwise it yields what `read_many` returns with ``return_exceptions=True``.
 
         Raises:
-            TypeError, ValueError: an argument is wrong; nothing was sent. If `what` is no map, the
-                iterator itself raises ValueError for registers that hold no value of their type.
+            TypeError, ValueError: an argument is wrong; nothing was sent.
         """
         if options:
             check_plan_options(self.watch, options)
@@ -243,18 +246,18 @@ class BlockingMany(BlockingFunctions):
         """Return the answers to a plan's requests, for its `results`; or raise the first error."""
         from ..maps.holes import is_refusal, reading
 
-        holes = self.holes
+        refusals = self._refusals
         answers: list[Any] = []
-        if not holes:
+        if not refusals:
             answers = self._run_batch(plan.requests, return_exceptions, stops=True)
-        if holes or any(map(is_refusal, answers)):
+        if refusals or any(map(is_refusal, answers)):
             steps = reading(
                 plan.blocks,
-                holes,
-                self.now(),
+                refusals,
+                self._driver.now(),
                 self.statistics.connects,
                 is_strict=not return_exceptions,
-                tell=self._tell_of_hole,
+                tell=self._log_refusal,
             )
             try:
                 requests = next(steps)
@@ -295,7 +298,7 @@ class BlockingPolls(Generic[Polled]):
 
     def __next__(self) -> Polled:
         client = self._client
-        due = self._pace.due(client.now())
+        due = self._pace.due(client._driver.now())
         if not client._driver.wait_until(due):
             raise StopIteration
         self._pace.begin(due)

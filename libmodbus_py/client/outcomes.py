@@ -8,7 +8,7 @@ import errno
 import re
 from typing import TYPE_CHECKING
 
-from ..ports.schemes import SCHEMES
+from ..ports.schemes import SCHEMES, TRANSPORTS
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
@@ -171,6 +171,8 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
         if other != framing and framing != "udp" and looks_so(received):
             is_on_tcp = scheme.endswith("tcp") and other != "tcp"
             return f"this looks like {other}{'+tcp' * is_on_tcp}://"
+    if TRANSPORTS[SCHEMES[scheme][1]].is_listening:  # type: ignore[index]
+        return "a registration packet or heartbeat? see greeting"
     unit, function = sent[0], sent[1]
     starts = (bytes([unit, function]), bytes([unit, function | 0x80]))
     if scheme == "rtu" and not any(start in received for start in starts):

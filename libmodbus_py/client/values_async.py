@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Unpack, overload
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import IllegalFunction
-from .handle import NoOthers, check_plan_options, public_methods, unexpected
+from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 from .many_async import AsyncMany
 
 # What only some methods need is imported by them.
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ..maps.plan import PlanOptions
     from ..maps.register_map import AnyMap
     from ..protocol.tables import RegisterTable, WritableTable
+    from ..protocol.value_types import ValueType
     from ..protocol.words import (
         BitsType,
         FloatType,
@@ -80,7 +81,8 @@ class AsyncValues(AsyncMany):
             encoding, padding: the layout of strings, as for `values.value_type`.
 
         Raises:
-            TypeError, ValueError: an argument is wrong, or the registers hold no such value.
+            TypeError, ValueError: an argument is wrong.
+            NoValue: the registers hold no such value; also a ValueError.
         """
         if wrong:
             raise unexpected(self.read_value, wrong)
@@ -89,7 +91,7 @@ class AsyncValues(AsyncMany):
 
         kind = value_type(type, order=order, encoding=encoding, padding=padding)
         request: pdu.Request[Any] = TABLES[register_table(table)].read(address, kind.registers)
-        return kind.decode(await self.execute(request))
+        return _values_in(await self.execute(request), kind, f"{table} {address}")[0]
 
     @overload
     async def read_values(  # type: ignore[overload-overlap]
@@ -160,7 +162,8 @@ class AsyncValues(AsyncMany):
             encoding, padding: the layout of strings, as for `values.value_type`.
 
         Raises:
-            TypeError, ValueError: an argument is wrong, or the registers hold no such values.
+            TypeError, ValueError: an argument is wrong.
+            NoValue: some of the registers hold no such value; also a ValueError.
         """
         if wrong:
             raise unexpected(self.read_values, wrong)
@@ -171,7 +174,7 @@ class AsyncValues(AsyncMany):
         kind = value_type(type, order=order, encoding=encoding, padding=padding)
         registers = kind.registers * integer("count", count, 1, 125 // kind.registers)
         request: pdu.Request[Any] = TABLES[name].read(address, registers)
-        return kind.decode_many(await self.execute(request))
+        return _values_in(await self.execute(request), kind, f"{table} {address}")
 
     async def write_value(
         self,
@@ -265,18 +268,17 @@ class AsyncValues(AsyncMany):
             names: the names of the points to read; None for all readable points. A program that
                 often reads the same few points should make a `RegisterMap` of them.
             return_exceptions: True to return, in place of a value, a ModbusError if the point
-                could not be read, a ValueError if its registers hold no value of its type, and a
-                `NoValue` with the reason where there is no value. False to raise the first
-                ModbusError or ValueError, and to return None where there is no value.
+                could not be read, and a `NoValue` with the reason where there is no value.
+                False to raise the first failure, and to return None where there is no value.
             options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Returns:
             The scaled values by name, as `Point.decode` returns them; None if the device reports
-            that there is no value, or if the value is not plausible.
+            that there is no value, if its registers hold none of its type, or if the value is not
+            plausible.
 
         Raises:
-            TypeError, ValueError: there is no such point, or it cannot be read; an option is wrong;
-                registers hold no value of the point's type.
+            TypeError, ValueError: there is no such point, or it cannot be read; an option is wrong.
             MapError: as for `load_map`.
         """
         if options:
@@ -349,3 +351,14 @@ class AsyncValues(AsyncMany):
             (register,) = await self.execute(pdu.ReadHoldingRegisters(mask.address, 1))
             value = register & mask.and_mask | mask.or_mask & ~mask.and_mask
             await self.execute(pdu.WriteRegister(mask.address, value & 0xFFFF))
+
+
+def _values_in(registers: list[int], kind: ValueType, name: str) -> list[Any]:
+    """Return the values of registers; raise NoValue with the name of the place if one has none."""
+    values = kind.values_in(registers)
+    for value in values:
+        if isinstance(value, ValueError):
+            from ..maps.meaning import no_value
+
+            raise no_value(name, kind, value)
+    return values

@@ -27,7 +27,7 @@ from ..protocol.errors import (
 from ..protocol.frames import Frame, Framer
 from ..protocol.pdu.request import Request
 
-__all__ = ["BUSY", "CLOSED", "OPEN", "READY", "ContextBase", "ContextState", "too_many_descriptors"]
+__all__ = ["BUSY", "CLOSED", "FOREIGN", "OPEN", "READY", "ContextBase", "too_many_descriptors"]
 
 Result = TypeVar("Result")
 
@@ -50,12 +50,7 @@ class ContextState(enum.Enum):
     FOREIGN = enum.auto()  # in a forked child
 
 
-CLOSED, OPEN, READY, BUSY = (
-    ContextState.CLOSED,
-    ContextState.OPEN,
-    ContextState.READY,
-    ContextState.BUSY,
-)
+CLOSED, OPEN, READY, BUSY, FOREIGN = ContextState
 
 
 class ContextBase(ABC):
@@ -64,6 +59,7 @@ class ContextBase(ABC):
     _is_serial: ClassVar[bool]
     _after: ClassVar[ContextState]  # the state after a request that was answered
 
+    _state: ContextState = CLOSED
     _modbus: Any = None
     _waker: Waker | None = None
 
@@ -93,7 +89,8 @@ class ContextBase(ABC):
         self.close()
 
     def __del__(self) -> None:
-        self._release()
+        if self._modbus is not None:
+            self._release()
 
     # --- connections ----------------------------------------------------------------------
 
@@ -125,7 +122,7 @@ class ContextBase(ABC):
     def abandon(self) -> None:
         """Close the descriptors in a forked child, without an effect on its parent."""
         self._lock = threading.RLock()
-        self._state = ContextState.FOREIGN
+        self._state = FOREIGN
         if self._waker is not None:
             self._waker.renew()
         self._close_waker()
@@ -135,7 +132,7 @@ class ContextBase(ABC):
         state = self._state
         if state is BUSY:
             raise RuntimeError("a signal handler has used the context during a call of this thread")
-        if state is ContextState.FOREIGN:
+        if state is FOREIGN:
             raise RuntimeError("a context does not survive a fork: make one in the child")
         if self._is_closed:
             raise ModbusConnectionError("closed; connect() opens it again", errno=errno.EBADF)
@@ -175,11 +172,9 @@ class ContextBase(ABC):
             waker.wake()
 
     def _release(self) -> None:
-        if self._state is not ContextState.FOREIGN:
+        if self._state is not FOREIGN:
             self._drop()
         self._close_waker()
-
-    _state: ContextState = CLOSED
 
     @property
     @abstractmethod

@@ -33,8 +33,8 @@ class Functions(ContextBase):
 
     def read_coils(self, address: int, count: int) -> list[bool]:
         """Read 1..2000 coils (function 1, modbus_read_bits)."""
-        bits = self._read(pdu.ReadCoils, lib.modbus_read_bits, self._bits, address, count)
-        return list(map(bool, bits))
+        kind, function = pdu.ReadCoils, lib.modbus_read_bits
+        return list(map(bool, self._read(kind, function, self._bits, address, count)))
 
     def read_discrete_inputs(self, address: int, count: int) -> list[bool]:
         """Read 1..2000 discrete inputs (function 2, modbus_read_input_bits)."""
@@ -74,22 +74,17 @@ class Functions(ContextBase):
 
     def mask_write_register(self, address: int, and_mask: int, or_mask: int) -> None:
         """
-        Set a holding register to (current AND and_mask) OR (or_mask AND NOT and_mask).
-
-        Function 22, modbus_mask_write_register; both masks are 0..65535.
+        Set a holding register to (current AND and_mask) OR (or_mask AND NOT and_mask); both masks
+        are 0..65535 (function 22, modbus_mask_write_register).
         """
         asked = pdu.MaskWriteRegister(address, and_mask, or_mask)
-        function = lib.modbus_mask_write_register
-        self._write(asked, function, asked.address, asked.and_mask, asked.or_mask)
+        masks = asked.and_mask, asked.or_mask
+        self._write(asked, lib.modbus_mask_write_register, asked.address, *masks)
 
     def read_write_registers(
         self, read_address: int, read_count: int, write_address: int, values: Iterable[int]
     ) -> list[int]:
-        """
-        Write 1..121 holding registers, then read 1..125.
-
-        Function 23, modbus_write_and_read_registers.
-        """
+        """Write 1..121 registers, then read 1..125 (23, modbus_write_and_read_registers)."""
         asked = pdu.ReadWriteRegisters(read_address, read_count, write_address, values)  # type: ignore[arg-type]
         written = asked.write_address, len(asked.values), asked.values
         read = asked.read_address, asked.read_count, self._registers
@@ -105,9 +100,8 @@ class Functions(ContextBase):
         """
         Read the identifier and the run status of the device (function 17, modbus_report_slave_id).
 
-        Returns:
-            The response, split after an identifier of one byte; use
-            ``pdu.ServerId.split(result.data, length)`` for a device whose identifier is longer.
+        The response is split after an identifier of one byte; ``pdu.ServerId.split(result.data,
+        length)`` splits it for a longer one.
         """
 
         def act() -> pdu.ServerId:
@@ -122,16 +116,11 @@ class Functions(ContextBase):
 
     def execute(self, request: pdu.Request[Result]) -> Result:
         """
-        Send any request, and return its result; None for a broadcast.
+        Send any request, an object of `libmodbus_py.pdu` or of a class of the program; return its
+        result, or None for a broadcast.
 
         libmodbus sends it (modbus_send_raw_request); this package receives and checks the answer:
         its unit, too, and all that its class checks.
-
-        Args:
-            request: an object of `libmodbus_py.pdu`, or of a class of the program.
-
-        Raises:
-            TypeError: it is none.
         """
         if not isinstance(request, pdu.Request):
             raise TypeError(f"request must be a Request of pdu, not {type(request).__name__}")
@@ -145,10 +134,8 @@ class Functions(ContextBase):
 
     def diagnostics(self, sub_function: int, data: int = 0) -> int:
         """
-        Run a diagnostic sub-function (function 8), `pdu.SubFunction`; both are 0..65535.
-
-        Returns:
-            The data of the response; `data` itself if the sub-function gets no response.
+        Run a diagnostic sub-function, `pdu.SubFunction`, with data of 0..65535 (function 8); return
+        the data of the response, or `data` itself if the sub-function gets none.
         """
         word = integer("data", data, 0, 0xFFFF).to_bytes(2, "big")
         answer = self.execute(pdu.Diagnostics(sub_function, word))
@@ -164,21 +151,15 @@ class Functions(ContextBase):
 
     def read_file_records(self, records: Sequence[tuple[int, int, int]]) -> list[list[int]]:
         """
-        Read records of files (function 20).
-
-        Args:
-            records: 1..35 tuples (file 1..65535, first record 0..9999, number of records
-                1..124). All records together must fit into one response.
+        Read records of files (function 20): 1..35 tuples (file 1..65535, first record 0..9999,
+        number of records 1..124), which together must fit into one response.
         """
         return self.execute(pdu.ReadFileRecords(records))  # type: ignore[arg-type]
 
     def write_file_records(self, records: Sequence[tuple[int, int, Iterable[int]]]) -> None:
         """
-        Write records of files (function 21).
-
-        Args:
-            records: tuples (file 1..65535, first record 0..9999, values), with 1..122 values of
-                0..65535 each. All of them must fit into one request.
+        Write records of files (function 21): tuples (file 1..65535, first record 0..9999, 1..122
+        values of 0..65535), which together must fit into one request.
         """
         self.execute(pdu.WriteFileRecords(records))  # type: ignore[arg-type]
 
@@ -190,12 +171,8 @@ class Functions(ContextBase):
         """
         Read the identification of a device (function 43/14), with as many requests as needed.
 
-        Args:
-            level: "basic", "regular" or "extended"; or the id of a single object, 0..255.
-
-        Raises:
-            InvalidResponse: the device sends the same objects again and again, or fewer than it
-                announced, and one of the three mandatory objects is missing.
+        `level` is "basic", "regular" or "extended", or the id of a single object, 0..255. If a
+        mandatory object is missing, an InvalidResponse says why.
         """
         from ..protocol.pdu.interface import identify
 
@@ -212,6 +189,14 @@ class Functions(ContextBase):
     def encapsulated_transport(self, mei_type: int, data: bytes) -> bytes:
         """Send up to 251 bytes to the interface `mei_type`, 0..255, and receive such (43)."""
         return self.execute(pdu.EncapsulatedTransport(mei_type, data))
+
+    def flush(self) -> int:
+        """
+        Discard what was received and not read (modbus_flush); return how many bytes, 0 on a line.
+        """
+        with self._lock:
+            self._ensure_open()
+            return self._discard_input()
 
     # --- how ---------------------------------------------------------------------------------
 
@@ -265,9 +250,8 @@ class Functions(ContextBase):
             return None
         if not request.expects_response:
             return None
-        frames = self._receive_frames(
-            self._client_framer(), time.monotonic() + self.response_timeout
-        )
+        framer = self._client_framer(request)
+        frames = self._receive_frames(framer, time.monotonic() + self.response_timeout)
         frame = frames[0]
         if isinstance(frame, FrameError):
             raise frame
@@ -276,10 +260,10 @@ class Functions(ContextBase):
         return request.decode_response(frame.pdu)
 
     @abstractmethod
-    def _client_framer(self) -> Framer: ...
+    def _client_framer(self, request: pdu.Request[Any]) -> Framer: ...
 
     @abstractmethod
-    def _discard_input(self) -> None: ...
+    def _discard_input(self) -> int: ...
 
 
 HOLDING_REGISTERS, READ_REGISTERS = pdu.ReadHoldingRegisters, lib.modbus_read_registers

@@ -4,19 +4,22 @@ Contexts on serial lines in RTU mode.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar, Literal
 
 from ..binding.library import check, ffi, lib
-from ..ports.serial import Parity, SerialPort
+from ..ports.options import Parity
+from ..ports.serial import SerialPort
 from ..ports.waiting import READ
-from ..protocol.checks import checked_callback, seconds
-from ..protocol.errors import ModbusTimeoutError
-from ..protocol.framing import RtuFramer, rtu
+from ..protocol.checks import checked_callback, finished, seconds
+from ..protocol.errors import ModbusConnectionError, ModbusTimeoutError
+from ..protocol.framing import RtuFramer
 from ..protocol.pdu.request import Request
-from ..protocol.scan import is_one_adu
-from .context import CLOSED, OPEN, ContextState, too_many_descriptors
+from ..protocol.rtu import has_own_length
+from .context import CLOSED, OPEN, too_many_descriptors
 from .slave import Slave
 
 __all__ = ["RtuContext"]
@@ -74,9 +77,8 @@ class RtuContext(Slave):
     Source: modbus_new_rtu.
     """
 
-    _is_serial: ClassVar[bool] = True
-    _after: ClassVar[ContextState] = OPEN
-    _port: SerialPort | None = None
+    _is_serial: ClassVar = True
+    _after: ClassVar = OPEN
 
     def __init__(
         self,
@@ -94,6 +96,7 @@ class RtuContext(Slave):
         )
         self._silent_from: float | None = None  # the time of a failure after which it must be so
         self._callback: Any = None
+        self._rts_error: BaseException | None = None
         super().__init__(port.context, unit, timeout)
 
     @property
@@ -101,17 +104,6 @@ class RtuContext(Slave):
         return f"rtu://{self._port}"
 
     # --- settings of the line -------------------------------------------------------------------
-
-    def flush(self) -> int:
-        """
-        Discard what was received and not read; return 0, as modbus_flush does.
-
-        That would discard what has yet to be sent, too: a broadcast, for example.
-        """
-        with self._lock:
-            self._ensure_open()
-            self._discard_input()
-        return 0
 
     @property
     def serial_mode(self) -> Literal["rs232", "rs485"]:
@@ -155,26 +147,61 @@ class RtuContext(Slave):
 
         Args:
             function: called with True before a frame is sent, and with False behind it, in the
-                thread of the call; what it raises is printed. `rts` must be "up" or "down".
+                thread of the call. What it raises is the cause of the ModbusConnectionError that
+                the call raises. `rts` must be "up" or "down".
         """
         checked_callback("function", function)
 
         def turn(_: object, is_on: int) -> None:
-            function(bool(is_on))
+            try:
+                finished("function", function(bool(is_on)))
+            except BaseException as error:  # which C code cannot pass on
+                self._rts_error = self._rts_error or error
 
         callback = ffi.callback("void(modbus_t *, int)", turn)
         self._set(lib.modbus_rtu_set_custom_rts, callback)
         self._callback = callback  # kept alive
 
     def _set(self, function: Callable[[Any, Any], int], value: Any) -> None:
-        with self._lock, self._errors():
+        with self._lock, self._errors(), self._rts_errors():
             self._ensure_open()
             check(function(self._modbus, value))
+
+    @contextlib.contextmanager
+    def _rts_errors(self) -> Iterator[None]:
+        """Raise the error of the function for RTS, which makes the results of a call worthless."""
+        self._rts_error = None
+        try:
+            yield
+        finally:
+            error, self._rts_error = self._rts_error, None
+            if error is not None:
+                self._spoil()
+                self._drop()
+                if not isinstance(error, Exception):
+                    raise error
+                reason = f"the function of set_custom_rts failed: {error!r}"
+                raise ModbusConnectionError(reason, errno=errno.EIO) from error
+
+    def _transact(self, request: Request[Any], action: Callable[[], Any]) -> Any:
+        if self._callback is None:
+            return super()._transact(request, action)
+        with self._lock, self._errors(request), self._rts_errors():
+            return super()._transact(request, action)
+
+    def _read(self, kind: Any, function: Any, cells: Any, address: int, count: int) -> list[int]:
+        if self._callback is None:
+            return super()._read(kind, function, cells, address, count)
+        with self._lock, self._errors(), self._rts_errors():
+            return super()._read(kind, function, cells, address, count)
+
+    def _answer(self, request: bytes, action: Any) -> int:
+        with self._lock, self._errors(), self._rts_errors():
+            return super()._answer(request, action)
 
     # --- the port ---------------------------------------------------------------------------------
 
     def _open(self) -> None:
-        assert self._port is not None
         self._port.open()
         if error := too_many_descriptors(self._port.descriptor):
             self._port.close()
@@ -183,12 +210,10 @@ class RtuContext(Slave):
     def _drop(self) -> None:
         self._state = CLOSED
         self._framer = None
-        if self._port is not None:
-            self._port.close()
+        self._port.close()
 
     def _abandon(self) -> None:
-        if self._port is not None:
-            self._port.abandon()
+        self._port.abandon()
 
     def _prepare(self, request: Request[Any] | None = None) -> None:
         if self.unit == 0 and not (request is not None and request.may_be_broadcast):
@@ -218,15 +243,14 @@ class RtuContext(Slave):
     # --- frames -----------------------------------------------------------------------------------
 
     def _read_bytes(self) -> bytes:
-        assert self._port is not None
         return b"".join(self._port.receive())
 
-    def _discard_input(self) -> None:
-        assert self._port is not None
-        self._port.discard_input()
+    def _discard_input(self) -> int:
+        self._port.discard_input()  # modbus_flush would discard what has yet to be sent, too
+        return 0
 
-    def _client_framer(self) -> RtuFramer:
-        return RtuFramer("client", self._pause)
+    def _client_framer(self, request: Request[Any]) -> RtuFramer:
+        return RtuFramer("client", self._pause, request if has_own_length(request) else None)
 
     def _server_framer(self) -> RtuFramer:
         framer = RtuFramer("server", self._pause)
@@ -235,14 +259,7 @@ class RtuContext(Slave):
 
     @property
     def _pause(self) -> float:
-        assert self._port is not None
         return self._port.silence.seconds
-
-    def _is_frame(self, request: bytes) -> bool:
-        return is_one_adu(request)
-
-    def _adu(self, transaction: int, unit: int, data: bytes) -> bytes:
-        return rtu(transaction, unit, data)
 
 
 def _of(names: Mapping[Any, int], name: str, value: object) -> int:

@@ -17,6 +17,8 @@ from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import ExceptionResponse, FrameError, ModbusError, ModbusTimeoutError
 from ..protocol.frames import Frame, Framer, Overheard
+from ..protocol.framing import is_one_frame
+from ..protocol.scan import is_one_adu
 from .context import BUSY
 from .functions import Functions
 
@@ -56,20 +58,14 @@ class Slave(Functions):
             self._ensure_open()
             state, self._state = self._state, BUSY
             try:
-                frame = self._next_request()
-            except ModbusTimeoutError:
-                raise
-            except ModbusError:
-                if not self._is_serial or not self._requests_may_follow():
+                return self._next_request()
+            except ModbusError as error:
+                if not (self._is_serial or isinstance(error, ModbusTimeoutError)):
                     self._drop()
                 raise
             finally:
                 if self._state is BUSY:
                     self._state = state
-        unit, data, transaction = frame
-        if self._is_serial and unit not in (0, self.unit):
-            return None
-        return self._adu(transaction, unit, data)
 
     def reply(self, request: bytes, mapping: Mapping) -> int:
         """
@@ -120,22 +116,19 @@ class Slave(Functions):
             request, lambda buffer: lib.modbus_reply_exception(self._modbus, buffer, number)
         )
 
-    def _next_request(self) -> Frame:
+    def _next_request(self) -> bytes | None:
         timeout = self.indication_timeout
         deadline = time.monotonic() + timeout if timeout else math.inf
-        if self._framer is None:
-            self._framer = self._server_framer()
+        framer = self._framer = self._framer or self._server_framer()
         while True:
             while self._requests:
                 frame = self._requests.popleft()
                 if isinstance(frame, FrameError):
                     raise frame
                 if not isinstance(frame, Overheard):
-                    return frame
-            self._requests.extend(self._receive_frames(self._framer, deadline))
-
-    def _requests_may_follow(self) -> bool:
-        return self._framer is not None and self._framer.in_step
+                    is_other = self._is_serial and frame.unit not in (0, self.unit)
+                    return None if is_other else framer.encode(frame)
+            self._requests.extend(self._receive_frames(framer, deadline))
 
     def _answer(self, request: bytes, action: Any) -> int:
         # Zeroed, and as long as the longest: libmodbus looks where a short request has no bytes.
@@ -143,6 +136,8 @@ class Slave(Functions):
         ffi.memmove(buffer, request, len(request))
         with self._lock, self._errors():
             self._ensure_open()
+            if self._framer is not None:
+                self._framer.note_answer()
             try:
                 return check(action(buffer))
             except ModbusError:
@@ -153,16 +148,10 @@ class Slave(Functions):
         """Return the unit and the PDU of a request."""
         if not isinstance(request, bytes):
             raise TypeError(f"request must be bytes, not {type(request).__name__}")
-        if not self._is_frame(request):
+        if not (is_one_adu if self._is_serial else is_one_frame)(request):
             raise ValueError("request must be a whole frame, as receive() returns it")
         head = self.header_length
         return request[head - 1], request[head : -2 if self._is_serial else None]
-
-    @abstractmethod
-    def _is_frame(self, request: bytes) -> bool: ...
-
-    @abstractmethod
-    def _adu(self, transaction: int, unit: int, data: bytes) -> bytes: ...
 
     @abstractmethod
     def _server_framer(self) -> Framer: ...

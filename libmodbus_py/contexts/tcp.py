@@ -10,7 +10,7 @@ import math
 import os
 import socket
 import time
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from ..binding.library import check, ffi, lib, make
 from ..ports.hosts import host_and_port
@@ -19,8 +19,9 @@ from ..ports.sockets import TcpPort
 from ..ports.waiting import READ, Woken, run
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusConnectionError, ModbusError
-from ..protocol.framing import TcpFramer, is_one_frame, mbap
-from .context import CLOSED, READY, ContextState, closed_meanwhile, too_many_descriptors
+from ..protocol.framing import TcpFramer
+from ..protocol.pdu.request import Request
+from .context import CLOSED, FOREIGN, READY, closed_meanwhile, too_many_descriptors
 from .slave import Slave
 
 __all__ = ["TcpContext"]
@@ -71,8 +72,8 @@ class TcpContext(Slave):
     gives wrong errors, and aborts the process on descriptors of 1024 and above.
     """
 
-    _is_serial: ClassVar[bool] = False
-    _after: ClassVar[ContextState] = READY
+    _is_serial: ClassVar = False
+    _after: ClassVar = READY
     _connection: socket.socket | None = None
     _listener: socket.socket | None = None
 
@@ -105,7 +106,7 @@ class TcpContext(Slave):
         """
         number = integer("backlog", backlog, 1, 4096)
         with self._lock, self._errors():
-            if self._state is ContextState.FOREIGN:
+            if self._state is FOREIGN:
                 self._ensure_open()
             self._is_closed = False
             self._close_listener()
@@ -170,13 +171,6 @@ class TcpContext(Slave):
 
     # --- connections ----------------------------------------------------------------------------
 
-    def flush(self) -> int:
-        """Discard what was received and not read (modbus_flush); return how many bytes."""
-        with self._lock:
-            if self._state is not READY:
-                self._ensure_open()
-            return check(lib.modbus_flush(self._modbus))
-
     def _open(self) -> None:
         if self._listener is not None:
             raise ModbusConnectionError("accept() comes first", errno=errno.ENOTCONN)
@@ -239,16 +233,11 @@ class TcpContext(Slave):
             raise ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
         return data
 
-    def _discard_input(self) -> None:
-        check(lib.modbus_flush(self._modbus))
+    def _discard_input(self) -> int:
+        return check(lib.modbus_flush(self._modbus))
 
-    def _client_framer(self) -> TcpFramer:
+    def _client_framer(self, request: Request[Any]) -> TcpFramer:
         return TcpFramer()
 
-    _server_framer = _client_framer
-
-    def _is_frame(self, request: bytes) -> bool:
-        return is_one_frame(request)
-
-    def _adu(self, transaction: int, unit: int, data: bytes) -> bytes:
-        return mbap(transaction, unit, data)
+    def _server_framer(self) -> TcpFramer:
+        return TcpFramer()

@@ -35,6 +35,7 @@ from ..protocol.checks import integer, shown
 from ..protocol.json_text import JSON, each_once
 from ..protocol.mistakes import Path, WrongType, WrongValue, inside
 from ..protocol.tables import TABLE_SIZE, TABLES, joined, touches
+from ..system import open_file
 from .access import Access, TableOrFile
 from .caller import values_at
 from .mapping import Mapping
@@ -281,10 +282,8 @@ def _number(path: Path, key: str) -> int:
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Return the text of a file; raise OSError, or ValueError if it is not regular or not UTF-8."""
-    if not stat.S_ISREG(os.stat(path).st_mode):  # a named pipe would wait for a writer
-        raise ValueError(f"{os.fspath(path)}: not a regular file")
-    with open(path, "rb") as file:
+    """Return the text of a file; raise OSError, or ValueError if it is not UTF-8."""
+    with open_file(path) as file:
         data = file.read()
     try:
         return data.decode("utf-8")

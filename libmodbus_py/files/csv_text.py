@@ -128,7 +128,7 @@ class CsvText:
 
 def csv_rows(rows: Iterable[Iterable[Any]]) -> str:
     """Return rows as CSV (RFC 4180), with all texts quoted if one has a control character."""
-    rows = [*rows]
+    rows = [[*row] for row in rows]  # which may be iterators, and are written twice
     text = _written(rows, csv.QUOTE_MINIMAL)
     return _written(rows, csv.QUOTE_NONNUMERIC) if CONTROL.search(text) else text
 

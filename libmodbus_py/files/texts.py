@@ -12,10 +12,10 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from os import PathLike, fspath
-from pathlib import Path as FilePath
 from typing import Any, NamedTuple, Self, TypeVar
 
 from ..protocol.mistakes import Mistake, Path, WrongValue, placed
+from ..system import open_file
 
 # fmt: off
 __all__ = [
@@ -78,7 +78,8 @@ Content = TypeVar("Content")
 
 def _content(path: str | PathLike[str], kind: type[FileError]) -> bytes:
     try:
-        return FilePath(path).read_bytes()
+        with open_file(path) as file:
+            return file.read()
     except OSError as error:
         raise kind((), f"cannot read {fspath(path)}: {error.strerror}") from error
 

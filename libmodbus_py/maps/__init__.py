@@ -7,6 +7,7 @@ The registers of a device, by name, and the requests that read and write them. N
     map_file       the points of a file: TOML, or CSV as vendors publish it; MapError
     point          one named value: Point
     point_checks   the checks of its arguments
+    states         the names of numbers, ranges and all others
     meaning        cells to values and back: no value, states, bits, parts: Meaning, Judged,
                    NoValue; raw numbers to scaled ones: Scaling
     plan           few requests of many reads: Plan, Read

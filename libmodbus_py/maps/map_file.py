@@ -371,7 +371,7 @@ READERS: dict[str, Callable[[str], Any]] = {
     "padding": lambda text: PADDINGS.get(plain(text), text),
     "access": _word(ACCESS_WORDS),
     "missing": _missing,
-    "never_falls": flag_in,
+    **dict.fromkeys(("never_falls", "border"), flag_in),
     "scale_as": _word({word: word for word in SCALES}),
     "byte": _word({word: word for word in BYTES}),
 }

@@ -16,7 +16,7 @@ from ..protocol import pdu
 from ..protocol.mistakes import WrongType, WrongValue, close_to
 from .plan import PlanOptions
 from .point import Point
-from .point_plan import PointPlan, scale_mistakes, sources_of
+from .point_plan import PointPlan, borders_of, scale_mistakes, sources_of
 
 # fmt: off
 __all__ = [
@@ -91,7 +91,8 @@ class RegisterMap(Mapping[str, Point]):
         if (kept := self._kept) is not None and kept[0] == asked:
             return kept[1]
         points = self._readable(wanted)
-        made = PointPlan(points, sources_of(points, self._points), **options)
+        sources = sources_of(points, self._points)
+        made = PointPlan(points, sources, borders_of(self._points.values()), **options)
         # The caller may change the list of forbidden ranges later.
         if "forbidden" not in options:
             self._kept = (asked, made)

@@ -9,24 +9,20 @@ import select
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..protocol.errors import ModbusConnectionError, ModbusError
 from ..system import call_in_children
-from .schemes import TRANSPORTS
 from .waiting import Steps, Waker, of_system
 
 if TYPE_CHECKING:
     import logging
 
     from ..protocol.logs import HarmlessLogger
-    from ..security.security import GivenContext, Security
-    from .endpoint import Endpoint
 
 __all__ = [
-    "RECEIVED_BYTES", "REOPEN_AFTER", "Outage", "Port", "PortSettings", "Silence",
-    "abandoned_in_children", "lost", "make_port",
+    "RECEIVED_BYTES", "REOPEN_AFTER", "Outage", "Port", "Silence",
+    "abandoned_in_children", "lost",
 ]  # fmt: skip
 
 RECEIVED_BYTES = 16_384
@@ -109,6 +105,10 @@ class Port(ABC):
     def close(self) -> None:
         """Restore the settings of the line and close the port; may be called repeatedly."""
 
+    def shut(self) -> None:
+        """Close the port for good: a client that listens gives up its address."""
+        self.close()
+
     @abstractmethod
     def abandon(self) -> None:
         """Close the descriptor without an effect on the line, which belongs to a parent process."""
@@ -118,25 +118,6 @@ def lost(error: OSError) -> ModbusConnectionError:
     """Return the error for a port that is gone, with the words of the system."""
     made = ModbusConnectionError(of_system(error).strerror or str(error), errno=error.errno)
     made.__cause__ = error
-    return made
-
-
-class PortSettings(Protocol):
-    """The options of a client that concern its port."""
-
-    @property
-    def keepalive(self) -> float | None: ...
-    @property
-    def security(self) -> Security | GivenContext | None: ...
-
-
-def make_port(endpoint: Endpoint, settings: PortSettings) -> Port:
-    """Return the port of a client, closed; raise TypeError or ValueError for a wrong setting."""
-    rules = TRANSPORTS[endpoint.transport]
-    if settings.security is not None and not rules.is_secure:
-        raise ValueError(f"security is for tls:// only, not for {endpoint.scheme}://")
-    module, _, name = rules.port_class.partition(".")
-    made: Port = getattr(import_module(f".{module}", __package__), name).of(endpoint, settings)
     return made
 
 

@@ -27,7 +27,7 @@ ClientSecurity: TypeAlias = Security | GivenContext
 Given = TypeVar("Given", bound=ClientSecurity)
 
 if TYPE_CHECKING:
-    from .port import PortSettings
+    from .options import ConnectionOptions
 
 __all__ = ["TlsPort", "security_of"]
 
@@ -66,7 +66,8 @@ def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
         if name not in os.environ:
             raise ValueError(f"password_env: no environment variable {name!r}")
         named["password"] = os.environ[name]
-    return Security(**named)
+    renamed = {"cert": "certificate", "ca": "trust"}
+    return Security(**{renamed.get(name, name): value for name, value in named.items()})
 
 
 class TlsPort(TcpPort):
@@ -77,15 +78,22 @@ class TlsPort(TcpPort):
     _owner: int  # the process
 
     @classmethod
-    def of(cls, endpoint: Endpoint, settings: PortSettings) -> Self:
+    def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
         """Return the port of a client for an endpoint."""
-        security = security_of(endpoint, settings.security)
-        return cls(endpoint.host, endpoint.port, settings.keepalive, security)
+        security = security_of(endpoint, settings["security"])
+        keepalive, source = settings["keepalive"], settings["source"]
+        return cls(endpoint.host, endpoint.port, keepalive, source, security=security)
 
     def __init__(
-        self, host: str, port: int, keepalive: float | None, security: ClientSecurity
+        self,
+        host: str,
+        port: int,
+        keepalive: float | None,
+        source: str | None = None,
+        *,
+        security: ClientSecurity,
     ) -> None:
-        super().__init__(host, port, keepalive)
+        super().__init__(host, port, keepalive, source)
         self._security = security
         self._session: ssl.SSLSession | None = None  # which the next connection resumes (R-42)
         self._begin(None)

@@ -20,7 +20,7 @@ from .waiting import Steps
 
 if TYPE_CHECKING:
     from .endpoint import Endpoint
-    from .port import PortSettings
+    from .options import ConnectionOptions
 
 __all__ = ["UnixListener", "UnixPort"]
 
@@ -42,7 +42,7 @@ class UnixPort(StreamPort):
     """A connection to a Unix socket."""
 
     @classmethod
-    def of(cls, endpoint: Endpoint, _settings: PortSettings) -> Self:
+    def of(cls, endpoint: Endpoint, _settings: ConnectionOptions) -> Self:
         """Return the port of a client for an endpoint."""
         return cls(endpoint.path)
 

@@ -10,10 +10,13 @@ is found out from *telling* frames only. Such a frame can be nothing else when i
 request of a read at a client (that of a write of several cells differs from its response, too, but
 some devices answer with the whole request); a response that is no possible request at a server. If
 a telling frame comes back whole, there is an echo; if other bytes come in its place, there is none.
-Until then other frames that come back are left in, and decide nothing: on a line with an echo that
-is not set, a server carries out its own responses to writes again and again until it answers a
-read. An echo that was found out is disbelieved at the first frame that does not come back. Time is
-no evidence: converters keep bytes for longer than some masters wait.
+Until then other frames that come back are left in, and decide nothing. An echo that was found out
+is disbelieved at the first frame that does not come back. Time is no evidence: converters keep
+bytes for longer than some masters wait.
+
+A server on a serial port does not carry out its own response to a write: if the same request
+follows where the echo would, it sends only the first byte of the response. If that byte comes
+back, there is an echo, for no client goes on before it has the whole response; else there is none.
 """
 
 from __future__ import annotations
@@ -58,6 +61,11 @@ class Echo:
         self._undecided: deque[bytes] = deque(maxlen=MAX_SENT)  # sent before a telling frame
         held, self._held = self._held, b""
         return held
+
+    def confirm(self) -> None:
+        """Note that there is an echo, and that of all that was sent has come."""
+        self.is_there = self.has_returned = True
+        self.forget()
 
     @property
     def is_holding(self) -> bool:

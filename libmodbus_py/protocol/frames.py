@@ -77,6 +77,9 @@ class Framer(ABC):
         """The number of bytes that wait for the rest of their frame."""
         return len(self.rest)
 
+    def note_answer(self) -> None:  # noqa: B027  # only RTU has no other marks of frames
+        """Note that a server answers, so that what it has received so far is no part of a frame."""
+
     def end(self) -> bytes:
         """Return the bytes of an incomplete frame whose rest will not come, and forget them."""
         rest = bytes(self.rest)

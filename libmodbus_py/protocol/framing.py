@@ -21,12 +21,15 @@ import contextlib
 import re
 import struct
 from collections.abc import Callable, Iterator
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from .errors import MAX_RECEIVED, FrameError
 from .frames import Frame, Framer, Overheard, add_error, checked_frame
 from .rtu import RtuCutter
 from .scan import ALLOWANCE, MAX_PDU, crc16, lib
+
+if TYPE_CHECKING:
+    from .pdu import Request
 
 # fmt: off
 __all__ = [
@@ -184,6 +187,7 @@ class RtuFramer(Framer):
         role: "server" if it receives requests, "client" if it receives responses.
         pause: seconds between two frames on the line, as `pause_between_frames` returns; 0 if
             bytes do not arrive at the pace of a serial line, as over TCP.
+        own: the request of a client whose class has its own rule for the length of the response.
 
     Attributes:
         is_ours: for a server, a function that returns True for the units that it answers itself,
@@ -193,12 +197,13 @@ class RtuFramer(Framer):
     quiet: float
     max_size = MAX_PDU + 3
 
-    def __init__(self, role: Role, pause: float = 0.0) -> None:
+    def __init__(self, role: Role, pause: float = 0.0, own: Request[Any] | None = None) -> None:
         if role not in ("client", "server"):
             raise ValueError(f'role must be "client" or "server", not {role!r}')
         super().__init__()
         self.quiet = pause + ALLOWANCE
-        self._cutter = RtuCutter(role)
+        self._cutter = RtuCutter(role, own)
+        self.find_response: Callable[..., bytes | None] = self._cutter.find_response
         self._usual = "request" if role == "server" else "response"
         self._in_run = False  # True if the bytes before the buffer were no frame
 
@@ -210,6 +215,9 @@ class RtuFramer(Framer):
     def is_ours(self, is_ours: Callable[[int], bool]) -> None:
         if self._usual == "request":
             self._cutter.is_ours = is_ours
+
+    def note_answer(self) -> None:
+        self._cutter.begin_anew(len(self.rest))
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, number = checked_frame(frame)
@@ -243,6 +251,9 @@ class RtuFramer(Framer):
 
 LINE_FEED = ord("\n")
 """The last byte of ASCII frames, unless the device was set to another one."""
+
+QUIET, QUIET_AFTER_CR = 1.0, 0.1
+"""Seconds of silence that end an ASCII frame which is unfinished, and one without a delimiter."""
 
 _DIGITS = re.compile(rb"(?:[0-9A-Fa-f]{2})*")
 _RESTART_COMMUNICATIONS = b"\x08\0\x01"
@@ -286,19 +297,21 @@ class AsciiFramer(Framer):
     The framer of ASCII: a colon; unit, PDU and LRC in hexadecimal digits; CR; a delimiter.
 
     Digits are sent in upper case, and accepted in both. Everything before a colon is skipped, and a
-    colon inside a frame starts a new one.
+    colon inside a frame starts a new one. A frame may also end with the delimiter alone, or with a
+    CR alone, behind which a colon or 0.1 seconds of silence follow.
 
     Attributes:
         delimiter: the byte after CR, which is LF unless it is changed (function 8,
             sub-function 3); it applies to frames sent and received from then on.
+        quiet: the longest gap in a frame (2.5.2.1); 0.1 behind a CR.
     """
 
-    quiet: float = 1.0
     max_size = 513
 
     def __init__(self) -> None:
         super().__init__()
         self.delimiter = LINE_FEED
+        self.quiet: float = QUIET
 
     @property
     def delimiter(self) -> int:
@@ -309,6 +322,7 @@ class AsciiFramer(Framer):
         if not is_delimiter(value):
             raise ValueError(f"delimiter must be an ASCII code with no other use, not {value}")
         self._delimiter = value
+        self._end = re.compile(b"[\r" + re.escape(bytes([value])) + b"]")
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, _ = checked_frame(frame)
@@ -319,25 +333,33 @@ class AsciiFramer(Framer):
     def _scan(self) -> None:
         while True:
             self._skip_to_colon()
-            end = self.rest.find(b"\r")
-            if end < 0 or end + 1 == len(self.rest):
+            end = self._find_end()
+            if end < 0 or self.rest[end:] == b"\r":
                 break
             self._take(end)
+        self.quiet = QUIET_AFTER_CR if self.rest[-1:] == b"\r" else QUIET
         if len(self.rest) >= self.max_size:
             why = f"a frame of more than {self.max_size} characters"
             self._reject(why, len(self.rest), overrun=True)
 
     def _scan_silence(self) -> None:
-        """Drop an unfinished frame: no gap may be longer than a second (2.5.2.1)."""
-        if self.rest:
+        """Take a frame that ends with CR alone, and drop one that is unfinished."""
+        if self.rest[-1:] == b"\r":
+            self._take(len(self.rest) - 1)
+        elif self.rest:
             self._reject("an unfinished frame", len(self.rest))
 
+    def _find_end(self) -> int:
+        """Return the place of the first CR or delimiter; negative if there is none."""
+        end = self._end.search(self.rest)
+        return -1 if end is None else end.start()
+
     def _skip_to_colon(self) -> None:
-        """Begin the buffer with the last colon before its first CR that has one."""
-        end = self.rest.find(b"\r")
+        """Begin the buffer with the last colon before its first end that has one."""
+        end = self._find_end()
         while end >= 0 and self.rest.find(b":", 0, end) < 0:
             del self.rest[: end + 1]
-            end = self.rest.find(b"\r")
+            end = self._find_end()
         last = end if end >= 0 else len(self.rest)
         first = self.rest.find(b":", 0, last)
         if first < 0:
@@ -349,18 +371,20 @@ class AsciiFramer(Framer):
 
     def _take(self, end: int) -> None:
         digits = bytes(self.rest[1:end])
-        if self.rest[end + 1] != self._delimiter:
-            self._reject("a frame without its delimiter", end + 1)
+        is_cr, behind = self.rest[end] == ord("\r"), bytes(self.rest[end + 1 : end + 2])
+        count = end + 1 + (is_cr and behind == bytes([self._delimiter]))
+        if is_cr and count == end + 1 and behind not in (b"", b":"):
+            self._reject("a frame without its delimiter", count)
         elif not _DIGITS.fullmatch(digits):
-            self._reject("a frame with other characters than pairs of digits", end + 2)
+            self._reject("a frame with other characters than pairs of digits", count)
         elif not 6 <= len(digits) <= self.max_size - 3:
             why = f"a frame of {len(digits)} digits, not 6..510"
-            self._reject(why, end + 2, overrun=len(digits) > 6)
+            self._reject(why, count, overrun=len(digits) > 6)
         elif sum(body := bytes.fromhex(digits.decode())) & 0xFF:
-            self._reject("a frame with a wrong LRC", end + 2)
+            self._reject("a frame with a wrong LRC", count)
         else:
             self._found.append(Frame(body[0], body[1:-1]))
-            del self.rest[: end + 2]
+            del self.rest[:count]
 
 
 _FRAMERS: dict[str, Callable[[], Framer]] = {
@@ -370,20 +394,22 @@ _FRAMERS: dict[str, Callable[[], Framer]] = {
 }
 
 
-def make_framer(framing: Framing, role: Role, pause: float = 0.0) -> Framer:
+def make_framer(
+    framing: Framing, role: Role, pause: float = 0.0, own: Request[Any] | None = None
+) -> Framer:
     """
     Return a framer for one direction of one connection.
 
     Args:
         framing: "tcp", "rtu", "ascii" or "udp".
         role: "server" if it receives requests, "client" if it receives responses.
-        pause: as for `RtuFramer`; without effect on other framings.
+        pause, own: as for `RtuFramer`; without effect on other framings.
 
     Raises:
         ValueError: there is no such framing or role.
     """
     if framing == "rtu":
-        return RtuFramer(role, pause)
+        return RtuFramer(role, pause, own)
     if framing not in _FRAMERS:
         raise ValueError(f'framing must be "tcp", "rtu", "ascii" or "udp", not {framing!r}')
     return _FRAMERS[framing]()

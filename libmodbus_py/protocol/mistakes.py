@@ -108,6 +108,8 @@ OTHER_SPELLINGS = {
     **dict.fromkeys(("handle_local_echo", "local_echo"), "echo"),
     **dict.fromkeys(("sslctx", "ssl", "tls", "ssl_context"), "security"),
     **dict.fromkeys(("reconnect_delay_max", "reconnect_delay"), "max_pause"),
+    "certificate": "cert",  # in URLs
+    "trust": "ca",
     **dict.fromkeys(("certfile", "cert", "certificate_file"), "certificate"),
     **dict.fromkeys(("keyfile", "key_file", "private_key"), "key"),
     **dict.fromkeys(("cafile", "ca", "ca_file", "ca_certs"), "trust"),
@@ -119,6 +121,7 @@ OTHER_SPELLINGS = {
     **dict.fromkeys(("multiplier", "factor", "gain"), "scale"),
     **dict.fromkeys(("poll_interval", "period", "scan_interval"), "interval"),
     **dict.fromkeys(("host", "uri", "endpoint"), "url"),
+    **dict.fromkeys(("source_address", "local_address", "bind"), "source"),
 }
 """Names of arguments in other packages -> their names here, for errors."""
 

@@ -4,8 +4,9 @@ RTU frames in a stream of bytes: requests, responses, or both on a shared line.
 Bytes only; no clock. The ends of an RTU frame are marked only by silence, which PCs cannot measure
 because of their buffers. So `RtuCutter` cuts by these rules, with the CRC as the judge:
 
-* A frame begins with the first byte, behind a silence, or right behind another frame. It ends where
-  the length rule of its function says (`pdu`), or with silence if there is no such rule.
+* A frame begins with the first byte, behind a silence or an answer that was sent, or right behind
+  another frame. It ends where the length rule of its function says (`pdu`), or with silence if
+  there is no such rule.
 * An unfinished frame is waited for, also beyond a silence. It is given up if, from a later byte,
   frames without a gap go to a silence.
 * What begins no frame is damage. Behind it, a client and a listener take every byte for a possible
@@ -17,6 +18,10 @@ because of their buffers. So `RtuCutter` cuts by these rules, with the CRC as th
   another unit, until no rule can find a longer frame.
 * No request has a function of 80h or more. A frame with one that ends with the silence is a
   response of another unit, whatever its length.
+* What a server hears from silence to silence is one frame if its CRC fits, whatever its length: a
+  request to a unit here, which its length makes an illegal value, or a frame of others.
+* Up to `MAX_NOISE` bytes before and behind a request are noise of transceivers. A server takes a
+  request out of it if the whole is no damaged or awaited frame of another unit.
 * Where the CRC of a frame without a length rule fits at several bytes, a client and a listener take
   the first from which frames without a gap go to the silence. A server accepts it only if the last
   is at the silence, and else drops all up to there.
@@ -25,14 +30,15 @@ because of their buffers. So `RtuCutter` cuts by these rules, with the CRC as th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from . import pdu
-from .pdu.request import IN_C
+from .pdu.request import IN_C, told, unknown_length
 from .scan import (
     AT_END,
     GOES_ON,
     MAX_ADU,
+    MAX_PDU,
     MIN_ADU,
     NO_FRAME,
     SILENT,
@@ -43,9 +49,12 @@ from .scan import (
     lib,
 )
 
-__all__ = ["Piece", "RtuCutter", "find_response", "may_be"]
+__all__ = ["Piece", "RtuCutter", "has_own_length", "may_be"]
 
 Kind = Literal["request", "response", "damage"]
+
+MAX_NOISE = 4
+"""Bytes that transceivers add on one side of a frame, at most."""
 
 
 class Piece(NamedTuple):
@@ -56,14 +65,30 @@ class Piece(NamedTuple):
     kind: Kind
 
 
-def _scanner(*, is_client: bool) -> FrameScanner:
-    """Return a scanner for responses if `is_client`, else for requests, by the rules of `pdu`."""
+def has_own_length(request: pdu.Request[Any]) -> bool:
+    """Return True if the rule for the response of a request is not that of its function."""
+    known = pdu.REQUESTS.get(request.function)
+    usual = unknown_length if known is None else known.response_length
+    return getattr(type(request), "response_length", usual) is not usual
+
+
+def _scanner(*, is_client: bool, own: pdu.Request[Any] | None = None) -> FrameScanner:
+    """
+    Return a scanner for responses if `is_client`, else for requests, by the rules of `pdu`; `own`
+    is a request whose class has another rule for its response.
+    """
+    classes = dict(pdu.REQUESTS)
+    if own is not None:
+        classes[own.function] = type(own)
     rules = {
         code: request.response_length if is_client else request.request_length
-        for code, request in pdu.REQUESTS.items()
+        for code, request in classes.items()
     }
     in_c = {code: IN_C.get(rule, (lib.BY_PYTHON, 0, 0)) for code, rule in rules.items()}
-    ask = pdu.response_length if is_client else pdu.request_length
+
+    def ask(head: bytes) -> int | None:
+        return told(classes[head[0]], rules[head[0]], head)
+
     return FrameScanner(is_client, in_c, ask)
 
 
@@ -74,44 +99,47 @@ def may_be(data: bytes) -> tuple[bool, bool]:
     return can_ask, pdu.response_length(data) in (size, 0)
 
 
-_RESPONSES = _scanner(is_client=True)
-
-
-def find_response(data: bytes, unit: int, function: int, *, is_over: bool) -> bytes | None:
-    """
-    Return the PDU of the first response of a unit and function, whatever is before and behind it.
-
-    None if there is none; empty if one has begun that may still be completed, unless no more bytes
-    are waited for (`is_over`).
-    """
-    for at in range(len(data) - 1):
-        if data[at] == unit and data[at + 1] & 0x7F == function:
-            end = _RESPONSES.at(data, at, at, SILENT)
-            if end > 0:
-                return data[at + 1 : end - 2]
-            if end == UNFINISHED and not is_over:
-                return b""
-    return None
-
-
 class RtuCutter:
     """
     Cuts the bytes of one line into requests, responses and damage.
 
-    `is_ours` returns True for a unit that a server answers itself.
+    `is_ours` returns True for a unit that a server answers itself; `own` is a request that a client
+    sends whose class has another length rule than its function.
     """
 
-    def __init__(self, role: Literal["client", "server", "listener"]) -> None:
+    def __init__(
+        self,
+        role: Literal["client", "server", "listener"],
+        own: pdu.Request[Any] | None = None,
+    ) -> None:
         self.is_ours: Callable[[int], bool] = lambda unit: True
         self._role = role
         self._is_server = role == "server"
         self._requests = None if role == "client" else _scanner(is_client=False)
-        self._responses = _scanner(is_client=True)
+        self._responses = _scanner(is_client=True, own=own)
         self._scanners = [each for each in (self._requests, self._responses) if each]
         self._is_fresh = True  # a frame should begin with the first byte
         self._later: list[int] = []  # where frames should begin behind an unfinished one
         self._is_lost = False  # nothing up to the next silence can be cut
         self._awaited: tuple[int, int] | None = None  # unit and function of a response
+
+    def find_response(
+        self, data: bytes, unit: int, function: int, *, is_over: bool
+    ) -> bytes | None:
+        """
+        Return the PDU of the first response of a unit and function, whatever is around it.
+
+        None if there is none; empty if one has begun that may still be completed, unless no more
+        bytes are waited for (`is_over`).
+        """
+        for at in range(len(data) - 1):
+            if data[at] == unit and data[at + 1] & 0x7F == function:
+                end = self._responses.at(data, at, at, SILENT)
+                if end > 0:
+                    return data[at + 1 : end - 2]
+                if end == UNFINISHED and not is_over:
+                    return b""
+        return None
 
     def is_one_frame(self, data: bytes) -> bool:
         """Return True if the data are one frame that is answered or awaited here, as most are."""
@@ -122,6 +150,11 @@ class RtuCutter:
         self._later.clear()
         self._awaited = None
         return True
+
+    def begin_anew(self, size: int) -> None:
+        """Note that an answer was sent behind so many bytes: a frame should begin there."""
+        if size and self._later[-1:] != [size]:
+            self._later.append(size)
 
     def cut(
         self, data: bytes, *, is_silent: bool, is_over: bool = False
@@ -173,12 +206,53 @@ class RtuCutter:
             return self._response(answers)
         if asks > 0:
             return self._request(data, at, asks)
-        if self._requests and self._is_fresh and data[at + 1 : at + 2] >= b"\x80":
-            if not is_silent and len(data) - at <= MAX_ADU:
-                return UNFINISHED, "damage"
-            if is_silent and is_one_adu(data[at:]):
-                return self._response(len(data))
+        if self._requests and self._is_fresh:
+            end, kind = self._burst(data, at, is_silent, is_open)
+            if end:
+                return end, kind
         return UNFINISHED if is_open else NO_FRAME, "damage"
+
+    def _burst(self, data: bytes, at: int, is_silent: bool, is_open: bool) -> tuple[int, Kind]:
+        """Return what the bytes from here to a silence are as a whole; 0 if that tells nothing."""
+        is_high = data[at + 1 : at + 2] >= b"\x80"
+        if not is_silent:
+            may_wait = is_high or (self._is_server and max(self._later, default=0) <= at)
+            most = MAX_ADU + 2 * MAX_NOISE if self._is_server else MAX_ADU
+            return UNFINISHED if may_wait and len(data) - at <= most else 0, "damage"
+        is_ours = self._is_answered_here(data[at])
+        if (is_high or is_ours or (self._is_server and not is_open)) and is_one_adu(data[at:]):
+            is_request = is_ours and not is_high
+            return self._request(data, at, len(data)) if is_request else self._response(len(data))
+        return self._start_in_noise(data, at) if self._is_server else 0, "damage"
+
+    def _start_in_noise(self, data: bytes, at: int) -> int:
+        """Return where a request begins that has noise before it, and perhaps behind; else 0."""
+        last = len(data) - MIN_ADU
+        for place in (at, *self._later):
+            for start in range(max(place, at + 1), min(place + MAX_NOISE, last) + 1):
+                if self._ends_in_noise(data, start) and not self._is_within(data, at, start):
+                    return start
+        return 0
+
+    def _ends_in_noise(self, data: bytes, start: int) -> bool:
+        """Return True if a request of a known function to a unit here ends close to the silence."""
+        assert self._requests is not None
+        if not self._is_answered_here(data[start]) or data[start + 1] not in pdu.REQUESTS:
+            return False
+        end = self._requests.at(data, start, start, SILENT)
+        return end >= len(data) - MAX_NOISE and self._requests.fits == 1
+
+    def _is_within(self, data: bytes, at: int, start: int) -> bool:
+        """Return True if what begins like a request may be data of another unit's frame."""
+        size = len(data)
+        behind = range(size - MAX_NOISE, size + 1)
+        if any(is_one_adu(data[first:end]) for first in range(at, start) for end in behind):
+            return True
+        # The data of a response begin with its fourth byte. This one is damaged or has a gap.
+        if start < at + 3 or self._is_answered_here(data[at]):
+            return False
+        length = pdu.response_length(data[at + 1 : at + 1 + MAX_PDU])
+        return self._is_awaited(data, at) or length == size - at - 3
 
     def _is_answered_here(self, unit: int) -> bool:
         return self._is_server and (unit == 0 or self.is_ours(unit))
@@ -285,8 +359,8 @@ class RtuCutter:
             self._is_lost = False
             if count == size:
                 self._is_fresh = True
-            elif self._later[-1:] != [size - count]:
-                self._later.append(size - count)
+            else:
+                self.begin_anew(size - count)
 
 
 def _fits(data: bytes, start: int, end: int) -> Iterator[int]:

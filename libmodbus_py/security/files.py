@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable
 from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
+from ..system import open_file
 from .describing import digest_of, end_of, in_words, require_cryptography, time_in
 from .tunnel import EXPIRED, Tunnel, keep_presented
 
@@ -50,8 +51,8 @@ class PemFile:
     def text(self) -> str:
         """Return the content; raise a ValueError if it cannot be read."""
         try:
-            with open(self.path, encoding="utf-8", errors="replace") as opened:
-                return opened.read()
+            with open_file(self.path) as file:
+                return file.read().decode("utf-8", "replace")
         except OSError as error:
             raise ValueError(f"{self}: {error.strerror}") from None
         except ValueError as error:  # a name that no file can have

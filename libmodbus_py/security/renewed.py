@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from ..protocol.logs import HarmlessLogger
+from ..system import open_file
 
 __all__ = ["Renewed", "keep_renewed", "read_secret", "reload_all"]
 
@@ -25,7 +26,7 @@ MISTAKES = (ImportError, OSError, TypeError, ValueError)
 
 def read_secret(path: str | os.PathLike[str]) -> str:
     """Return the text of a file with a secret, up to 64 KiB; others must not be able to read it."""
-    with open(path, "rb") as file:
+    with open_file(path) as file:
         mode = os.fstat(file.fileno()).st_mode
         if os.name == "posix" and mode & stat.S_IROTH:
             reason = "all users of this machine can read this secret; chmod o= ends that"

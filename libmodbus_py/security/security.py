@@ -49,7 +49,6 @@ class Security:
         password: the password of an encrypted key.
         crl: a PEM file with the revocation lists of all authorities in `trust`, and of those
             below them. This needs the package cryptography.
-        cert, ca: `certificate` and `trust` by their names in URLs.
 
     Raises:
         TypeError, ValueError: a file cannot be read or has wrong content, the key does not
@@ -68,13 +67,9 @@ class Security:
         server_name: str | None = None,
         password: str | None = None,
         crl: File | None = None,
-        cert: File | None = None,
-        ca: File | None = None,
     ) -> None:
-        own = _either("certificate", certificate, "cert", cert)
-        if own is None:
+        if certificate is None:
             raise TypeError("security needs certificate, a PEM file with one's own certificate")
-        trust = _either("trust", trust, "ca", ca)
         if (trust is None) == (pin is None):
             raise ValueError("security needs either trust, the authorities, or pin, certificates")
         if crl is not None and trust is None:
@@ -86,8 +81,8 @@ class Security:
         if isinstance(pins, str) or not isinstance(pins, Iterable):
             pins = (pins,)
         self._files = SecurityFiles(
-            PemFile("certificate", own),
-            PemFile("key", own if key is None else key),
+            PemFile("certificate", certificate),
+            PemFile("key", certificate if key is None else key),
             password,
             None if trust is None else PemFile("trust", trust),
             tuple(pins),
@@ -187,13 +182,6 @@ class Security:
                 soon = f"expires in {days:.0f} days" if days > 2 else "expires within two days"
                 logger.warning("%s %s", file, soon if days >= 0 else "has expired")
         self._warned_at = now
-
-
-def _either(name: str, value: File | None, other_name: str, other: File | None) -> File | None:
-    """Return the value of an argument that has two names."""
-    if value is not None and other is not None:
-        raise TypeError(f"{name} and {other_name} are the same argument, and both are given")
-    return other if value is None else value
 
 
 class GivenContext:

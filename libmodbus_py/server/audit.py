@@ -25,6 +25,7 @@ from ..protocol.logs import HarmlessLogger
 from ..protocol.mistakes import named_arguments
 from ..protocol.plain import time_text
 from ..security.describing import CertificateHolder
+from ..system import open_file
 
 __all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]
 
@@ -282,8 +283,6 @@ class AuditFile:
 
 def _check_lines(path: str | os.PathLike[str]) -> None:
     """Raise ValueError for a file that is not an audit trail; an unreadable one may be one."""
-    if not os.path.isfile(path):
-        return
-    with contextlib.suppress(OSError), open(path, "rb") as file:
+    with contextlib.suppress(OSError), open_file(path) as file:
         if file.read(1) not in (b"", b"{", b"\n"):
             raise ValueError(f"{os.fspath(path)}: not written, because it is not an audit trail")

@@ -25,6 +25,9 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 FOUND_AT_ONCE = 4
 """Requests of one of many connections that Python answers before others have their turn."""
 
+ECHO_DELAY = 0.05
+"""Seconds after which an echo is here: USB adapters keep bytes for 16 ms, busy machines longer."""
+
 
 class SessionSettings:
     """Settings of the sessions of an endpoint; `has_turns` if others wait while one is answered."""
@@ -77,6 +80,19 @@ class Framed(ABC):
         self._held: tuple[Frame, bytes] | None = None  # the answer to the last request so far
         self._is_heard = True  # True once the silence after the latest bytes is awaited
         self._found: list[Frame | FrameError] = []
+        self._last_answer = (
+            b""  # the answer before, on a serial line, if its echo would be a request
+        )
+        self._returns_until = 0.0  # the time (loop.time) until which its echo can come
+        self._heard_at = 0.0  # the time of the latest bytes behind it
+        self._suspect: Frame | None = None  # a request that may be this echo
+        self._echo_timer: asyncio.TimerHandle | None = (
+            None  # ends the wait for the echo of one byte
+        )
+        self._is_echo_ruled_out = False  # True once it has not come
+        self._open_request: Frame | None = (
+            None  # a request of which one byte of the answer was sent
+        )
         self._owed: Collection[object] = ()  # requests whose answers are still to come
         self._has_ended = False
 
@@ -106,8 +122,12 @@ class Framed(ABC):
         if data:
             if self._timer is not None:
                 self._timer.cancel()
+            if self._last_answer:
+                self._heard_at = asyncio.get_running_loop().time()
             self._unsearched += data if self._echo is None else self._without_echo(self._echo, data)
             self._is_heard = False
+        if self._suspect is not None and not self._is_echo_heard(data):
+            return 0
         if not self._found and self.framer.in_step:
             self._search()
         most = FOUND_AT_ONCE if self._settings.has_turns else len(self._found)
@@ -133,14 +153,21 @@ class Framed(ABC):
         """True if silence would show the end of what was received."""
         return bool(self.framer.pending) or (self._echo is not None and self._echo.is_holding)
 
-    def take(self, found: Iterable[Frame | FrameError]) -> int:
+    def take(self, found: list[Frame | FrameError]) -> int:
         """Answer the frames that were found, and return the number of requests."""
         requests = 0
-        for each in found:
+        for at, each in enumerate(found):
             if isinstance(each, FrameError):
                 self.note_damage(each)
                 continue
             self._held = None  # its client has given up waiting for it
+            if self._may_be_echo(each):
+                self._found = [*found[at + 1 :], *self._found]
+                self._ask_line(each)
+                break
+            self._last_answer = b""
+            if each is not self._open_request:
+                self._open_request = None
             if isinstance(each, Overheard):
                 self.note_overheard(each)
             else:
@@ -153,8 +180,9 @@ class Framed(ABC):
         if self._has_ended:
             return
         self._has_ended = True
-        if self._timer is not None:
-            self._timer.cancel()
+        for timer in (self._timer, self._echo_timer):
+            if timer is not None:
+                timer.cancel()
         self._release_held()
         self.tell_rest(self._unsearched)
         self._unsearched, self._found = b"", []
@@ -218,11 +246,55 @@ class Framed(ABC):
 
     # --- local echo ---------------------------------------------------------------------------
 
-    def sent(self, data: bytes) -> None:
-        """Note that bytes of answers leave now, which may come back."""
-        if (echo := self._echo) is not None:
-            is_unknown = echo.is_there is None
-            echo.sent(data, is_telling=is_unknown and not _may_ask(self._settings.framing, data))
+    def sent(self, data: bytes, gone_at: float = 0.0) -> None:
+        """
+        Note that bytes of answers leave now, which may come back.
+
+        Args:
+            gone_at: on a serial line, when the last of them has left (loop.time).
+        """
+        self.framer.note_answer()
+        if (echo := self._echo) is None:
+            return
+        if self._suspect is not None and len(data) == 1:
+            loop = asyncio.get_running_loop()
+            self._echo_timer = loop.call_at(gone_at + ECHO_DELAY, self._note_no_echo)
+            return
+        is_telling = echo.is_there is None and not _may_ask(self._settings.framing, data)
+        if echo.is_there is None and not is_telling and self._settings.endpoint.is_serial:
+            self._last_answer, self._returns_until = data, gone_at + ECHO_DELAY
+        echo.sent(data, is_telling=is_telling)
+
+    def _may_be_echo(self, frame: Frame) -> bool:
+        """Return True for a request that came where an echo of the answer before would have."""
+        if not self._last_answer or self._is_echo_ruled_out:
+            return False
+        is_late = self._heard_at > self._returns_until
+        return not is_late and self.framer.encode(frame) == self._last_answer
+
+    def _ask_line(self, request: Frame) -> None:
+        """Send the first byte of the answer: it comes back alone only if there is an echo."""
+        self._suspect = request
+        self.channel.write(self._last_answer[:1])
+
+    def _is_echo_heard(self, data: bytes) -> bool:
+        """Return True if that byte came back, so that the doubted request was an echo, too."""
+        if self._echo is None or self._echo_timer is None or self._last_answer[:1] not in data:
+            return False
+        self._echo_timer.cancel()
+        self._unsearched = self._unsearched.replace(self._last_answer[:1], b"", 1)
+        self._suspect = self._echo_timer = None
+        self._echo.confirm()
+        self._settings.note_echo()
+        return True
+
+    def _note_no_echo(self) -> None:
+        """Answer the doubted request: it came again from its client, at once."""
+        assert self._suspect is not None
+        self._echo_timer, self._is_echo_ruled_out = None, True
+        self._open_request, self._suspect = self._suspect, None
+        self._found.insert(0, self._open_request)
+        self.channel.follow()
 
     def _without_echo(self, echo: Echo, data: bytes) -> bytes:
         was_there = echo.is_there
@@ -240,9 +312,11 @@ class Framed(ABC):
             self._unsearched += self._echo.release()
 
     def write(self, data: bytes) -> None:
+        if self._open_request is not None:
+            self._open_request, data = None, data[1:]
         self.channel.write(data)
         # A serial port sends it after silence, and then calls `sent`.
-        if self._echo is not None and not self._settings.endpoint.is_serial:
+        if not self._settings.endpoint.is_serial:
             self.sent(data)
 
     # --- answers ------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ The rules:
 
 1. As many requests are in flight as the client has room for, at least one.
 2. On a line without transaction ids a unit is not asked while its late answer may still come
-   (`AsyncClient.ready_at`); requests to other units overtake it.
+   (`Sender.ready_at`); requests to other units overtake it.
 3. A trial is sent when no other request waits. When that does not happen, it is sent after it
    waited for one timeout, but no two trials in a row.
 4. A trial that others wait for ends after the time of the slowest answers on this line, because
@@ -32,7 +32,8 @@ from collections.abc import Callable, Hashable, Iterator
 from functools import partial
 from typing import Any, Generic, TypeVar
 
-from ..client.asynchronous import AsyncClient, Submitted
+from ..client.asynchronous import AsyncClient
+from ..client.sender import Sender, Submitted
 from ..ports.waiting_async import Alarm
 from ..protocol.errors import ExceptionResponse, ModbusTimeoutError
 
@@ -141,17 +142,18 @@ class SharedLine(ABC, Generic[Each]):
 
     def __init__(
         self,
-        client: AsyncClient,
+        sender: Sender,
         make_queue: Callable[[], FairQueue[Each]],
         *,
         longest_wait: float = math.inf,
         most_trials: float = math.inf,
     ) -> None:
-        self.client: AsyncClient = client
+        self.client: AsyncClient = sender.client
+        self.sender: Sender = sender
         self.in_flight: dict[Each, None] = {}  # in the order in which they were sent
         self.is_closed: bool = False
         self._loop = asyncio.get_running_loop()
-        self._has_ids = client.has_ids
+        self._has_ids = sender.has_ids
         self._longest_wait = longest_wait
         self._most_trials = most_trials
         self._urgent, self._usual = make_queue(), make_queue()
@@ -171,9 +173,9 @@ class SharedLine(ABC, Generic[Each]):
     def conclude(self, each: Each, outcome: Any, now: float) -> None:
         """Take the outcome of a request: its result, or an exception."""
 
-    def client_of(self, each: Each) -> AsyncClient:
-        """Return the client that sends a request, with the timeout of the request."""
-        return self.client
+    def sender_of(self, each: Each) -> Sender:
+        """Return what sends a request, with the timeout of the request."""
+        return self.sender
 
     def give_up(self, each: Each, now: float) -> None:
         """Conclude a trial that made way for others."""
@@ -270,12 +272,12 @@ class SharedLine(ABC, Generic[Each]):
             self._alarm.set(self._next_at, self._loop)
 
     def _is_full(self) -> bool:
-        return bool(self.in_flight) and len(self.in_flight) >= self.client.room
+        return bool(self.in_flight) and len(self.in_flight) >= self.sender.room
 
     def _ready_at(self, each: Each) -> float:
         if self._has_ids:
             return 0.0
-        return self.client.ready_at(each.unit, each.request.function)
+        return self.sender.ready_at(each.unit, each.request.function)
 
     def _pick(self, now: float) -> Each | None:
         """Remove and return the request to send now; None if none may be."""
@@ -300,7 +302,7 @@ class SharedLine(ABC, Generic[Each]):
         first = next(iter(self._trials), None)
         if first is None or self._trying or self._was_trial:
             return False
-        return now - first.waits_since >= self.client_of(first).timeout
+        return now - first.waits_since >= self.sender_of(first).client.timeout
 
     def _end_overstayed(self, now: float) -> None:
         """End a trial that others have waited for, for long enough."""
@@ -308,7 +310,7 @@ class SharedLine(ABC, Generic[Each]):
         if each is None or not self.waiting or not self._is_full():
             return
         took = max([SHORTEST_TRIAL_S, *self._took.values()])
-        until = each.asked_at + min(self.client_of(each).timeout, took)
+        until = each.asked_at + min(self.sender_of(each).client.timeout, took)
         if until > now:
             self._next_at = min(self._next_at, until)
             return
@@ -327,7 +329,7 @@ class SharedLine(ABC, Generic[Each]):
         if each.is_trial:
             self._trying[each] = None
         each.asked_at = now
-        each.submitted = self.client_of(each).submit(
+        each.submitted = self.sender_of(each).submit(
             each.unit, each.request, partial(self._note_done, each)
         )
 

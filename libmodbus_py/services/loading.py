@@ -5,7 +5,6 @@ Loads files of any kind: register maps, devices, gateways and fleets.
 from __future__ import annotations
 
 import reprlib
-from importlib import import_module
 from os import PathLike, fspath
 from pathlib import PurePath
 from typing import TYPE_CHECKING
@@ -20,15 +19,15 @@ if TYPE_CHECKING:
 
 __all__ = ["load"]
 
-LOADERS: dict[str, tuple[str, str]] = {
-    "point": ("maps.register_map", "load_map"),
-    "unit": ("tools.simulator.device_file", "load"),
-    "route": ("services.gateway.config", "load"),
-    "listen": ("services.gateway.config", "load"),
-    "device": ("services.fleet.files", "load"),
-    "devices": ("services.fleet.files", "load"),
+KINDS: dict[str, str] = {
+    "point": "map",
+    "unit": "device",
+    "route": "gateway",
+    "listen": "gateway",
+    "device": "fleet",
+    "devices": "fleet",
 }
-"""Key at the top level of a TOML file -> module and function that load such a file."""
+"""Key at the top level of a TOML file -> what such a file describes."""
 
 
 def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | FleetFile:
@@ -48,18 +47,32 @@ def load(path: str | PathLike[str]) -> RegisterMap | Simulation | GatewayFile | 
             a mistake. The message names the file and, where it can, the line and the key.
     """
     place = FilePlace(fspath(path))
-    kinds = {LOADERS["point"]}
+    kinds = {"map"}
     if PurePath(path).suffix.lower() not in (".csv", ".tsv", ".txt"):
         text = read_text(path, FileError)
         try:
             content = read_toml(text)
         except ValueError as error:
             raise FileError.of(error, place) from None
-        kinds = {LOADERS[key] for key in content if key in LOADERS}
+        kinds = {KINDS[key] for key in content if key in KINDS}
         if len(kinds) != 1:
-            known, found = ", ".join(LOADERS), reprlib.repr(list(content))
+            known, found = ", ".join(KINDS), reprlib.repr(list(content))
             reason = f"must have top-level keys of exactly one kind of file ({known}), not {found}"
             raise FileError((), reason, place=place)
-    module, function = kinds.pop()
-    imported = import_module(f"...{module}", __name__)
-    return getattr(imported, function)(path)  # type: ignore[no-any-return]
+    match kinds.pop():
+        case "map":
+            from ..maps.register_map import load_map
+
+            return load_map(path)
+        case "device":
+            from ..tools.simulator.device_file import load as load_devices
+
+            return load_devices(path)
+        case "gateway":
+            from .gateway.config import load as load_gateway
+
+            return load_gateway(path)
+        case _:
+            from .fleet.files import load as load_fleet
+
+            return load_fleet(path)

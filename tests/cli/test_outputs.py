@@ -105,6 +105,8 @@ def url(tmp_path: Path) -> Iterator[str]:
     files["columns"], files["bad"] = COLUMNS, "name,addr\n" + "a,x\n" * 30
     points = (f"p{at},holding_registers,{at},uint16\n" for at in range(4))
     files["points"] = f"name,table,address,type\n{''.join(points)}"
+    rows = (f"p{at},holding,{at},{'true' * (at == 2)}\n" for at in range(4))
+    files["borders"] = f"name,table,address,border\n{''.join(rows)}"
     files["refused"] = f"{files['points']}other,input_registers,0,uint16\n"
     for name, text in files.items():
         (tmp_path / f"{name}.csv").write_text(text)

@@ -114,7 +114,6 @@ def test_nobody_is_asked_for_a_password(papers: Papers) -> None:
 def test_an_option_overrides_the_url(own: list[str], url: str, papers: Papers) -> None:
     whole = papers.url(url, certificates.client())
     assert read(f"{whole}&server_name=other.example", "--server-name", "localhost").endswith(GOOD)
-    own[0], own[4] = "--certificate", "--trust"
     assert read(f"{url}?ca=nowhere.pem", *own).endswith(GOOD)
 
 

@@ -151,6 +151,7 @@ OUTPUT = [
     ("read h hr 0 --count 0", "argument --count: must be a number of polls, 1 or more"),
     ("read h hr 0 --for soon", "--for: 'soon' must be a number of seconds, or such as 500ms"),
     ("read h hr 0 --watch 1 --page-token file", "--page-token needs --page"),
+    ("read h hr 0 --watch 1 --page-url http://h", "--page-url needs --page"),
     ("read h hr 0 --watch 1 --page 127.0.0.1:0", "a new one is printed on a terminal only"),
 ]
 

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, Client, ModbusConnectionError, State, pdu
+from libmodbus_py.client.sender import Sender
 from tests.simulation.ports import memory_port
 from tests.simulation.scripted import Scripted, Write
 from tests.support.in_loops import run_client
@@ -142,7 +143,7 @@ def test_a_loop_that_was_closed_under_a_client_leaves_a_client_that_can_be_dropp
     async def use() -> None:
         assert await plc.read_holding_registers(7, 1) == [7]
         if pending:
-            plc.submit(1, REQUEST, lambda: None)
+            Sender(plc).submit(1, REQUEST, lambda: None)
 
     with FakeServer(lambda request: [echo(request)], lambda request: []) as server:
         plc: Any = AsyncClient(server.url)

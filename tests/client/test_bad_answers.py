@@ -283,7 +283,7 @@ def test_a_late_answer_during_a_request_does_not_fail_it(world: World) -> None:
             client.timeout = 30
             with world.lasting(0.04):
                 assert [read(client, address) for address in (2, 3)] == [2, 3]
-        assert client.late_answers == 3
+        assert client.statistics.late_answers == 3
         assert peer.connections == 1
 
 

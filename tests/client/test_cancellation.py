@@ -32,7 +32,7 @@ def test_an_answer() -> None:
             with pytest.raises(TimeoutError):
                 await asyncio.wait_for(plc.execute_many([REQUEST] * 9), 0.02)
             assert await plc.read_holding_registers(2, 1) == [2]
-        assert plc.late_answers == 9
+        assert plc.statistics.late_answers == 9
         assert (peer.connections, plc.statistics.timeouts) == (1, 0)
         assert len(peer.requests) == 12
 

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, Client, pdu
+from libmodbus_py.client.sender import Sender
 from tests.simulation.loop import complaints_of
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
@@ -196,7 +197,7 @@ def test_no_caller_waits_for_a_client_whose_hook_ends_the_program(scheme: str, h
             if hook == "on_done":
                 leave()
 
-        submitted = plc.submit(1, pdu.ReadHoldingRegisters(address, 1), on_done)
+        submitted = Sender(plc).submit(1, pdu.ReadHoldingRegisters(address, 1), on_done)
         await done
         return submitted.outcome
 

@@ -215,7 +215,7 @@ def test_requests_left_behind_by_a_failure_poison_nothing(world: World, again: s
             assert context.execute_many(reads(10, 900)) == echoes(10, 900)
         for address in range(500, 520):
             assert context.read_holding_registers(address, 1) == [address]
-        assert (context.late_answers, peer.connections) == (15, 1)
+        assert (context.statistics.late_answers, peer.connections) == (15, 1)
 
 
 # --- bad answers ---------------------------------------------------------------------------
@@ -269,7 +269,7 @@ def test_wrong_answers_spoil_their_own_requests_only(world: World, scheme: str) 
         assert [each for each in found if isinstance(each, list)] == [
             [at] for at in range(12) if at not in (3, 5, 7, 9)
         ]
-        assert (context.late_answers, peer.connections) == (12, 1)
+        assert (context.statistics.late_answers, peer.connections) == (12, 1)
 
 
 # --- connections that end --------------------------------------------------------------------

@@ -24,13 +24,12 @@ from libmodbus_py import (
     IllegalFunction,
     InvalidResponse,
     Mapping,
-    MemoryParityError,
-    NegativeAcknowledge,
     Server,
     ServerDeviceBusy,
     ServerDeviceFailure,
     pdu,
 )
+from libmodbus_py.errors import MemoryParityError, NegativeAcknowledge
 from libmodbus_py.protocol.pdu import ServerId, SubFunction
 from tests.support.cases import each_case
 from tests.support.clients import Connect, making

@@ -12,7 +12,7 @@ import pytest
 
 from libmodbus_py import AsyncClient, Client, Device, Mapping, Point, RegisterMap, Route, Server
 from libmodbus_py.fleet import DeviceConfig
-from libmodbus_py.ports.schemes import SERIAL_OPTIONS
+from libmodbus_py.ports.options import SERIAL_OPTIONS
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.protocol.mistakes import SERIAL_SETTINGS
 from tests.support.cases import each_case
@@ -37,15 +37,15 @@ LINE, HOST = "/dev/ttyUSB0", "192.0.2.1"
 @each_case(
     ("place", "option", "meant", "makers"),
     [
-        (f"rtu://{LINE}", "stopbits", "stop_bits", [Client]),
-        (f"ascii://{LINE}", "stopbits", "stop_bits", [Client]),
-        (f"ascii://{LINE}", "bytesize", "data_bits", [Client]),
-        (LINE, "stopbit", "stop_bits", [Client, SerialPort]),
+        (f"rtu://{LINE}", "stopbits", "stop_bits", [Client, AsyncClient]),
+        (f"ascii://{LINE}", "stopbits", "stop_bits", [Client, AsyncClient]),
+        (f"ascii://{LINE}", "bytesize", "data_bits", [Client, AsyncClient]),
+        (LINE, "stopbit", "stop_bits", [Client, AsyncClient, SerialPort]),
         (LINE, "baud", "baudrate", [SerialPort]),
-        (LINE, "baud_rate", "baudrate", [Client]),
-        (LINE, "slave", "unit", [Client]),
-        (LINE, "timout", "timeout", [Client]),
-        (LINE, "handle_local_echo", "echo", [Client]),
+        (LINE, "baud_rate", "baudrate", [Client, AsyncClient]),
+        (LINE, "slave", "unit", [Client, AsyncClient]),
+        (LINE, "timout", "timeout", [Client, AsyncClient]),
+        (LINE, "handle_local_echo", "echo", [Client, AsyncClient]),
         (HOST, "device_id", "unit", [Client, AsyncClient]),
         (f"udp://{HOST}", "device_id", "unit", [Client, AsyncClient]),
         (HOST, "retry", "retries", [Client, AsyncClient]),
@@ -98,8 +98,6 @@ def test_options_in_urls(make: Any, scheme: str, option: str, meant: str) -> Non
 @each_case(
     ("make", "option", "meant"),
     [
-        (AsyncClient, "stopbits", "stop_bits"),
-        (AsyncClient, "baudrate", "baudrate"),
         (Server, "stopbits", "stop_bits"),
         (Server, "baud", "baudrate"),
         (partial(Route, units=[1]), "bytesize", "data_bits"),

@@ -15,6 +15,7 @@ from libmodbus_py import (
     ModbusTimeoutError,
     pdu,
 )
+from libmodbus_py.client.sender import Sender
 from tests.simulation.scripted import Scripted
 from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import Write, answering, echo, ignore, mbap
@@ -29,7 +30,9 @@ def test_many_are_told_of_once_each() -> None:
     async def use(client: AsyncClient, _: Scripted) -> None:
         told: list[int] = []
         made = [
-            client.submit(1, pdu.ReadHoldingRegisters(at % 12, 1), lambda at=at: told.append(at))
+            Sender(client).submit(
+                1, pdu.ReadHoldingRegisters(at % 12, 1), lambda at=at: told.append(at)
+            )
             for at in range(100)
         ]
         await asyncio.sleep(5)
@@ -46,16 +49,16 @@ def test_many_are_told_of_once_each() -> None:
 def test_one_that_is_withdrawn_is_not_told_of_and_its_answer_dropped() -> None:
     async def use(client: AsyncClient, _: Scripted) -> None:
         told: list[str] = []
-        first = client.submit(1, READ, lambda: told.append("first"))
+        first = Sender(client).submit(1, READ, lambda: told.append("first"))
         await asyncio.sleep(0.05)
         first.withdraw()
         first.withdraw()
-        second = client.submit(1, READ, lambda: told.append("second"))
+        second = Sender(client).submit(1, READ, lambda: told.append("second"))
         await asyncio.sleep(1)
         assert told == ["second"]
         assert second.outcome == [7]
         second.withdraw()  # too late, and no harm
-        assert client.late_answers == 1
+        assert client.statistics.late_answers == 1
 
     def late(request: bytes) -> list[bytes]:
         held.append(echo(request))
@@ -72,7 +75,7 @@ def test_failures_are_told_of_too(kind: str) -> None:
         if kind == "closed":
             await client.close()
         done = asyncio.Event()
-        submitted = client.submit(1, READ, done.set)
+        submitted = Sender(client).submit(1, READ, done.set)
         await asyncio.wait_for(done.wait(), 5)
         expected = ModbusTimeoutError if kind == "silence" else ModbusConnectionError
         assert isinstance(submitted.outcome, expected)
@@ -85,9 +88,9 @@ def test_what_cannot_be_sent_is_refused_at_once() -> None:
     async def use() -> None:
         client = AsyncClient("rtu:///dev/nowhere")
         with pytest.raises(TypeError):
-            client.submit(1, b"\3", lambda: None)  # type: ignore[arg-type]
+            Sender(client).submit(1, b"\3", lambda: None)  # type: ignore[arg-type]
         with pytest.raises(ValueError, match="broadcast"):
-            client.submit(0, READ, lambda: None)
+            Sender(client).submit(0, READ, lambda: None)
         await client.close()
 
     asyncio.run(use())

@@ -24,12 +24,13 @@ from libmodbus_py import (
     State,
     pdu,
 )
-from libmodbus_py.ports.schemes import SCHEMES
+from libmodbus_py.client.sender import Sender
 from tests.simulation.scripted import Scripted
 from tests.support.clients import ALL, World, asking, read
 from tests.support.in_loops import run_client
 from tests.support.peers import Write, answering, dead, echo, ignore, peer_at, until
 from tests.support.reads import good
+from tests.support.urls import CONNECTING
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
@@ -185,7 +186,7 @@ def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(
         waiting = asyncio.create_task(plc.read_holding_registers(7, 1))
         await asyncio.sleep(0)
         with pytest.raises(error, match=r"unit must be .*0\.\.255"):
-            plc.submit(unit, pdu.ReadHoldingRegisters(1, 1), lambda: None)
+            Sender(plc).submit(unit, pdu.ReadHoldingRegisters(1, 1), lambda: None)
         assert await waiting == [7]
 
     run_client(good, use)
@@ -207,7 +208,7 @@ def test_a_request_without_an_answer_is_not_waited_for(world: World) -> None:
         assert client.statistics.results[6, "silent"] == 1
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", CONNECTING)
 def test_a_shorter_timeout_of_another_thread_ends_the_wait(scheme: str) -> None:
     with (
         peer_at(scheme, ignore) as peer,

@@ -19,13 +19,12 @@ from unittest.mock import create_autospec
 import pytest
 
 from libmodbus_py import AsyncClient, Client
-from libmodbus_py.client.handle import Missing
 from libmodbus_py.client.options import Options
 from tests.support.cases import each, each_case
 
 ROOT = Path(__file__).parents[2]
 
-NOT_AWAITED = {"for_unit", "now", "ready_at", "submit", "unreadable", "watch"}
+NOT_AWAITED = {"for_unit", "unreadable", "watch"}
 """Methods of `AsyncClient` that send nothing, or that nothing awaits."""
 
 
@@ -84,11 +83,11 @@ def test_what_the_generator_makes(tmp_path: Path) -> None:
 
 def test_both_clients_have_the_same_methods() -> None:
     blocking, awaited = methods(Client), methods(AsyncClient)
-    assert awaited.keys() - blocking.keys() == {"ready_at", "submit"}
+    assert awaited.keys() == blocking.keys()
     for check, (name, method) in each(sorted(awaited.items())):
         with check:
             assert inspect.iscoroutinefunction(method) == (name not in NOT_AWAITED)
-            if name in blocking and name != "watch":
+            if name != "watch":
                 assert not inspect.iscoroutinefunction(blocking[name])
                 assert inspect.signature(blocking[name]) == inspect.signature(method)
 
@@ -187,7 +186,7 @@ def test_a_wrong_name_in_a_call(
 @each_case("make", [Client, AsyncClient])
 def test_no_method_takes_other_names(make: Any) -> None:
     plc = make("tcp://127.0.0.1:1")
-    for name in methods(make).keys() - {"close", "now", "ready_at", "submit"}:
+    for name in methods(make).keys() - {"close"}:
         told = called(plc, name, slave_id=3)
         assert told.startswith(f"{make.__name__}.{name}() got an unexpected keyword")
         assert "did you mean unit?" in told
@@ -204,11 +203,10 @@ def test_what_is_missing_is_named(make: Any) -> None:
         ][1:]
         if needed:
             assert any(each.name in called(plc, name) for each in needed), name
-    assert called(plc, "read_coils", 0) == "count must be an integer in 1..2000, not Missing"
+    assert called(plc, "read_coils", 0) == "count must be an integer in 1..2000, not nothing"
     assert called(plc, "read_coils", 0, 1, 2) == (
         f"{make.__name__}.read_coils() takes from 1 to 3 positional arguments but 4 were given"
     )
-    assert Missing.__doc__
 
 
 @each_case("make", [Client, AsyncClient])

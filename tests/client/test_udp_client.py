@@ -103,7 +103,7 @@ def test_datagram_of_another_host_is_never_seen(connect: Connect) -> None:
     with UdpPeer(spoofed) as server, connect(server.url) as context:
         for address in range(10):
             assert context.read_holding_registers(address, 1) == [address]
-        assert context.late_answers == 0
+        assert context.statistics.late_answers == 0
 
 
 # --- many in flight ------------------------------------------------------------------------

@@ -21,16 +21,16 @@ from libmodbus_py import (
     State,
     pdu,
 )
-from libmodbus_py.ports.schemes import SCHEMES
+from libmodbus_py.client.sender import Sender
 from tests.simulation.scripted import OnRequest, Scripted
 from tests.support.cases import each_case
 from tests.support.clients import ALL, KINDS, World, asking, making, read
 from tests.support.in_loops import run_client
 from tests.support.peers import FakeServer, Write, address_of, answer, has_header
 from tests.support.reads import good
-from tests.support.urls import rules_of
+from tests.support.urls import CONNECTING, rules_of
 
-each_scheme = pytest.mark.parametrize("scheme", SCHEMES)
+each_scheme = pytest.mark.parametrize("scheme", CONNECTING)
 
 
 class Mistake(Exception):
@@ -196,8 +196,8 @@ def submitting(act: Callable[[AsyncClient, list[Any]], object]) -> list[Any]:
 
     async def use(plc: AsyncClient, _: Scripted) -> None:
         done = asyncio.Event()
-        plc.submit(1, pdu.ReadHoldingRegisters(1, 1), lambda: act(plc, told))
-        second = plc.submit(1, pdu.ReadHoldingRegisters(2, 1), done.set)
+        Sender(plc).submit(1, pdu.ReadHoldingRegisters(1, 1), lambda: act(plc, told))
+        second = Sender(plc).submit(1, pdu.ReadHoldingRegisters(2, 1), done.set)
         await done.wait()
         told.append(second.outcome)
         await asyncio.sleep(1)
@@ -213,7 +213,9 @@ def test_an_on_done_that_raises_is_logged(caplog: pytest.LogCaptureFixture) -> N
 
 def test_an_on_done_may_submit() -> None:
     def submit(plc: AsyncClient, told: list[Any]) -> None:
-        third = plc.submit(1, pdu.ReadHoldingRegisters(3, 1), lambda: told.append(third.outcome))
+        third = Sender(plc).submit(
+            1, pdu.ReadHoldingRegisters(3, 1), lambda: told.append(third.outcome)
+        )
 
     assert submitting(submit) == [[2], [3]]
 
@@ -227,8 +229,8 @@ class Submitting(pdu.ReadHoldingRegisters):
 
     def decode_response(self, data: bytes) -> list[int]:
         read = pdu.ReadHoldingRegisters(6, 1)
-        submitted = self.plc.submit(1, read, lambda: self.told.append(submitted.outcome))
-        self.plc.submit(1, read, fail).withdraw()
+        submitted = Sender(self.plc).submit(1, read, lambda: self.told.append(submitted.outcome))
+        Sender(self.plc).submit(1, read, fail).withdraw()
         return super().decode_response(data)
 
 

@@ -5,6 +5,9 @@ Slaves by hand: what they answer to masters of libmodbus, mbpoll and pymodbus, a
 from __future__ import annotations
 
 import contextlib
+import itertools
+import os
+import select
 import shutil
 import socket
 import subprocess
@@ -50,6 +53,25 @@ def slave_at(transport: str, answer: Serve | Mapping) -> Iterator[str]:
         slave = RtuContext(wire.server, BAUDRATE, unit=UNIT)
         with slave_by_hand(slave, answer):
             yield f"rtu://{wire.client}?baudrate={BAUDRATE}"
+
+
+def test_a_slave_on_a_line_finds_requests_between_noise() -> None:
+    noises = [b"", b"\0", b"\2\3\x10", b"\xf8\0\x7e\x80"]
+    mapping = Mapping(holding_registers=10)
+    request, answer = rtu(f"{UNIT:02X} 10 0000 0001 02 0007"), rtu(f"{UNIT:02X} 10 0000 0001")
+    with (
+        SerialWire() as wire,
+        slave_by_hand(RtuContext(wire.server, BAUDRATE, "N", unit=UNIT), mapping),
+        RtuContext(wire.client, BAUDRATE, "N", unit=UNIT) as master,
+    ):
+        for behind, before in itertools.product(noises, noises):
+            os.write(master.socket, before + request + behind)
+            received = b""
+            while len(received) < len(answer):
+                assert select.select([master.socket], [], [], 5.0)[0], (before, behind)
+                received += os.read(master.socket, 100)
+            assert received == answer
+    assert mapping.holding_registers[0] == 7
 
 
 @each_transport

@@ -15,13 +15,13 @@ from libmodbus_py import (
     IllegalDataAddress,
     Mapping,
     ModbusTimeoutError,
-    NegativeAcknowledge,
     Server,
     ServerDeviceBusy,
     ServerDeviceFailure,
     framing,
     pdu,
 )
+from libmodbus_py.errors import NegativeAcknowledge
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.protocol.pdu import SubFunction
 from tests.simulation.stage import LineEnd, Stage

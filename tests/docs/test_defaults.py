@@ -5,7 +5,6 @@ The default values that docstrings and pages name are those of the code.
 from __future__ import annotations
 
 import ast
-import inspect
 import pydoc
 import re
 from dataclasses import MISSING, fields
@@ -16,66 +15,58 @@ import pytest
 
 from libmodbus_py import AsyncClient, Client, Point
 from libmodbus_py.client.asynchronous import MAX_PAUSE
-from libmodbus_py.client.options import AsyncOptions, CheckedOptions, Options
-from libmodbus_py.ports.serial import SERIAL_DEFAULTS
+from libmodbus_py.client.options import AsyncOptions, Options
+from libmodbus_py.ports.options import SERIAL_DEFAULTS, SERIAL_OPTIONS, rows_of
 from libmodbus_py.server.limits import Limits
 from libmodbus_py.services.fleet.config import DeviceConfig
 from libmodbus_py.services.gateway.routes import GatewayOptions
+from tests.support.cases import each_case
 
 DOCS = Path(__file__).parents[2] / "docs"
 
-SAID = re.compile(r'("?[\w.]+"?)(?: and ("?[\w.]+"?))? by default')
-"""A value, or two, and the words that call it a default."""
+ROWS = rows_of(AsyncOptions)
 
-KEY = re.compile(r"^    (\w+): (.*(?:\n        .*)*)", re.MULTILINE)
-"""A key of an options class in its docstring, and its text."""
-
-CLIENTS: dict[str, Any] = {each.name: each.default for each in fields(CheckedOptions)}
+CLIENTS: dict[str, Any] = {
+    name: row.default for name, row in ROWS.items() if name not in SERIAL_OPTIONS
+}
 
 NAMED = re.compile(r"([^.|(]*(?:\.\d[^.|(]*)*)\(`(\w+)`\)")
 """On a page: the words before an option in parentheses, from the beginning of the sentence on."""
 
 NUMBER_WORDS = {"one": 1, "two": 2, "three": 3, "four": 4, "five": 5}
 
-UNSAID = {None, "", False}
-"""Defaults that set nothing, and need no words."""
-
-
-def keys_of(options: type[Any]) -> dict[str, str]:
-    return dict(KEY.findall(inspect.cleandoc(options.__doc__ or "")))
-
 
 def value(text: str) -> Any:
     return ast.literal_eval(text)
-
-
-@pytest.mark.parametrize("options", [Options, AsyncOptions])
-def test_docstrings_of_options_name_the_defaults(options: type[Any]) -> None:
-    texts = keys_of(options)
-    assert texts.keys() <= set(options.__annotations__)
-    said = {name: SAID.search(" ".join(text.split())) for name, text in texts.items()}
-    for name in texts:
-        found, default = said[name], CLIENTS[name]
-        if found is not None and found[1] != "one":
-            assert value(found[1]) == default, name
-        else:
-            assert default in UNSAID, f"{name} does not name its default, {default!r}"
-
-
-def test_docstrings_of_options_name_each_key() -> None:
-    told = [name for options in (Options, AsyncOptions) for name in keys_of(options)]
-    assert sorted(told) == sorted(CLIENTS)
 
 
 LISTED = re.compile(r"^ +\| +(\w+)=(\S+) +\S", re.MULTILINE)
 """An option and its default, as help shows it among the methods of a class."""
 
 
-@pytest.mark.parametrize("client", [Client, AsyncClient])
-def test_help_lists_every_option_with_its_default(client: type[Any]) -> None:
+@each_case(
+    ("client", "options", "usual"),
+    [(Client, Options, {}), (AsyncClient, AsyncOptions, {"max_pause": MAX_PAUSE})],
+)
+def test_help_lists_every_option_with_its_default(client: Any, options: Any, usual: Any) -> None:
+    expected = {name: row.default for name, row in rows_of(options).items()} | usual
     listed = LISTED.findall(pydoc.plaintext.document(client))
-    expected = [*CLIENTS.items(), ("max_pause", MAX_PAUSE)]
-    assert sorted(listed) == sorted((name, _as_listed(value)) for name, value in expected)
+    assert {name: value(text) for name, text in listed} == expected
+    assert len(listed) == len(expected)
+
+
+@each_case("name", [*ROWS])
+def test_the_row_of_an_option(name: str) -> None:
+    """Its text names the range, it accepts its default, and the page has the text."""
+    row = ROWS[name]
+    row.check(name, row.default)
+    for low, high in re.findall(r"(\d\S*)\.\.(\d+)", row.summary):
+        for wrong in (float(low) / 2 - 1, float(high) + 1):
+            number = wrong if isinstance(row.default, float) else int(wrong)
+            with pytest.raises(ValueError, match=rf"^{name} must be in {low}\.\.{high}"):
+                row.check(name, number)
+    page = re.sub(r"\[(.+?)\]\(.+?\)", r"\1", (DOCS / "defaults.md").read_text())
+    assert f"| `{name}` | `{_as_listed(row.default)}` | {row.text} |\n" in page
 
 
 def _as_listed(value: Any) -> str:
@@ -104,7 +95,7 @@ def options_of(cls: type[Any]) -> dict[str, Any]:
     ("heading", "expected"),
     [
         ("Clients", CLIENTS),
-        ("Serial ports", SERIAL_DEFAULTS),
+        ("Serial ports", {name: row.default for name, row in SERIAL_OPTIONS.items()}),
         ("Limits of servers and gateways", options_of(Limits)),
         ("Gateways", options_of(GatewayOptions)),
         ("Devices of a fleet", options_of(DeviceConfig)),

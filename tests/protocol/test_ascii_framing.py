@@ -54,12 +54,30 @@ class TestAscii:
             frames += take(framer, byte)[0]
         assert frames == [READ]
 
-    @each_case("end", [b"\r\r\n", b"\rX\n", b"\r\0\n", b"\r0", b"\r", b"\n"])
+    @each_case("end", [b"\r\r\n", b"\rX\n", b"\r\0\n", b"\r0", b"#", b""])
     def test_other_end_than_cr_and_lf_drops_the_frame(self, end: bytes) -> None:
         framer = AsciiFramer()
         frames, errors = take(framer, self.good[:-2] + end + self.good)
         assert frames == [READ]
         assert len(errors) == 1
+
+    @each_case("end", [b"\r", b"\n", b"\n\r"])
+    def test_one_of_both_alone_ends_a_frame(self, end: bytes) -> None:
+        frame = self.good[:-2] + end
+        framer = AsciiFramer()
+        assert take(framer, frame * 3)[0] + framer.silence() == [READ] * 3
+        frames = [each for byte in single_bytes(frame * 3) for each in framer.feed(byte)]
+        assert frames + framer.silence() == [READ] * 3
+
+    def test_silence_ends_a_frame_behind_a_cr_sooner(self) -> None:
+        framer = AsciiFramer()
+        assert framer.feed(self.good[:-2]) == []
+        assert framer.quiet == 1.0
+        assert framer.feed(b"\r") == []
+        assert framer.quiet == 0.1
+        assert framer.silence() == [READ]
+        assert framer.feed(b"\n" + self.good) == [READ]
+        assert framer.quiet == 1.0
 
     def test_lower_case_digits_are_taken(self) -> None:
         assert AsciiFramer().feed(self.good.lower()) == [READ]
@@ -155,7 +173,7 @@ class TestAscii:
             framer.delimiter = delimiter
         assert framer.delimiter == 0x0A
 
-    @each_case("cut", range(1, 17))
+    @each_case("cut", range(1, 16))
     def test_silence_drops_an_unfinished_frame(self, cut: int) -> None:
         framer = AsciiFramer()
         assert framer.feed(self.good[:cut]) == []

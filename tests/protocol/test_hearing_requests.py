@@ -9,7 +9,7 @@ from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import Frame, Overheard, RtuFramer
 from tests.support.cases import each_case
 from tests.support.talk import rtu
-from tests.support.vectors import RESPONSES, FrameVector, rows
+from tests.support.vectors import REQUESTS, RESPONSES, FrameVector, rows
 
 Found = list[Frame | FrameError]
 
@@ -139,19 +139,95 @@ def test_a_gap_in_an_answer_ends_nothing() -> None:
         assert requests(heard(ask, answer[:cut], answer[cut:])) == [], cut
 
 
-def test_a_request_in_damage_counts_only_in_front_of_the_silence() -> None:
+def test_a_request_in_damage_counts_only_close_to_the_silence() -> None:
     for noise in (b"\0", b"\xff\xff", b"\1\3", bytes(range(40))):
         assert requests(heard(noise + READ)) == [ASKED], noise
         assert requests(heard(noise + READ + WRITE)) == [ASKED, WRITTEN], noise
-        assert requests(heard(noise + READ + b"\0")) == [], noise
-    # What may be the beginning of another unit's answer lasts until the next burst.
-    begun = b"\2\3\x10\xff"
-    assert requests(heard(begun + READ)) == []
-    assert requests(heard(begun + READ, READ)) == [ASKED]
+        for size in range(1, 7):
+            expected = [ASKED] if len(noise) <= 4 and size <= 4 else []
+            assert requests(heard(noise + READ + bytes(size))) == expected, (noise, size)
+    # What may be the beginning of an awaited answer lasts until the next burst.
+    begun, ask = b"\2\3\x10\xff", rtu("02 03 0000 0008")
+    assert requests(heard(ask, begun + READ)) == []
+    assert requests(heard(ask, begun + READ, READ)) == [ASKED]
+    assert requests(heard(begun + READ)) == [ASKED]
     damaged = bytearray(AROUND["an answer to a read"][1])
     damaged[3] ^= 1
     assert requests(heard(bytes(damaged))) == []
     assert requests(heard(bytes(damaged), READ)) == [ASKED]
+
+
+# Bytes that transceivers add: of a line that is low, high or floats, and beginnings of frames.
+NOISES = [b"", b"\0", b"\xff", b"\0\xff", b"\1", b"\2\3", b"\1\x10\0", b"\xf8\0\x7e\x80"]
+
+
+@each_case("before", NOISES)
+@each_case("behind", NOISES)
+@each_case("size", [1, 999])
+def test_a_request_between_noise_is_found(before: bytes, behind: bytes, size: int) -> None:
+    for vector in REQUESTS:
+        if vector.pdu[0] in NO_LENGTH and behind.startswith(b"\0"):
+            continue  # behind a CRC that fits it fits again
+        request, read = (with_data(f"{vector.unit:02X}", each) for each in (vector.pdu, READ[1:-2]))
+        found = heard(
+            before + request + behind, before + read + behind, size=size, unit=vector.unit
+        )
+        expected = [Frame(vector.unit, vector.pdu), Frame(vector.unit, READ[1:-2])]
+        assert requests(found, vector.unit) == expected, vector.id
+
+
+NO_LENGTH = (8, 43)
+
+
+@each_case("before", NOISES)
+@each_case("behind", NOISES)
+@each_case("name", AROUND)
+def test_a_request_in_a_frame_of_others_between_noise_is_none(
+    name: str, before: bytes, behind: bytes
+) -> None:
+    ask, answer = (before + each + behind for each in AROUND[name])
+    for bursts in ((ask, answer), (answer,)):
+        assert requests(heard(*bursts)) == [], bursts
+
+
+@each_case("head", ["02 03 08", "02 01 08", "02 11 08"])
+def test_a_request_in_a_damaged_answer_of_others_is_none(head: str) -> None:
+    answer = with_data(head, WRITE)
+    for place in (3, 5, len(answer) - 1):
+        damaged = bytearray(answer)
+        damaged[place] ^= 4
+        for bursts in ([damaged], [rtu("02 03 0000 0004"), damaged]):
+            assert requests(heard(*map(bytes, bursts))) == [], place
+
+
+@each_case("size", [1, 999])
+@each_case(
+    ("burst", "expected"),
+    [
+        # Of libmodbus's unit tests: 0 registers, and six bytes more than are counted.
+        (rtu("05 10 0160 0000 00 000000000000"), "request 5 10"),
+        (rtu("05 10 0160 0002 08 00010002"), "request 5 10"),
+        (rtu("05 0F 0130 0008 02 FF"), "request 5 0F"),
+        (rtu("05 03 0160 0001 00"), "request 5 03"),
+        (rtu("05 03 0160 00"), "request 5 03"),
+        (rtu("05 83 02 00"), "answer 5 83"),
+        (rtu("02 03 0160 0001 00"), "answer 2 03"),
+        (rtu("02 10 0160 0000 00 000000000000"), "answer 2 10"),
+    ],
+)
+def test_a_burst_with_a_right_crc_is_one_frame_of_any_length(
+    burst: bytes, expected: str, size: int
+) -> None:
+    assert named(heard(burst, OURS, size=size, unit=5)) == [expected, "request 5 03"]
+    assert named(heard(burst + OUR_WRITE, OURS, size=size, unit=5))[-1] == "request 5 03"
+
+
+def test_what_begins_a_longer_frame_of_others_is_none() -> None:
+    """Its beginning has a right CRC, by chance."""
+    begin = rtu("02 03 14 00 07")
+    answer = with_data("", begin, WRITE, bytes(23 - len(begin) - len(WRITE)))
+    found = heard(rtu("02 03 0000 000A"), begin, answer[len(begin) :])
+    assert named(found) == ["request 2 03", "answer 2 03"]
 
 
 @each_case("vector", rows(RESPONSES))

@@ -96,15 +96,15 @@ def test_a_file_without_a_certificate_or_key_is_named(
         Security(**options)
 
 
-def test_the_words_of_urls_are_taken_too(papers: Papers, files: Files) -> None:
-    made = Security(cert=files.cert, key=files.key, ca=papers.ca)
-    assert repr(made) == repr(Security(files.cert, files.key, trust=papers.ca))
-    with pytest.raises(TypeError, match="certificate and cert are the same"):
-        Security(files.cert, files.key, cert=files.cert, ca=papers.ca)
-    with pytest.raises(TypeError, match="trust and ca are the same argument"):
-        Security(files.cert, files.key, trust=papers.ca, ca=papers.ca)
+@each_case(("wrong", "right"), [("cert", "certificate"), ("ca", "trust")])
+def test_the_names_of_urls_are_refused_with_those_of_arguments(wrong: str, right: str) -> None:
+    with pytest.raises(TypeError, match=f"'{wrong}' must be one of .*; did you mean {right}"):
+        Security("own.pem", **{wrong: "x"})  # type: ignore[arg-type]
+
+
+def test_a_certificate_is_needed(papers: Papers, files: Files) -> None:
     with pytest.raises(TypeError, match="security needs certificate, a PEM file"):
-        Security(key=files.key, ca=papers.ca)
+        Security(key=files.key, trust=papers.ca)
 
 
 def test_without_a_file_of_its_own_the_key_is_looked_for_in_that_of_the_certificate(

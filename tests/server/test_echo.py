@@ -5,14 +5,17 @@ Servers on a line that returns all that is sent: their answers are not carried o
 from __future__ import annotations
 
 import logging
+import time
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Mapping, Server
+from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.serve import Fault
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.lines import SerialLine
 from tests.simulation.stage import LineEnd, Stage
+from tests.support.contexts import context_at
 from tests.support.peers import LinePeer, Write, until
 from tests.support.served import unit_one
 from tests.support.talk import ascii_frame, rtu
@@ -29,8 +32,13 @@ class Echoing:
     """Returns to each party of a line what it writes, when the line has carried it."""
 
     def __init__(
-        self, stage: Stage, line: SerialLine, stray: tuple[bytes, bytes] = STRAYS[0]
+        self,
+        stage: Stage,
+        line: SerialLine,
+        stray: tuple[bytes, bytes] = STRAYS[0],
+        late: float = 0.0,
     ) -> None:
+        self._late = late
         self._stage = stage
         self._line = line
         self._stray = stray
@@ -40,7 +48,7 @@ class Echoing:
     def write(self, sender: Any, data: bytes) -> None:
         self._write(sender, data)
         if not isinstance(sender, LineEnd):
-            later = len(data) * self._line.character
+            later = len(data) * self._line.character + self._late
             before, behind = self._stray
             self._stage.events.at(
                 self._stage.events.now + later, sender.hear, before + data + behind
@@ -147,13 +155,63 @@ def test_an_echo_over_tcp_is_found_beside_writes_that_go_round(
         assert len(writes) == 3
 
 
+@pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_an_echo_on_a_line_is_found_beside_a_write_that_goes_round(
-    stage: Stage, scheme: str
+@pytest.mark.parametrize("baudrate", [1200, 115200])
+@pytest.mark.parametrize("late", [0.0, 0.016])
+@pytest.mark.parametrize("stray", STRAYS)
+def test_a_line_on_which_nothing_was_read_carries_out_writes_once(
+    stage: Stage,
+    scheme: str,
+    baudrate: int,
+    late: float,
+    stray: tuple[bytes, bytes],
+    is_gateway: bool,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """USB adapters keep bytes for up to 16 ms. Nothing was read, which would show the echo."""
+    frame = FRAMES[scheme]
+    url = f"{scheme}:///dev/line?baudrate={baudrate}"
+    with unit_one(url, is_gateway=is_gateway) as (server, writes):
+        Echoing(stage, stage.line("/dev/line"), stray, late)
+        master = LineEnd(stage.line("/dev/line"))
+        for count in (1, 2, 3):
+            master.write(frame(WRITES[1]))
+            stage.pass_time(2)
+            assert len(writes) == count
+        assert server.statistics.echoes == 1
+        # One byte of another answer asked the line.
+        answer = frame(WRITES[1])
+        assert master.heard == answer + answer[:1] + answer * 2
+        assert server.statistics.requests == 3
+    assert len(warnings(caplog)) == 1
+
+
+@pytest.mark.parametrize("is_gateway", [False, True])
+@pytest.mark.parametrize("scheme", FRAMES)
+@pytest.mark.parametrize("request_", WRITES)
+def test_the_same_write_again_at_once_is_carried_out_again(
+    stage: Stage, scheme: str, request_: str, is_gateway: bool
 ) -> None:
     frame = FRAMES[scheme]
+    with unit_one(f"{scheme}://{LINE}", is_gateway=is_gateway) as (server, writes):
+        master = LineEnd(stage.line("/dev/line"))
+        for count in range(1, 6):
+            master.write(frame(request_))
+            while len(master.heard) < count * len(frame(request_)):
+                stage.pass_time(0.001)
+            stage.pass_time(0.004)
+        assert master.heard == frame(request_) * 5
+        assert len(writes) == 5 * (request_[3:5] != "08")
+        assert server.statistics.echoes == 0
+        assert server.statistics.requests == 5
+
+
+@pytest.mark.parametrize("scheme", FRAMES)
+def test_an_echo_that_comes_very_late_is_found_by_a_read(stage: Stage, scheme: str) -> None:
+    frame = FRAMES[scheme]
     with unit_one(f"{scheme}://{LINE}") as (server, writes):
-        Echoing(stage, stage.line("/dev/line"))
+        Echoing(stage, stage.line("/dev/line"), late=0.2)
         master = LineEnd(stage.line("/dev/line"))
         master.write(frame(WRITES[1]))
         stage.pass_time(1)
@@ -166,6 +224,33 @@ def test_an_echo_on_a_line_is_found_beside_a_write_that_goes_round(
         master.write(frame(WRITES[1]))
         stage.pass_time(1)
         assert len(writes) == 1
+
+
+def test_noise_while_the_line_is_asked_is_no_echo(stage: Stage) -> None:
+    with unit_one(f"rtu://{LINE}") as (server, writes):
+        master = LineEnd(stage.line("/dev/line"))
+        write = rtu(WRITES[1])
+        for data in (write, write):
+            master.write(data)
+            stage.pass_time(0.03)
+        stage.pass_time(0.02)
+        assert master.heard == write + write[:1]
+        master.write(b"\xff")
+        stage.pass_time(0.1)
+        assert master.heard == write * 2
+        assert len(writes) == 2
+        assert server.statistics.echoes == 0
+
+
+def test_a_server_that_is_closed_while_it_asks_the_line(stage: Stage) -> None:
+    with unit_one(f"rtu://{LINE}") as (_, writes):
+        master = LineEnd(stage.line("/dev/line"))
+        for _ in range(2):
+            master.write(rtu(WRITES[1]))
+            stage.pass_time(0.03)
+        assert len(writes) == 1
+    stage.pass_time(1)
+    assert len(writes) == 1
 
 
 @pytest.mark.parametrize("scheme", FRAMES)
@@ -262,18 +347,36 @@ def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(
                     end.close()
 
 
-def test_a_terminal_that_echoes() -> None:
+@pytest.mark.parametrize("baudrate", [9600, 115200])
+@pytest.mark.parametrize("late", [0.0, 0.016])
+@pytest.mark.parametrize("is_read_first", [False, True])
+def test_a_terminal_that_echoes(baudrate: int, late: float, is_read_first: bool) -> None:
     """On a real port, where bytes take no time."""
 
     def echo(data: bytes, write: Write) -> None:
+        time.sleep(late)
         write(data)
 
     with (
         LinePeer(echo) as line,
-        unit_one(f"rtu://{line.path}?baudrate=9600") as (server, writes),
+        unit_one(f"rtu://{line.path}?baudrate={baudrate}") as (server, writes),
     ):
-        line.write(rtu(READ))
-        until(lambda: server.statistics.echoes == 1)
+        if is_read_first:
+            line.write(rtu(READ))
+            until(lambda: server.statistics.echoes == 1)
         line.write(rtu(WRITES[1]))
-        until(lambda: b"".join(line.requests) == rtu(READ_BACK) + rtu(WRITES[1]))
-    assert len(writes) == 1
+        until(lambda: bool(writes) and server.statistics.echoes == 1)
+        line.write(rtu(WRITES[0]))
+        until(lambda: len(writes) == 2)
+        time.sleep(0.1)
+    assert len(writes) == 2
+
+
+@pytest.mark.parametrize("face", [Client, context_at])
+def test_a_client_on_a_terminal_repeats_a_write(face: Any) -> None:
+    with SerialWire() as wire, unit_one(f"rtu://{wire.server}?baudrate=9600") as (server, writes):
+        with face(f"rtu://{wire.client}?baudrate=9600", unit=1, timeout=1.0) as asks:
+            for _ in range(20):
+                asks.write_register(1, 3)
+        assert server.statistics.echoes == 0
+    assert len(writes) == 20

@@ -5,6 +5,7 @@ A server on a serial line: noise, requests to others, and a port that is unplugg
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
 from collections.abc import Callable
 from itertools import pairwise
@@ -13,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Client, Device, Mapping, ModbusTimeoutError, Server
+from libmodbus_py import Client, Device, Mapping, ModbusTimeoutError, Server, listen
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server.limits import ServerStatistics
@@ -24,7 +25,8 @@ from libmodbus_py.server.units import Units
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.peers import LinePeer, ignore, until
-from tests.support.talk import rtu
+from tests.support.served import unit_one
+from tests.support.talk import ascii_frame, rtu
 
 
 @pytest.mark.parametrize("noise", [b"\x00", b"\xff\xff", b"\x01\x03", bytes(range(40)), b":0103"])
@@ -39,6 +41,57 @@ def test_serial_server_answers_the_next_request_after_noise(kind: str, noise: by
         for _ in range(3):
             os.write(context._driver._port.descriptor, noise)
             assert context.read_holding_registers(0, 2) == [0, 0]
+
+
+NOISES = [b"", b"\0", b"\xff\xff", b"\2\3\x10", b"\2\x10\0\0", b"\xf8\0\x7e\x80"]
+
+
+@pytest.mark.parametrize("is_gateway", [False, True])
+def test_requests_between_noise_are_carried_out_once_each(stage: Stage, is_gateway: bool) -> None:
+    """The master sends the next one as soon as it has the answer."""
+    with unit_one("rtu:///dev/line?baudrate=115200", is_gateway=is_gateway) as (server, writes):
+        master = LineEnd(stage.line("/dev/line"))
+        for number, (behind, before) in enumerate(itertools.product(NOISES, NOISES), 1):
+            master.heard = b""
+            request = rtu(f"01 10 0000 0002 04 {number:04X} 0003")
+            master.write(before + request + behind)
+            started = stage.now
+            while master.heard != rtu("01 10 0000 0002"):
+                stage.pass_time(0.001)
+                assert stage.now < started + 0.1, (before, behind)
+            stage.pass_time(0.002)
+            assert [each.values for each in writes[number - 1 :]] == [(number, 3)]
+        assert server.statistics.requests == len(NOISES) ** 2
+
+
+class OddEnd(LineEnd):
+    """A unit whose frames end with one byte."""
+
+    is_unit = True
+
+    def __init__(self, stage: Stage, end: bytes) -> None:
+        super().__init__(stage.line("/dev/line"))
+        self._end = end
+
+    def hear(self, data: bytes) -> None:
+        self.write(ascii_frame("01 03 02 0007", self._end))
+
+
+@pytest.mark.parametrize("end", [b"\r", b"\n"])
+def test_ascii_frames_that_end_with_one_byte_are_taken(stage: Stage, end: bytes) -> None:
+    with unit_one("ascii:///dev/line"):
+        master = LineEnd(stage.line("/dev/line"))
+        master.write(ascii_frame("01 03 0000 0001", end))
+        stage.pass_time(0.2)
+        assert master.heard == ascii_frame("01 03 02 0000")
+    OddEnd(stage, end)
+    with Client("ascii:///dev/line", unit=1, timeout=1.0) as asks:
+        assert asks.read_holding_registers(0, 1) == [7]
+    separator, done = listen.Separator("ascii"), []
+    for at, pdu in enumerate(["01 03 0000 0001", "01 03 02 0007"] * 2):
+        done += separator.feed(ascii_frame(pdu, end), at * 0.2)
+        done += separator.tick(at * 0.2 + 0.15)
+    assert [each.kind for each in done] == ["answered"] * 2
 
 
 def is_answered(context: Client) -> bool:

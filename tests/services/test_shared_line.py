@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from libmodbus_py import ModbusTimeoutError
-from libmodbus_py.client.asynchronous import AsyncClient
+from libmodbus_py.client.sender import Sender
 from libmodbus_py.pdu import ReadCoils
 from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.line import FairQueue, LineRequest, SharedLine, rest_after
@@ -110,7 +110,7 @@ class Flight:
 
 
 class Client:
-    """A client that sends nothing."""
+    """A client, and its sender, that sends nothing."""
 
     timeout = TIMEOUT
 
@@ -118,6 +118,7 @@ class Client:
         self.room = room
         self.has_ids = owing is None
         self.owing = owing or {}
+        self.client = self
 
     def submit(self, unit: int, request: object, on_done: Callable[[], object]) -> Flight:
         return Flight(on_done)
@@ -140,7 +141,7 @@ class Line(SharedLine[LineRequest]):
     def __init__(
         self, room: int = 1, owing: dict[int, float] | None = None, **options: Any
     ) -> None:
-        super().__init__(cast(AsyncClient, Client(room, owing)), FairQueue, **options)
+        super().__init__(cast(Sender, Client(room, owing)), FairQueue, **options)
         self.log: list[int] = []
         self.over: list[tuple[int, Any]] = []
 

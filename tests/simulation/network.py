@@ -17,8 +17,9 @@ from types import SimpleNamespace
 from typing import Any, TypeVar
 from unittest.mock import patch
 
+from libmodbus_py.client import handle
 from libmodbus_py.client.history import forget_lines
-from libmodbus_py.ports import port, tls
+from libmodbus_py.ports import tls
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
 from libmodbus_py.protocol.errors import ModbusConnectionError
@@ -188,7 +189,7 @@ class Network:
     def installed(self) -> Iterator[None]:
         """Let all clients and servers that are made meanwhile use this network."""
         with (
-            patch.object(port, "make_port", self._make_port),
+            patch.object(handle, "make_port", self._make_port),
             patch.object(peers, "bound", self._bound),
             patch.object(udp, "bound", self._bound),
             patch.object(serving, "Peers", partial(Peers, make_poller=self._epoll)),

@@ -12,10 +12,10 @@ import os
 import socket
 from collections.abc import Callable
 from functools import cache
-from importlib import import_module
 from typing import Any, cast
 
-from libmodbus_py.ports.schemes import TRANSPORTS, Transport
+from libmodbus_py.ports.making import port_class
+from libmodbus_py.ports.schemes import Transport
 from libmodbus_py.ports.waiting import READ, WRITE, Ready, Steps, Waker, Woken, milliseconds
 from libmodbus_py.protocol.errors import ModbusConnectionError
 
@@ -126,6 +126,5 @@ class _InMemory:
 @cache
 def memory_port(transport: Transport) -> Any:
     """Return the class of ports of a transport, on a network in memory; not for serial ports."""
-    module, _, name = TRANSPORTS[transport].port_class.partition(".")
-    kind = getattr(import_module(f"libmodbus_py.ports.{module}"), name)
-    return type(f"Memory{name}", (_InMemory, kind), {})
+    kind = port_class(transport)
+    return type(f"Memory{kind.__name__}", (_InMemory, kind), {})

@@ -47,7 +47,7 @@ def exchange(
 def unanswered(talk: Talk, address: int = 1, unit: int = 1) -> None:
     """Ask for a register, and check that the request fails when its time is over."""
     batch = talk.ask(address, unit=unit)
-    talk.wait(talk.settings.timeout)
+    talk.wait(talk.settings["timeout"])
     assert kinds(batch) == [ModbusTimeoutError]
 
 

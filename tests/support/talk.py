@@ -16,9 +16,9 @@ from libmodbus_py import ModbusConnectionError, pdu
 from libmodbus_py.client.call import Batch, Call, Timeouts
 from libmodbus_py.client.connection import Transactions
 from libmodbus_py.client.history import forget_lines
-from libmodbus_py.client.options import CheckedOptions
+from libmodbus_py.client.options import checked_options
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.ports.port import make_port
+from libmodbus_py.ports.making import make_port
 
 TCP = "tcp://192.0.2.1"
 LINE = "rtu:///dev/nowhere?silence=0"
@@ -56,7 +56,7 @@ class Talk:
         endpoint = parse(url)
         most = 16 if endpoint.framing in ("tcp", "udp") else 1
         given = {"max_in_flight": most, **options}
-        self.settings = CheckedOptions.of(endpoint, given, may_send=None)
+        self.settings = checked_options(endpoint, given)
         port = make_port(endpoint, self.settings)
         self.is_udp = endpoint.scheme == "udp"
         self.connection = Transactions(endpoint, self.settings, port)
@@ -64,7 +64,9 @@ class Talk:
         self.life = self.connection.life
         self.statistics = self.connection.statistics
         self.notices = self.connection.notices
-        self.timeouts = self.settings.timeouts
+        self.timeouts = Timeouts(
+            self.settings["timeout"], self.settings["retries"], self.settings["busy_retries"]
+        )
         self.now = after.now if after else 0.0
         self.is_new = is_new
         self.sent: list[bytes] = []
@@ -132,9 +134,9 @@ class Talk:
     ) -> Batch:
         settings = self.settings
         usual = {
-            "timeout": settings.timeout,
-            "retries": settings.retries,
-            "busy_retries": settings.busy_retries,
+            "timeout": settings["timeout"],
+            "retries": settings["retries"],
+            "busy_retries": settings["busy_retries"],
         }
         return Batch(
             unit,

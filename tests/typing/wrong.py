@@ -32,7 +32,7 @@ Client("tcp://192.0.2.10", accept_unit="all")  # wrong
 Client("tcp://192.0.2.10", 502)  # wrong
 Client("tcp://192.0.2.10", trace="wire.log")  # wrong
 Client("rtu:///dev/ttyUSB0", parity="mark")  # wrong
-Client("rtu:///dev/ttyUSB0", rs485="rts")  # wrong
+Client("rtu:///dev/ttyUSB0", rs485=17)  # wrong
 Client("ascii:///dev/ttyUSB0", delimiter="\n")  # wrong
 Client("tcp://192.0.2.10", unti=3)  # wrong
 Client("tcp://192.0.2.10", timeout="1")  # wrong
@@ -42,7 +42,7 @@ Client("tcp://192.0.2.10", may_send=print)  # wrong
 AsyncClient("tcp://192.0.2.10", statistics={})  # wrong
 Security("own.pem", trust=5)  # wrong
 Security("own.pem", trust="ca.pem", password=b"x")  # wrong
-Security("own.pem", ca=5)  # wrong
+Security("own.pem", ca="ca.pem")  # wrong
 Client("tls://192.0.2.10", security="own.pem")  # wrong
 Client("tls://192.0.2.10", framing="rtu")  # wrong
 Read("coil", 0)  # wrong

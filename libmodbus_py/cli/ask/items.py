@@ -18,7 +18,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from ...maps.plan import Read
+from ...maps.plan import Borders, Read
 from ...protocol.checks import integer
 from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.plain import number_of
@@ -150,6 +150,14 @@ class Words:
             if item.form == ALL:  # they are one value
                 integer("count", items[-1].count, 1, TABLES["holding_registers"].most_read)
         return items
+
+    def borders(self) -> Borders:
+        """Return the borders of the map, which no request may cross."""
+        if self.map is None:
+            return ()
+        from ...maps.point_plan import borders_of
+
+        return borders_of(self.map.values())
 
     def sources_of(self, items: Iterable[Item]) -> list[Item]:
         """Return the points that scale the items, each before the points that it scales."""

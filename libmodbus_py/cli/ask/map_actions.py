@@ -14,7 +14,9 @@ from typing import Any
 
 from ...client.blocking import Client
 from ...maps.map_file import contents_of, remarks
+from ...maps.meaning import NoValue
 from ...maps.point import Point
+from ...maps.point_plan import borders_of
 from ...maps.register_map import RegisterMap, load_map
 from ...ports.endpoint import parse
 from ...protocol.errors import ExceptionResponse, ModbusError
@@ -78,6 +80,8 @@ def _tables(points: RegisterMap) -> Iterator[str]:
         if found:
             written = sum(point.is_writable for point in found)
             what = f", {written} of them can be written" if written else ""
+            borders = ", ".join(str(address) for _, address in borders_of(found))
+            what += f", no read crosses {borders}" if borders else ""
             yield f"{table}: {counted(len(found), 'point')}{what}"
         function = rules.read(0, 1).function
         for each in requests:
@@ -89,7 +93,11 @@ def _check_device(points: RegisterMap, context: Client) -> int:
     """Print the points that a device refuses; return 1 if there are any."""
     context.connect()
     values = context.read_map(points, return_exceptions=True)
-    failed = {name: value for name, value in values.items() if isinstance(value, ModbusError)}
+    failed = {
+        name: value
+        for name, value in values.items()
+        if isinstance(value, ModbusError) and not isinstance(value, NoValue)
+    }
     device = f"{context.url}, unit {context.unit}"
     for error in failed.values():
         if not isinstance(error, ExceptionResponse):

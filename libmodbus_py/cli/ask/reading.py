@@ -19,7 +19,7 @@ from typing import Any, TextIO
 
 from ...client.blocking import Client
 from ...maps.holes import Holes, carried_out, reading
-from ...maps.plan import Plan
+from ...maps.plan import Borders, Plan
 from ...maps.watched import PointIntervals, Totals
 from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, ModbusError
@@ -47,14 +47,15 @@ RECORDS = 121
 class _ItemPlan(Plan):
     """A plan of items whose results are cells; `others` are the requests for files and queues."""
 
-    def __init__(self, items: Sequence[Item]) -> None:
+    def __init__(self, items: Sequence[Item], borders: Borders) -> None:
         self._others = {
             at: _requests(item)
             for at, item in enumerate(items)
             if item.table in ("file", "fifo_queue")
         }
         self.others = [each for requests in self._others.values() for each in requests]
-        super().__init__({at: item.read for at, item in enumerate(items) if at not in self._others})
+        reads = {at: item.read for at, item in enumerate(items) if at not in self._others}
+        super().__init__(reads, borders=borders)
 
     def cells(self, answers: Sequence[Any], others: Sequence[Any]) -> dict[int, Any]:
         """Return the cells of each item by its index, or the error in place of them."""
@@ -97,7 +98,8 @@ class Reader:
         self.items: list[Item] = words.all_items(options.group or ())
         self.unit = unit
         self._sources = words.sources_of(self.items)
-        self._plan = _ItemPlan([*self._sources, *self.items])
+        self._borders = words.borders()
+        self._plan = _ItemPlan([*self._sources, *self.items], self._borders)
         points = [item.point for item in self.items]
         own = [None if point is None else point.interval for point in points]
         self._pace = PointIntervals(own, options.watch or ONCE_S)
@@ -136,11 +138,11 @@ class Reader:
         """Read the items with some indexes, None for all, and the points that scale them."""
         indexes = tuple(range(len(self.items))) if due is None else due
         items = [*self._sources, *(self.items[at] for at in indexes)]
-        plan = self._plan if due is None else _ItemPlan(items)
+        plan = self._plan if due is None else _ItemPlan(items, self._borders)
         status = Status(after=STATUS_AFTER_S)
         ask = partial(self._answers, context, status)
         try:
-            facts = self._holes, context.now(), context.statistics.connects
+            facts = self._holes, time.monotonic(), context.statistics.connects
             cells = plan.cells(carried_out(reading(plan.blocks, *facts), ask), ask(plan.others))
         finally:
             status.clear()
@@ -202,7 +204,8 @@ def watch(options: argparse.Namespace) -> int:
         units = ",".join(str(reader.unit) for reader in readers)
         title = f"{context.url}, unit {units}, every {interval:g} s"
         printers = _printers(options, readers, title)
-        if options.page is not None or options.page_token is not None:
+        over_http.check_page(options)
+        if options.page is not None:
             from .shown_watch import ShownWatch
 
             shown = ShownWatch(title, interval)

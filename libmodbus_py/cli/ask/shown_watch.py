@@ -77,9 +77,9 @@ class ShownWatch:
     def _describe(self, unit: int, results: Sequence[ReadResult]) -> None:
         """Set the rows of the table again if the values of a unit have other names now."""
         names = {
-            (unit, at): [_name(each.item, row) for row in each.rows]
+            (unit, at): [_name(each.item, row) for row in each.rows] or [_first_name(each.item)]
             for at, each in enumerate(results)
-            if each.rows
+            if each.rows or (unit, at) not in self._names
         }
         if names.items() <= self._names.items():
             return
@@ -133,6 +133,11 @@ def _name(item: Item, row: ValueText) -> tuple[str, str]:
     if item.point is not None:
         return where, item.point.units
     return f"{item.word} {where}".strip(), ""
+
+
+def _first_name(item: Item) -> tuple[str, str]:
+    """Return the name of the first value of an item that has had none yet."""
+    return (item.label(), "") if item.point is None else (item.point.name, item.point.units)
 
 
 def _value(text: str) -> int | float | str | None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+from collections.abc import Iterable
 from typing import Any, get_args
 
 from ...protocol.checks import DURATION, duration_of
@@ -61,9 +62,19 @@ OF_READ = """
     read the points of a group of the map; may be repeated
 """
 
+
+def _families(names: Iterable[str]) -> str:
+    """Return names such as int8 and int16 as int8/16."""
+    families: dict[str, list[str]] = {}
+    for name in names:
+        family = name.rstrip("0123456789")
+        families.setdefault(family, []).append(name.removeprefix(family))
+    return ", ".join(family + "/".join(bits) for family, bits in families.items())
+
+
 OF_VALUES = f"""
 --type T
-    type: {", ".join((*get_args(NumberType), *get_args(BitsType)))}, string:N%s
+    type: {_families((*get_args(NumberType), *get_args(BitsType)))}, string:N%s
 --order O
     byte order: {", ".join(get_args(Order))}
 rare --encoding E

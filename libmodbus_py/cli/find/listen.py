@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-from ...ports.schemes import SERIAL_OPTIONS
+from ...ports.options import SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, in_hex
 from ...protocol.plain import clock_text, plain, time_text
 from ...tools.listener.listener import listen

@@ -15,7 +15,8 @@ from ipaddress import ip_network
 from typing import Any
 
 from ...ports.hosts import host_and_port
-from ...ports.schemes import DEFAULT_PORT, SERIAL_OPTIONS
+from ...ports.options import SERIAL_OPTIONS
+from ...ports.schemes import DEFAULT_PORT
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import joined
@@ -105,7 +106,7 @@ def add_command(command: argparse.ArgumentParser) -> None:
         usual=lambda: {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"},
     )
     baudrate, parity = (
-        {"dest": dest, "type": arguments.read_as(SERIAL_OPTIONS[name], ",")}
+        {"dest": dest, "type": arguments.read_as(SERIAL_OPTIONS[name].form, ",")}
         for name, dest in (("baudrate", "baudrates"), ("parity", "parities"))
     )
     parity["complete"] = arguments.lists_of_parities

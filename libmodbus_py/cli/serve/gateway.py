@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from ...client.asynchronous import MAX_PAUSE
 from ...files.texts import compared, reread
-from ...ports.schemes import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
+from ...ports.options import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import Route, parse_route

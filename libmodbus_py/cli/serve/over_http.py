@@ -37,6 +37,9 @@ def add_metrics(command: argparse.ArgumentParser) -> None:
 OF_PAGE = f"""
 --page [HOST:PORT]
     serve a live page of %s at this address, over HTTP (127.0.0.1:8080)
+rare --page-url URL
+    the URL under which browsers reach the page through a proxy or a tunnel, such as
+    https://plant.example/modbus
 rare --page-token FILE
     file with the token of the page, 22 or more letters, digits, - or _, so that its URL stays the
     same; unless given, {TOKEN} in the environment, or a new one
@@ -77,6 +80,13 @@ def exposed(
         yield
 
 
+def check_page(options: argparse.Namespace) -> None:
+    """Raise ValueError if there are options of a page without one."""
+    for name in ("page_token", "page_url"):
+        if getattr(options, name) is not None and options.page is None:
+            raise ValueError(f"--{name.replace('_', '-')} needs --page")
+
+
 @contextlib.contextmanager
 def shown(
     make: Callable[[], Server | Shown], options: argparse.Namespace, to: TextIO | None = None
@@ -89,8 +99,7 @@ def shown(
     """
     address: Address | None = options.page
     if address is None:
-        if options.page_token is not None:
-            raise ValueError("--page-token needs --page")
+        check_page(options)
         yield lambda: None
         return
     from ...ports.hosts import is_loopback
@@ -114,7 +123,7 @@ def shown(
         page_of, can = partial(table_page, TableSource(what)), "see all values"
     with contextlib.ExitStack() as stack:
         with explained("cannot show a page on {}:{}".format(*address)):
-            page = stack.enter_context(page_of(*address, token))
+            page = stack.enter_context(page_of(*address, token, options.page_url))
 
         def print_url() -> None:
             inform(f"page on {page.url if token is None else page.url.replace(token, '...')}", to)

@@ -21,7 +21,8 @@ from ...server.running import Handler, frozen_garbage, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, FleetFileError, load
 from ...services.fleet.fleet import Fleet
-from ...services.fleet.outputs.output import KINDS, Output, check_exclusive, made
+from ...services.fleet.outputs.kinds import KINDS, made
+from ...services.fleet.outputs.output import Output, check_exclusive
 from ...services.fleet.statistics import LastValues
 from ...services.fleet.trial import overloads, trying
 from ...services.tasks import WriterThread
@@ -65,7 +66,7 @@ examples:
   libmodbus-py poll fleet.toml --json readings.jsonl --metrics 127.0.0.1:9400
   libmodbus-py poll fleet.toml --engine nats://192.0.2.1 --zone north"""
 
-FILES = {name: kind for name, kind in KINDS.items() if kind.form}
+FILES = {name: form for name, form in KINDS.items() if form}
 
 
 MODES = """
@@ -82,7 +83,7 @@ def add_command(command: argparse.ArgumentParser) -> None:
     declare(command, "FILE\n  fleet file, such as fleet.toml")
     declare(command.add_mutually_exclusive_group(), MODES)
     more = {"action": "append", "const": STANDARD_OUTPUT, "default": []}
-    for name, (_, _, form) in FILES.items():
+    for name, form in FILES.items():
         text = f"append readings to a file as {form}; without PATH, print them; may be repeated"
         declare(command, f"--{name} [PATH]\n  {text}", **{name: more})
     over_http.add_metrics(command)

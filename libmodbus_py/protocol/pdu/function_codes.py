@@ -5,22 +5,15 @@ The function codes that framers, clients and servers know: `REQUESTS`, and what 
 from __future__ import annotations
 
 from typing import Any, TypeVar
-from weakref import WeakSet
 
-from ..checks import checked_callback, log_failure
+from ..checks import checked_callback
 from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from . import files, interface, reads, serial, writes
-from .request import IN_C, MAX_PDU, AddressError, LengthRule, Request
+from .request import IN_C, AddressError, Request, told
 
 __all__ = ["REQUESTS", "decode_request", "register", "request_length", "response_length"]
 
 Kind = TypeVar("Kind", bound=type[Request[Any]])
-
-NO_LENGTH = MAX_PDU + 1
-"""More bytes than a PDU has."""
-
-# Classes of which a mistake in a length rule has been logged.
-_mistaken: WeakSet[type[Request[Any]]] = WeakSet()
 
 REQUESTS: dict[int, type[Request[Any]]] = {
     request.function: request
@@ -95,7 +88,7 @@ def decode_request(pdu: bytes) -> Request[Any]:
         raise IllegalFunction(f"no function {pdu[0]}", function=pdu[0])
     try:
         rule = request.request_length
-        length = rule(pdu) if rule in IN_C else _told(request, rule, pdu)
+        length = rule(pdu) if rule in IN_C else told(request, rule, pdu)
         if length not in (len(pdu), 0):
             raise ValueError(f"a request of {len(pdu)} bytes")
         return request.decode(pdu)
@@ -121,7 +114,7 @@ def request_length(head: bytes) -> int | None:
     if request is None:
         return 0
     rule = request.request_length
-    return rule(head) if rule in IN_C else _told(request, rule, head)
+    return rule(head) if rule in IN_C else told(request, rule, head)
 
 
 def response_length(head: bytes) -> int | None:
@@ -132,20 +125,4 @@ def response_length(head: bytes) -> int | None:
     if request is None:
         return 0
     rule = request.response_length
-    return rule(head) if rule in IN_C else _told(request, rule, head)
-
-
-def _told(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
-    """Return what a rule of a program returns; `NO_LENGTH` if it raises or returns nonsense."""
-    # A mistake in one rule must not leave a line deaf for all other functions.
-    try:
-        length = rule(head)
-        if length is None or (isinstance(length, int) and length >= 0):
-            return length
-        raise ValueError(f"a length rule returned {length!r}, not None or a number of bytes")
-    except Exception:
-        if request not in _mistaken:
-            _mistaken.add(request)
-            text = "%s: frames of function %d are dropped because of its length rule"
-            log_failure(__name__, text, request.__name__, request.function)
-    return NO_LENGTH
+    return rule(head) if rule in IN_C else told(request, rule, head)

@@ -29,8 +29,8 @@ class RawRequest(Request[bytes]):
     """
     A request of any function, 1..127, with up to 252 bytes of `data` that are sent unchanged.
 
-    The result is the bytes after the function code of the response. On RTU lines, a response
-    without a length rule ends where its CRC fits.
+    The result is the bytes after the function code of the response, whatever their layout. On RTU
+    lines, the response ends where its CRC fits and silence follows.
     """
 
     function: int  # type: ignore[misc]  # here it is data, not the class's own

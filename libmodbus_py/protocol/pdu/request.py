@@ -10,14 +10,18 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence, Set
 from itertools import islice
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
+from weakref import WeakSet
 
-from ..checks import are_registers, integer
+from ..checks import are_registers, integer, log_failure
 from ..errors import ExceptionResponse, InvalidResponse, in_hex
 from ..mistakes import WrongType, WrongValue
 from ..scan import MAX_PDU as MAX_PDU
 from ..scan import lib
 
 Result = TypeVar("Result")
+
+NO_LENGTH = MAX_PDU + 1
+"""More bytes than a PDU has."""
 
 TABLE_SIZE = 65536  # section 4.4: addresses are 16 bits
 
@@ -264,6 +268,26 @@ class Request(Generic[Result]):
     def __str__(self) -> str:
         shown = (f"{name}={reprlib.repr(value)}" for name, value in arguments(self).items())
         return f"{type(self).__name__}({', '.join(shown)})"
+
+
+# Classes of which a mistake in a length rule has been logged.
+_mistaken: WeakSet[type[Request[Any]]] = WeakSet()
+
+
+def told(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
+    """Return what a rule of a program returns; `NO_LENGTH` if it raises or returns nonsense."""
+    # A mistake in one rule must not leave a line deaf for all other functions.
+    try:
+        length = rule(head)
+        if length is None or (isinstance(length, int) and length >= 0):
+            return length
+        raise ValueError(f"a length rule returned {length!r}, not None or a number of bytes")
+    except Exception:
+        if request not in _mistaken:
+            _mistaken.add(request)
+            text = "%s: frames of function %d are dropped because of its length rule"
+            log_failure(__name__, text, request.__name__, request.function)
+    return NO_LENGTH
 
 
 def arguments(request: Request[Any]) -> dict[str, Any]:

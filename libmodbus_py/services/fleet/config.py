@@ -14,14 +14,14 @@ from functools import lru_cache, partial
 from typing import Any, Literal, get_args
 from weakref import WeakValueDictionary
 
-from ...client.options import CheckedOptions
+from ...client.options import checked_options
 from ...files.schema import Key, Keys, flag, one_of, whole
 from ...maps.point import Point
 from ...maps.point_checks import LONGEST_INTERVAL, SHORTEST_INTERVAL
 from ...maps.register_map import RegisterMap
 from ...maps.watched import PartialPlans
 from ...ports.endpoint import Endpoint, parse
-from ...ports.port import make_port
+from ...ports.making import make_port
 from ...protocol.checks import integer, number, seconds
 from ...protocol.json_text import json_text
 from ...protocol.mistakes import Mistake, WrongType, WrongValue, inside, item, named_arguments
@@ -216,7 +216,7 @@ def _endpoint(url: str) -> tuple[Endpoint, str]:
     if "unit" in endpoint.client_options:
         raise ValueError(f"{url!r} must not contain unit; write it as a key: unit = ...")
     # Invalid options of the client are refused now, not when the client is made.
-    make_port(endpoint, CheckedOptions.of(endpoint, {}))
+    make_port(endpoint, checked_options(endpoint, {}))
     # Workers of other versions read the key, so that its form does not change.
     return endpoint, f"{endpoint.transport}:{endpoint.key[1]}"
 

@@ -37,7 +37,8 @@ from ...tools.simulator.example_files import map_file
 from ..other_servers import SecretFile
 from .config import ENGINE, DeviceConfig, misfits
 from .journal.journal import Journal
-from .outputs.output import KINDS, Output, file_at, made, output_keys, shared, used
+from .outputs.kinds import KINDS, made, output_keys
+from .outputs.output import Output, file_at, shared, used
 
 __all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "keys_in", "load", "table_of"]
 

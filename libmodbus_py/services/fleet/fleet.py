@@ -421,4 +421,4 @@ class Fleet:
             with inside(name):
                 wanted[name] = json_value(points[name], wanted[name])
         line = self._lines[poller.config.connection_key]
-        await line.client_of(poller).for_unit(poller.unit).write_map(points, wanted)
+        await line.sender_of(poller).client.for_unit(poller.unit).write_map(points, wanted)

@@ -19,6 +19,7 @@ from typing import Any
 
 from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
+from ...client.sender import Sender
 from ...maps.holes import Holes, PartialAnswer, Unreadable, is_refusal, reading
 from ...maps.plan import unreadable_of
 from ...maps.watched import PointIntervals, Totals
@@ -247,18 +248,18 @@ class FleetLine(SharedLine[Poller]):
         self.url: str = config.endpoint.url
         gate = None if may_ask is None else partial(may_ask, config.connection_key)
         client = AsyncClient(self.url, may_send=gate, on_state=self._note_state)
-        super().__init__(client, FairQueue, most_trials=1)
+        super().__init__(Sender(client), FairQueue, most_trials=1)
         self.pollers: dict[str, Poller] = {}
-        self._clients: dict[float | None, AsyncClient] = {None: client}
+        self._senders: dict[float | None, Sender] = {None: self.sender}
         self._statistics = statistics
         self._on_polled = on_polled
         self._on_back = on_back
 
-    def client_of(self, each: Poller) -> AsyncClient:
+    def sender_of(self, each: Poller) -> Sender:
         timeout = each.config.timeout
-        if timeout not in self._clients:
-            self._clients[timeout] = self.client.for_unit(1, timeout=timeout)
-        return self._clients[timeout]
+        if timeout not in self._senders:
+            self._senders[timeout] = Sender(self.client.for_unit(1, timeout=timeout))
+        return self._senders[timeout]
 
     def due(self, poller: Poller, planned: float) -> None:
         """Poll a device, unless its last poll is still under way."""

@@ -334,11 +334,6 @@ class ForwardingSession(Framed):
         response = self._dispatcher.ask(self, request)
         return None if response is None else request._replace(pdu=response)
 
-    def end(self) -> None:
-        """Withdraw requests that wait, because the client is gone."""
-        super().end()
-        self._withdraw([each for each in self.asked if not each.is_sent])
-
     def close(self) -> None:
         super().close()
         self._withdraw(list(self.asked))

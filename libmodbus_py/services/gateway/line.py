@@ -19,6 +19,7 @@ from typing import Any, Protocol
 
 from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
+from ...client.sender import Sender
 from ...ports.endpoint import Endpoint
 from ...ports.port import Outage
 from ...protocol import pdu
@@ -224,14 +225,14 @@ class GatewayLine(SharedLine[Forwarded]):
     def __init__(self, endpoint: Endpoint, options: GatewayOptions) -> None:
         pause = endpoint.client_options.get("max_pause", MAX_PAUSE_S)
         super().__init__(
-            AsyncClient(endpoint.url, max_pause=pause, on_state=self._note_state),
+            Sender(AsyncClient(endpoint.url, max_pause=pause, on_state=self._note_state)),
             partial(FairQueue, options.queue, MOST_WAITING),
             longest_wait=options.longest_wait,
         )
         self.url: str = str(endpoint)
         self.endpoint: Endpoint = endpoint
         self.statistics: LineStatistics = LineStatistics(self.url, self.client.statistics)
-        self._has_broadcast = not self.client.has_ids
+        self._has_broadcast = not self.sender.has_ids
         self._writes_first = options.writes_first
         self._silent = SilentUnits(self.client.timeout)
         self._cache = Cache()

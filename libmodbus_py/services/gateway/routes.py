@@ -9,12 +9,12 @@ from collections.abc import Iterable, Sized
 from dataclasses import dataclass, field
 from typing import Literal
 
-from ...client.options import CheckedOptions
+from ...client.options import checked_options
 from ...device.access import Access
 from ...device.authorization import Allow
 from ...ports.endpoint import Endpoint, parse
 from ...ports.hosts import EVERYWHERE, is_loopback, is_this_machine
-from ...ports.port import make_port
+from ...ports.making import make_port
 from ...protocol.checks import integer, seconds
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside, named_arguments, placed
 from ...protocol.plain import units_of as units_in
@@ -69,7 +69,7 @@ class Route:
             if "unit" in endpoint.client_options:
                 raise ValueError(f"{self.to!r} must not contain unit; use device_units")
             # Invalid options of the client are refused now, not when the client is made.
-            make_port(endpoint, CheckedOptions.of(endpoint, {}))
+            make_port(endpoint, checked_options(endpoint, {}))
         _check_flag("merge", self.merge)
         _check_flag("read_only", self.read_only)
         if self.read_only and self.writable is not None:

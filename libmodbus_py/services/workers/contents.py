@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ...client.options import CheckedOptions
+from ...client.options import checked_options
 from ..engine.buckets import Bucket
 from ..engine.connection import EngineError, EngineGone
 from ..fleet.config import (
@@ -74,7 +74,7 @@ def connections_of(devices: Iterable[DeviceConfig], lease: float) -> list[Connec
                     f"device {device.name!r} is in zone {device.zone!r}, but {first.name!r}, which"
                     f" uses the same connection {key}, is in zone {first.zone!r}"
                 )
-        usual = CheckedOptions.of(first.endpoint, {}).timeout
+        usual = checked_options(first.endpoint, {})["timeout"]
         timeout = max(usual if each.timeout is None else each.timeout for each in group)
         if timeout > lease * LONGEST_ANSWER:
             raise ValueError(

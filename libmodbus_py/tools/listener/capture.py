@@ -11,13 +11,16 @@ Blocks: draft-ietf-opsawg-pcapng, sections 4.1-4.3. Tags: epan/exported_pdu.h of
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import os
+import select
 import struct
 from collections.abc import Iterator
 from typing import BinaryIO
 
 from ...protocol.framing import Frame, is_one_frame, mbap
+from ...system import open_file
 from .separator import Candidate, Damage
 from .transaction import Heard
 
@@ -39,6 +42,9 @@ _DISSECTOR, _IPV4_SRC, _IPV4_DST, _PORT_TYPE, _SRC_PORT, _DST_PORT = 12, 20, 21,
 _TCP = 2
 
 CLIENT = bytes([10, 0, 1, 0])
+
+# So long may a program that reads the capture from a pipe take nothing; meanwhile a tap waits.
+READER_TIME_S = 1.0
 
 # The longest block that is read: longer than any written by this package or saved by Wireshark.
 MAX_BLOCK = 1 << 20
@@ -73,7 +79,13 @@ def _opened(path: str) -> io.FileIO:
     except FileExistsError:
         if os.path.isfile(path):
             raise ValueError(f"{path} exists, and would be overwritten") from None
-        return open(path, "wb", buffering=0)
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        if error.errno != errno.ENXIO:
+            raise
+        raise ValueError(f"{path} is a pipe, and no program reads it") from None
+    return io.FileIO(descriptor, "wb")
 
 
 class CaptureWriter:
@@ -127,8 +139,11 @@ class CaptureWriter:
     def _write(self, data: bytes) -> None:
         rest = data
         try:
-            while rest:  # a pipe may take less
-                rest = rest[self._file.write(rest) or 0 :]
+            while rest:  # a pipe may take less, or nothing until its reader goes on
+                written = self._file.write(rest)
+                if not written and not select.select([], [self._file], [], READER_TIME_S)[1]:
+                    raise OSError(errno.EAGAIN, "the reader of the pipe has stopped reading")
+                rest = rest[written or 0 :]
         except OSError as error:
             # What is left is valid without a part of a block; a pipe cannot be cut.
             if rest != data:
@@ -142,7 +157,7 @@ class CaptureReader:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = os.fspath(path)
-        self._file: BinaryIO = open(path, "rb")  # noqa: SIM115  # closed by close()
+        self._file: BinaryIO = open_file(path)
         self._at = 0
         self._ticks: list[float] = []  # seconds of a tick of each interface
         self.recorded: Iterator[tuple[int, Candidate | Damage]] = self._read()

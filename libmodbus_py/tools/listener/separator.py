@@ -138,9 +138,12 @@ class _AsciiHearing:
 
     def __init__(self) -> None:
         self.framer = AsciiFramer()
-        self.quiet: float = self.framer.quiet
         self._began: float | None = None  # when the frame began that is not finished
         self._at = 0.0
+
+    @property
+    def quiet(self) -> float:
+        return self.framer.quiet
 
     def hear(self, data: bytes, at: float) -> Found:
         self._at = at

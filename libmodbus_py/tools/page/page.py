@@ -1,9 +1,10 @@
 """
 The page over HTTP: a few paths; each request is checked, and limited in size and time.
 
-Requests must have the token, and the page's own address in Host and Origin. A page of another
-program in the same browser has none of these. If its name resolves to this address (DNS rebinding),
-the Host header contains that name; the Origin header contains its address.
+Requests must have the token, and an address of the page in Host and Origin: its own, or the URL
+under which a proxy shows it. A page of another program in the same browser has none of these. If
+its name resolves to this address (DNS rebinding), the Host header contains that name; the Origin
+header contains its address.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from http.server import BaseHTTPRequestHandler
 from importlib import resources
 from ipaddress import ip_address
 from typing import Any
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from ...ports.hosts import is_loopback, split_host_and_port
 from ...protocol.json_text import json_text
@@ -34,11 +35,22 @@ __all__ = ["Page", "live_page", "table_page"]
 # 22 characters have 128 bits, if they are chosen at random.
 TOKEN = re.compile("[A-Za-z0-9_-]{22,200}")
 
+DEFAULT_PORTS = {"http": 80, "https": 443}  # which browsers leave out of Host and Origin
+
+PROXY = "if it is behind a proxy or a tunnel, give --page-url"
+
 
 class _PageGuard:
     """Checks the requests to one page."""
 
-    def __init__(self, host: str, addresses: Collection[str], port: int, token: str | None) -> None:
+    def __init__(
+        self,
+        host: str,
+        addresses: Collection[str],
+        port: int,
+        token: str | None,
+        outer: SplitResult | None,
+    ) -> None:
         self.token: str = token or secrets.token_urlsafe(24)
         self._port = port
         self._cookie = f"libmodbus_page_{port}"
@@ -47,19 +59,25 @@ class _PageGuard:
         is_here = self._is_any or any(map(is_loopback, addresses))
         names = (host, *addresses, *(["localhost"] if is_here else []))
         self._names = {each.lower() for each in names}
+        # Through a proxy: the Origin header, and the Host header if the proxy passes it on.
+        self._outer_host = None if outer is None else outer.netloc.lower()
+        self._outer_origin = None if outer is None else f"{outer.scheme}://{self._outer_host}"
 
     def check(self, token: str, headers: Message, *, is_change: bool) -> None:
         """Raise `Refused` if a request is not allowed."""
         host, origin = headers.get("Host", ""), headers.get("Origin")
         if len(headers.get_all("Host", [])) != 1 or not self._is_own(host):
-            raise Refused(403, "the Host header is not the address of this page")
-        if (is_change and origin is None) or origin not in (None, f"http://{host}"):
-            raise Refused(403, "the Origin header is not the address of this page")
+            raise Refused(403, f"the Host header is not the address of this page; {PROXY}")
+        origins = None, f"http://{host}", self._outer_origin
+        if (is_change and origin is None) or origin not in origins:
+            raise Refused(403, f"the Origin header is not the address of this page; {PROXY}")
         given = [token, *self._kept(headers)]
         if not any(hmac.compare_digest(each.encode(), self.token.encode()) for each in given):
             raise Refused(403, "the token is missing or wrong: open the URL that was printed")
 
     def _is_own(self, host: str) -> bool:
+        if host.lower() == self._outer_host:
+            return True
         try:
             name, port = split_host_and_port(host.lower())
             if (80 if port is None else port) != self._port:
@@ -114,13 +132,16 @@ HEADERS = {
 class _WebServer(TimedServer):
     """The page on one address; `url` has the token that a browser must send."""
 
-    def __init__(self, host: str, port: int, source: PageSource, token: str | None) -> None:
+    def __init__(
+        self, host: str, port: int, source: PageSource, token: str | None, outer: SplitResult | None
+    ) -> None:
         super().__init__(host, port, Handler, LIMIT)
         self.streams = Streams(source)
         self.actions: dict[str, Action] = {"/view": self.streams.look_at, **source.actions}
         self.downloads = source.downloads
-        self.guard = _PageGuard(host, self.addresses, self.port, token)
-        self.url: str = f"{self.place}/?token={self.guard.token}"
+        self.guard = _PageGuard(host, self.addresses, self.port, token, outer)
+        place = self.place if outer is None else outer.geturl().rstrip("/")
+        self.url: str = f"{place}/?token={self.guard.token}"
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -239,7 +260,11 @@ class Page:
 
 @contextlib.contextmanager
 def live_page(
-    server: Server, host: str = "127.0.0.1", port: int = 0, token: str | None = None
+    server: Server,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    token: str | None = None,
+    url: str | None = None,
 ) -> Iterator[Page]:
     """
     Show a server on a live page, over HTTP, while the ``with`` block runs.
@@ -256,28 +281,50 @@ def live_page(
         port: 0..65535; 0 for a free port.
         token: the token in the URL of the page: 22 or more letters, digits, - or _, chosen at
             random; None for a new one each time.
+        url: the URL under which browsers reach the page, if it is not http://HOST:PORT because a
+            proxy or a tunnel is in between, such as "https://plant.example/modbus".
 
     Returns:
         A context manager; ``with`` returns the `Page`.
 
     Raises:
-        TypeError, ValueError: the token is wrong.
+        TypeError, ValueError: the token or the URL is wrong.
         OSError: the address cannot be used, or the system has no thread left.
     """
     source = ServerSource(server)
-    with server.tracing(source.log.note), table_page(source, host, port, token) as page:
+    with server.tracing(source.log.note), table_page(source, host, port, token, url) as page:
         yield page
 
 
 @contextlib.contextmanager
 def table_page(
-    source: PageSource, host: str = "127.0.0.1", port: int = 0, token: str | None = None
+    source: PageSource,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    token: str | None = None,
+    url: str | None = None,
 ) -> Iterator[Page]:
     """Show a source, such as tables on which nothing can be changed; otherwise as `live_page`."""
     if not isinstance(token, str | None):
         raise TypeError(f"token must be a string, not {type(token).__name__}")
     if token is not None and not TOKEN.fullmatch(token):
         raise ValueError("token must have 22 or more letters, digits, - or _")
-    web = _WebServer(host, port, source, token)
+    web = _WebServer(host, port, source, token, None if url is None else _outer_url(url))
     with web.serving("page web"):
         yield Page(web.url)
+
+
+def _outer_url(text: str) -> SplitResult:
+    """Return the checked URL under which a proxy shows a page, as browsers write it."""
+    if not isinstance(text, str):
+        raise TypeError(f"url must be a string, not {type(text).__name__}")
+    wanted = f"the page's URL must be as https://HOST or https://HOST/PATH, not {text!r}"
+    try:
+        url = urlsplit(text)
+        default = DEFAULT_PORTS[url.scheme]
+        host, _ = split_host_and_port(url.netloc)
+    except (KeyError, ValueError):
+        raise ValueError(wanted) from None
+    if not host or "@" in host or url.query or url.fragment:
+        raise ValueError(wanted)
+    return url._replace(netloc=url.netloc.lower().removesuffix(f":{default}"))

@@ -18,7 +18,7 @@ from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 from ...client.blocking import Client
 from ...ports.endpoint import Endpoint
-from ...ports.schemes import SERIAL_DEFAULTS, parity_of
+from ...ports.options import SERIAL_DEFAULTS, parity_of
 from ...ports.trace import Traced
 from ...ports.waiting import Waker
 from ...protocol import pdu

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from ...ports.endpoint import parse
-from ...ports.schemes import SERIAL_DEFAULTS
+from ...ports.options import SERIAL_DEFAULTS
 from ...protocol.checks import integer
 from ...protocol.errors import (
     NO_UNIT,

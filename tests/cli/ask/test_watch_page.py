@@ -62,6 +62,18 @@ def test_what_fails_is_a_gap_with_its_reason() -> None:
     assert [row.cells()[2][0] for row in shown.rows()] == ["", "5", "", "-"]
 
 
+def test_an_item_that_was_refused_from_the_start_has_a_row_with_the_reason() -> None:
+    shown = ShownWatch("meter", 1.0)
+    refused = ReadResult(Item("holding_registers", 100, 1, word="hr"), [], {}, "illegal address")
+    shown.print(1, [GOOD, refused], "")
+    assert cells(shown)[1:] == [
+        [["unit 1", "holding 7"], "good", ""],
+        [["unit 1", "hr 100"], "bad", "illegal address"],
+    ]
+    shown.print(1, [GOOD, refused._replace(rows=[ValueText("  100", "9", "9")], failure="")], "")
+    assert cells(shown)[2] == [["unit 1", "hr 100"], "good", ""]
+
+
 def cells(shown: ShownWatch) -> list[list[Any]]:
     """Return the name, state and reason of each row."""
     return [[row.cells()[0], *row.cells()[1][:2]] for row in shown.rows()]

@@ -12,14 +12,12 @@ import pty
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from libmodbus_py import Client, Device, Mapping, Server
-from libmodbus_py.protocol.plain import time_text
 from tests.cli.serving import serving
 from tests.support.commands import Started as Forked
 from tests.support.peers import until
@@ -36,14 +34,30 @@ COMMANDS = {
     "poll": ["file"],
 }
 
+NO_FILE = "not a regular file"
+
 SAID = "file: read again, 1 "
 
 # Has its standard input for a terminal, as what is started in one has.
 BEGIN = (
     "import fcntl, os, signal, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
     "signal.signal(signal.SIGHUP, signal.SIG_IGN if sys.argv[1] == 'nohup' else signal.SIG_DFL); "
-    "os.execv(sys.executable, [sys.executable, '-m', 'libmodbus_py', *sys.argv[2:]])"
+    "how = ['-c', os.environ['GATED']] if sys.argv[1] == 'waiting' else ['-m', 'libmodbus_py']; "
+    "os.execv(sys.executable, [sys.executable, *how, *sys.argv[2:]])"
 )
+
+# The first file that is opened is as one on a slow disk: until the pipe "gate" is closed.
+GATED = """
+import os, runpy, sys
+from libmodbus_py.files import texts
+open_file = texts.open_file
+def open_slowly(path):
+    texts.open_file = open_file
+    open("gate").read()
+    return open_file(path)
+texts.open_file = open_slowly
+runpy.run_module("libmodbus_py", run_name="__main__")
+"""
 
 NAMES = pytest.mark.parametrize("name", COMMANDS)
 
@@ -62,7 +76,7 @@ class Started:
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
-                env={**os.environ, "PYTHONUNBUFFERED": "1"},
+                env={**os.environ, "PYTHONUNBUFFERED": "1", "GATED": GATED},
             )
         os.close(slave)
 
@@ -86,7 +100,7 @@ class Started:
 def started(folder: Path, name: str, how: str = "") -> Iterator[Started]:
     (folder / "map.csv").write_text("name,table,address\nx,holding_registers,0\n")
     if how == "waiting":
-        os.mkfifo(folder / "file")
+        os.mkfifo(folder / "gate")
     else:
         (folder / "file").write_text(FILES[name])
     made = Started(folder, name, how)
@@ -107,13 +121,11 @@ def catches_hangup(process: int) -> bool:
 
 
 @contextlib.contextmanager
-def being_read(path: Path, text: str) -> Iterator[None]:
-    """Let a program wait for a file that it has begun to read; then it is an usual one."""
-    with open(path, "w") as pipe:
+def being_read(folder: Path, text: str) -> Iterator[None]:
+    """Let a program wait for the file that it has begun to read, until the block ends."""
+    (folder / "file").write_text(text)
+    with open(folder / "gate", "w"):
         yield
-        (path.parent / "new").write_text(text)
-        os.replace(path.parent / "new", path)
-        pipe.write(text)
 
 
 @NAMES
@@ -137,7 +149,7 @@ def test_under_nohup_it_goes_on(tmp_path: Path, name: str) -> None:
 @NAMES
 def test_what_it_reads_at_its_start_is_read_again(tmp_path: Path, name: str) -> None:
     with started(tmp_path, name, "waiting") as command:
-        with being_read(tmp_path / "file", FILES[name]):
+        with being_read(tmp_path, FILES[name]):
             command.process.send_signal(signal.SIGHUP)
         until(lambda: SAID in command.said or command.process.poll() is not None)
         command.end()
@@ -146,7 +158,7 @@ def test_what_it_reads_at_its_start_is_read_again(tmp_path: Path, name: str) -> 
 @NAMES
 def test_a_terminal_that_closes_while_it_starts_ends_it(tmp_path: Path, name: str) -> None:
     with started(tmp_path, name, "waiting") as command:
-        with being_read(tmp_path / "file", FILES[name]):
+        with being_read(tmp_path, FILES[name]):
             os.close(command.master)
         assert command.process.wait(20) == 0
         assert "Traceback" not in command.said
@@ -155,7 +167,7 @@ def test_a_terminal_that_closes_while_it_starts_ends_it(tmp_path: Path, name: st
 @NAMES
 def test_a_command_that_cannot_start_says_why(tmp_path: Path, name: str) -> None:
     with started(tmp_path, name, "waiting") as command:
-        with being_read(tmp_path / "file", "x = 1"):
+        with being_read(tmp_path, "x = 1"):
             command.process.send_signal(signal.SIGHUP)
         assert command.process.wait(20) == 2
         assert "file, line 1: " in command.said
@@ -231,23 +243,19 @@ def test_poll_reads_the_file_again(tmp_path: Path) -> None:
                 " its outputs have changed, and are used after a restart"
             )
             assert not (tmp_path / "readings.csv").exists()
-            path.unlink()
-            os.mkfifo(path)
+            (tmp_path / "fleet.toml").write_text(text.replace('"a"', '"b"'))
             process.send_signal(signal.SIGHUP)
-            with being_read(path, text.replace('"a"', '"b"')):
-                now = time.time()
-                while reading()["time"] < time_text(now + 0.1):
-                    pass
-                process.send_signal(signal.SIGHUP)
             said = f"{path}: read again, 1 device: "
             assert process.stderr.readline() == f"{said}1 new, 1 removed\n"
-            assert process.stderr.readline() == f"{said}no change\n"
             while reading()["device"] != "b":
                 pass
-            path.unlink()
-            os.mkfifo(path)  # it ends though the file cannot be read to its end
-            process.send_signal(signal.SIGHUP)
-            with open(path, "w"):
-                process.terminate()
-                process.communicate()
+            for make in (os.mkfifo, lambda path: path.symlink_to("/dev/zero")):
+                path.unlink()
+                make(path)
+                process.send_signal(signal.SIGHUP)
+                line = process.stderr.readline()
+                assert line == f"the former content is used: cannot read {path}: {NO_FILE}\n"
+                assert reading()["device"] == "b"
+            process.terminate()
+            process.communicate()
             assert process.returncode == 0

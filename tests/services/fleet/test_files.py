@@ -21,8 +21,8 @@ from libmodbus_py.services.fleet.config import (
     devices_to_json,
 )
 from libmodbus_py.services.fleet.files import FILE, SECRET, TABLE, FleetFileError, load
+from libmodbus_py.services.fleet.outputs.kinds import KINDS, output_keys
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.output import KINDS, output_keys
 from tests.services.fleet.fleets import METER, meter
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "fleet.toml"

@@ -6,10 +6,14 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import socket
+from urllib.parse import urlsplit
 
 import pytest
 
 from libmodbus_py import Client, Fault, Gateway, GatewayPathUnavailable, Route, Server, pdu
+from libmodbus_py.framing import Framing, make_framer
+from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.services.gateway.line import GatewayLine
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.given import simulated
@@ -84,21 +88,38 @@ def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(
         assert gate.asked == ([0, 0, 7] if stays else [0, 7])
 
 
-@pytest.mark.parametrize("resets", [False, True])
-def test_who_closes_with_requests_waiting_costs_nothing(stage: Stage, resets: bool) -> None:
+def test_requests_that_wait_are_not_sent_once_their_client_is_gone(stage: Stage) -> None:
     with gated(stage) as (gate, line, url, _):
         client = stage.talk(url)
         requests = [pdu.ReadHoldingRegisters(at, 1).encode() for at in range(8)]
         client.sendall(b"".join(adu(each) for each in requests))
         assert stage.until(lambda: line.waiting == 7 and gate.asked)
-        (client.reset if resets else client.close)()
+        client.reset()
         assert stage.until(lambda: line.waiting == 0)
         gate.open()
-        with Client(url, unit=1) as context:
-            assert context.read_holding_registers(9, 1) == [0]
+        with Client(url, unit=1) as plc:
+            assert plc.read_holding_registers(9, 1) == [0]
         assert gate.asked == [0, 9]
-        # Who only says that it sends nothing more may still listen.
-        assert (line.waiting, line.in_flight, line.unwanted) == (0, 0, resets)
+        assert (line.waiting, line.in_flight, line.unwanted) == (0, 0, True)
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])
+def test_requests_of_a_client_that_sends_no_more_are_answered(scheme: str) -> None:
+    """As of `nc -N`, which half-closes the connection behind its last request."""
+    framing: Framing = "tcp" if scheme == "tcp" else "rtu" if scheme == "rtu+tcp" else "ascii"
+    framer = make_framer(framing, "client")
+    with (
+        Server(small()).background("tcp://127.0.0.1:0") as behind,
+        Gateway([Route(behind.urls[0])]).background(f"{scheme}://127.0.0.1:0") as running,
+        socket.create_connection(("127.0.0.1", urlsplit(running.urls[0]).port)) as client,
+    ):
+        count = 5 if scheme == "tcp" else 1  # without ids, a request takes the place of another
+        writes = [Frame(1, pdu.WriteRegister(at, 7).encode(), at) for at in range(count)]
+        client.sendall(b"".join(framer.encode(write) for write in writes))
+        client.shutdown(socket.SHUT_WR)
+        client.settimeout(10)
+        answers = b"".join(iter(lambda: client.recv(4096), b""))
+        assert answers == b"".join(framer.encode(write) for write in writes)
 
 
 def test_closing_it_in_the_middle_leaves_nothing(stage: Stage) -> None:

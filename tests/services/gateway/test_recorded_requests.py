@@ -121,13 +121,18 @@ def test_an_authorize_that_raises_is_recorded_and_answers_like_it_are_not(
 
 def test_a_write_whose_client_is_gone_is_recorded_once(stage: Stage, events: Events) -> None:
     """While it waits, and after it was sent."""
-    with gated(stage, audit=events.append) as (gate, _, url, _):
-        with stage.talk(url) as first, stage.talk(url) as second:
-            first.sendall(adu(WRITE))
-            assert stage.until(lambda: gate.asked)
-            second.sendall(adu(READ_ONE) + adu(WRITE))
-            stage.pass_time(1)
-            assert events == []
+    with (
+        gated(stage, audit=events.append) as (gate, _, url, _),
+        stage.talk(url) as first,
+        stage.talk(url) as second,
+    ):
+        first.sendall(adu(WRITE))
+        assert stage.until(lambda: gate.asked)
+        second.sendall(adu(READ_ONE) + adu(WRITE))
+        stage.pass_time(1)
+        assert events == []
+        first.close()
+        second.reset()
         stage.pass_time(1)
         assert told(events) == [("write", 1, 6, "no answer")]
         gate.open()
@@ -146,7 +151,7 @@ def test_a_client_that_is_gone_has_its_broadcast_recorded_once(
             client.sendall(adu(WRITE, unit=0))
             stage.pass_time(1)
             assert events == []
-            client.close()
+            client.reset()
             stage.pass_time(1)
             assert [each.unit for each in events] == [0]
             gate.open()

@@ -114,10 +114,10 @@ def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(
     write = bytes.fromhex(WRITE)
     frame = adu(write, unit=0) if scheme == "tcp" else rtu((b"\0" + write).hex())
     with gateway([route], f"{scheme}://10.0.0.1:0") as (_, url):
-        client = stage.talk(url, "10.0.0.2").end
-        client.send(frame)
+        client = stage.talk(url, "10.0.0.2")
+        client.sendall(frame)
         stage.pass_time(CONNECT_DELAY / 2)
-        client.close()
+        client.reset()
         stage.pass_time(2 * CONNECT_DELAY)
         assert len(peer.requests) == is_sent
 

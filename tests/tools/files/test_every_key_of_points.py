@@ -46,12 +46,13 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "never_falls": {"never_falls": True},
     "scale_from": {"scale_from": "sf"},
     "scale_as": {"scale_from": "sf", "scale_as": "factor"},
-    "states": {"states": {0: "off", 1: "a;b=c{"}},
+    "states": {"states": {0: "off", 1: "a;b=c{", "2..9": "off", "else": "?"}},
     "bits": {"bits": {0: "door", "4..7": "code"}},
     "bit": {"bit": "4..7"},
     "byte": {"byte": "high"},
     "time_zone": {"type": "date48", "time_zone": "Europe/Berlin"},
     "interval": {"interval": 60.5},
+    "border": {"border": True},
     "group": {"group": "slow"},
 }
 

@@ -10,6 +10,8 @@ they do not even look like frames.
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import itertools
 import os
 import random
 import struct
@@ -173,6 +175,30 @@ class TestReader:
             assert os.read(reads, 1 << 16) == DECODED.read_bytes()
         finally:
             os.close(reads)
+
+    def test_a_pipe_without_a_reader_is_refused(self, tmp_path: Path) -> None:
+        os.mkfifo(tmp_path / "pipe")
+        with pytest.raises(ValueError, match="a pipe, and no program reads it"):
+            write(tmp_path / "pipe")
+
+    def test_a_pipe_that_is_full_ends_the_capture(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("libmodbus_py.tools.listener.capture.READER_TIME_S", 0.01)
+        os.mkfifo(tmp_path / "pipe")
+        reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
+        writer = CaptureWriter(tmp_path / "pipe", "a")
+
+        def fill() -> None:
+            for heard in itertools.chain.from_iterable(conversation() for _ in range(99)):
+                writer.write(heard)
+
+        with (
+            contextlib.closing(os.fdopen(reader, "rb")),
+            contextlib.closing(writer),
+            pytest.raises(OSError, match="has stopped reading"),
+        ):
+            fill()
 
     def test_a_capture_of_a_capture_is_the_same(self, tmp_path: Path) -> None:
         copy = tmp_path / "copy.pcapng"

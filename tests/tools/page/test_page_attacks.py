@@ -14,10 +14,12 @@ from typing import Any
 
 import pytest
 
+from libmodbus_py.page import live_page
 from tests.support.cases import each_case
 from tests.support.commands import PAGE_TOKEN, Started, page_url, run
 from tests.support.peers import until
-from tests.tools.page.watching import Visitor, shown
+from tests.support.programs import HeldPort
+from tests.tools.page.watching import Visitor, made_server, shown
 
 PATHS = ["/", "/scripts/page.js", "/events", "/log.csv", "/value"]
 
@@ -269,3 +271,40 @@ def test_a_page_that_cannot_be_gets_one_line() -> None:
     assert (done.code, done.out) == (1, "")
     assert f"cannot show a page on {place}: Address already" in done.err
     assert done.err.count("\n") == 1
+
+
+# --- behind a tunnel or a proxy -------------------------------------------------------------------
+
+OUTER_URLS = {
+    "http://localhost:9000": "http://localhost:9000",  # ssh -L 9000:..., a container's port
+    "https://plant.example:443/modbus/": "https://plant.example",
+    "https://Plant.example": "https://plant.example",
+}
+
+
+@each_case("url", OUTER_URLS)
+def test_changes_come_from_the_outer_url(url: str) -> None:
+    origin = OUTER_URLS[url]
+    with (
+        HeldPort() as held,
+        live_page(made_server(), port=held.number, url=url) as page,
+        live_page(made_server()) as other,
+    ):
+        assert page.url.startswith(url.lower().replace(":443", "").rstrip("/") + "/?token=")
+        visitor, stranger = Visitor(page.url), Visitor(other.url)
+        assert stranger.ask("POST", "/value", CHANGE, Origin=origin)[0] == 403
+        visitor.address = "127.0.0.1", held.number
+        visitor.headers["Cookie"] = f"libmodbus_page_{visitor.address[1]}={visitor.token}"
+        outer = origin.partition("//")[2]
+        for host in (outer, f"127.0.0.1:{visitor.address[1]}"):
+            assert visitor.ask("POST", "/value", CHANGE, Host=host, Origin=origin)[0] == 200
+        for wrong in ("http://evil.example", origin + ":1", "null"):
+            assert visitor.ask("POST", "/value", CHANGE, Host=outer, Origin=wrong)[0] == 403
+
+
+@each_case(
+    "url", ["", "plant.example", "ftp://h", "https://", "http://u:p@h", "http://h?a", "http://h:x"]
+)
+def test_a_wrong_outer_url_is_refused(url: str) -> None:
+    with pytest.raises(ValueError, match="as https://HOST"), live_page(made_server(), url=url):
+        pass

@@ -17,6 +17,7 @@ from typing import BinaryIO, NamedTuple
 from ....files.csv_text import csv_rows
 from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import without_controls
+from ....system import open_file
 from ...tasks import WriterThread, finish
 from ..readings import MOST_KEPT, Reading
 from .forms import COLUMNS, as_csv, as_json
@@ -128,7 +129,7 @@ class LineFile:
         if self.is_live:
             return b""
         try:
-            file = open(self.path, "rb")  # noqa: SIM115
+            file = open_file(self.path)
         except OSError:  # it may only be written
             return b""
         with file:

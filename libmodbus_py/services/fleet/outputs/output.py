@@ -1,25 +1,20 @@
 """
-Outputs: the protocol that they implement, the table of their kinds, and what only one may use: a
-file, the standard output, a topic.
+Outputs: the protocol that they implement, and what only one may use: a file, the standard output,
+a topic.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Container, Sequence
-from importlib import import_module
 from itertools import combinations
-from typing import Any, NamedTuple, Protocol
+from typing import Protocol
 
-from ....files.schema import Keys, keys_of
 from ..readings import Reading
 
-# fmt: off
 __all__ = [
-    "KINDS", "Output", "OutputError", "ReadingsRefused",
-    "check_exclusive", "file_at", "made", "output_keys", "shared", "used",
-]
-# fmt: on
+    "Output", "OutputError", "ReadingsRefused", "check_exclusive", "file_at", "shared", "used",
+]  # fmt: skip
 
 
 class OutputError(Exception):
@@ -115,35 +110,3 @@ def _exclusive(thing: object) -> tuple[str, ...]:
 def file_at(path: str) -> str:
     """Return the words for a file, the same for all paths that lead to it."""
     return f"the file {os.path.realpath(path)}"
-
-
-class OutputKind(NamedTuple):
-    """
-    One kind of outputs: its file and class, whose arguments are keys in fleet files; and what it
-    appends to a file, for the help of an option, empty if it needs more than a path.
-    """
-
-    module: str
-    name: str
-    form: str = ""
-
-
-KINDS: dict[str, OutputKind] = {
-    "json": OutputKind("line_file", "JsonOutput", "lines of JSON"),
-    "csv": OutputKind("line_file", "CsvOutput", "CSV"),
-    "influx": OutputKind("influx", "Influx", "line protocol of InfluxDB"),
-    "mqtt": OutputKind("mqtt", "Mqtt"),
-}
-"""Name in fleet files and of options -> the kind."""
-
-
-def output_keys(kind: str) -> Keys:
-    """Return the keys that a kind of outputs has in a fleet file."""
-    row = KINDS[kind]
-    return keys_of(getattr(import_module(f".{row.module}", __package__), row.name))
-
-
-def made(kind: str, keys: dict[str, Any]) -> Output:
-    """Make an output; TypeError or ValueError for a key of the wrong name, type or range."""
-    output: Output = output_keys(kind).read((), keys)
-    return output

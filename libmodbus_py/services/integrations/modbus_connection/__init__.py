@@ -35,6 +35,7 @@ except ImportError as error:
     ) from error
 
 from ....client.asynchronous import AsyncClient
+from ....client.sender import Sender
 from ....client.reconnecting import State
 from ....client.statistics import Statistics
 from ....ports.endpoint import Endpoint, parse
@@ -184,7 +185,7 @@ class ModbusConnection(theirs.ModbusConnection):
         loop = asyncio.get_running_loop()
         until = loop.time() + self._timeout
         while self._client is not None and loop.time() < until:
-            ready_at = self._client.ready_at(unit)
+            ready_at = Sender(self._client).ready_at(unit)
             if ready_at <= loop.time():
                 break
             await asyncio.sleep(min(ready_at, until) - loop.time())

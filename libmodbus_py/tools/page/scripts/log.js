@@ -33,7 +33,7 @@ function aim() {
   if (!["", "null"].includes($("filter").value)) fields.set("unit", $("filter").value);
   if ($("only-writes").checked) fields.set("writes", "1");
   if ($("only-errors").checked) fields.set("errors", "1");
-  $("save").href = `/log.csv${fields.size ? "?" : ""}${fields}`;
+  $("save").href = `log.csv${fields.size ? "?" : ""}${fields}`;
 }
 
 // The filter lists the units in the log, and those that a server has.

@@ -18,6 +18,6 @@ onRows(async (message) => {
 });
 
 // The token is in a cookie now, and need not stay in the history.
-history.replaceState(null, "", `/${location.hash}`);
+history.replaceState(null, "", `.${location.hash}`);
 closeChart();
 connect();

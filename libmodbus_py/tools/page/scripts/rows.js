@@ -33,7 +33,7 @@ function say(text, name) {
 }
 
 export function connect() {
-  const events = new EventSource("/events");
+  const events = new EventSource("events");
   events.onopen = () => { tables.clear(); since = 0; say("connected", ""); };
   events.onmessage = (event) => take(JSON.parse(event.data));
   events.onerror = () => {
@@ -42,7 +42,7 @@ export function connect() {
     if (events.readyState !== EventSource.CLOSED) return;
     events.close();
     setTimeout(connect, 2000);
-    fetch("/icon.svg").then((response) => {
+    fetch("icon.svg").then((response) => {
       if (response.status === 403) say("the server has a new token: open the URL that it printed", "lost");
     }, () => {});
   };
@@ -51,7 +51,7 @@ export function connect() {
 // --- requests ---------------------------------------------------------------------------------------------
 
 export async function post(path, body) {
-  const response = await fetch(path, {
+  const response = await fetch(`.${path}`, {
     method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body),
   });
   const found = await response.json();

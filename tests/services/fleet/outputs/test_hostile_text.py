@@ -61,6 +61,10 @@ def test_readers_of_csv_get_the_text_back(text: str) -> None:
         assert not OBEYED & set(outside)
 
 
+def test_rows_that_can_be_read_once_are_written_whole() -> None:
+    assert csv_rows(iter(row) for row in [["a", 1], ["\x06", 2]]) == '"a",1\n"\x06",2\n'
+
+
 def test_the_files_of_fleets_hold_the_text(tmp_path: Path) -> None:
     written(CsvOutput(str(tmp_path / "csv")), *map(reading, TEXTS))
     with (tmp_path / "csv").open(newline="") as file:

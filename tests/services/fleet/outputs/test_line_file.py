@@ -18,8 +18,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py.fleet import Reading
+from libmodbus_py.services.fleet.outputs.kinds import made
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput, LineFile
-from libmodbus_py.services.fleet.outputs.output import made
 from tests.support.cases import each_case
 
 HEADER = b"time,device,name,value,unit,quality,reason\n"

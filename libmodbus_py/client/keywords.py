@@ -1,0 +1,108 @@
+"""
+Wrong keyword arguments of the methods of clients, each answered with the right one.
+
+A method ends with ``**wrong``, and raises `unexpected` if it contains anything. That costs a call a
+fraction of what a decorator would that catches errors, and the method stays a function or a
+coroutine function. Type checkers refuse every such argument, because `NoOthers` has no keys.
+`public_methods` does the rest, once for a class:
+
+* Arguments without a default get one, `nothing`. Python would otherwise report that an argument is
+  missing, before the method sees that its name was misspelt. The checks of arguments refuse it.
+* `__wrapped__` is a function with the signature as it is written, without ``**wrong`` and
+  `nothing`. help(), inspect.signature() and mocks take the signature from there; nothing calls it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from types import FunctionType
+from typing import Any, TypedDict, TypeVar
+
+from ..protocol.mistakes import OTHER_SPELLINGS, close_option, close_to
+from .options import Options
+
+__all__ = ["NoOthers", "check_plan_options", "public_methods", "unexpected"]
+
+Class = TypeVar("Class", bound=type)
+
+# The flag of code that has **keywords; the module inspect, which names it, takes long to import.
+CO_VARKEYWORDS = 0x08
+
+
+class NoOthers(TypedDict):
+    """The keyword arguments that a method takes besides those of its signature: none."""
+
+
+class nothing:
+    """The kind of an argument that was not given: errors say "must be ..., not nothing"."""
+
+
+def unexpected(method: Any, given: Iterable[str], known: Collection[str] = ()) -> TypeError:
+    """
+    Return the error for keyword arguments that a method does not take.
+
+    Args:
+        method: the method of a client.
+        given: the names of arguments; the first one that is not `known` is wrong.
+        known: names that the method takes besides those of its signature.
+    """
+    name = next(name for name in given if name not in known)
+    arguments = [*_arguments(method.__func__)[1:], *known]
+    options = Options.__annotations__
+    meant = OTHER_SPELLINGS.get(name.lower(), name)
+    if meant not in arguments and meant in options:
+        close = "; " if meant == name else f"; did you mean {meant}? "
+        close += "it is an argument of the client"
+    elif not (close := close_option(name, arguments)) and (close := close_to(name, options)):
+        close += " it is an argument of the client"
+    called = f"{type(method.__self__).__name__}.{method.__name__}()"
+    return TypeError(f"{called} got an unexpected keyword argument {name!r}{close}")
+
+
+def check_plan_options(method: Any, options: Mapping[str, Any]) -> None:
+    """Raise the error for the first option that is none of a `Plan`."""
+    from ..maps.plan import PlanOptions
+
+    known = PlanOptions.__annotations__
+    if not options.keys() <= known.keys():
+        raise unexpected(method, options, known)
+
+
+def public_methods(owner: str) -> Callable[[Class], Class]:
+    """Decorate a class with methods of a client; `owner` is the class that Python's errors name."""
+
+    def decorated(cls: Class) -> Class:
+        for name, method in vars(cls).items():
+            if isinstance(method, FunctionType) and not name.startswith("__"):
+                method.__qualname__ = f"{owner}.{name}"
+                if method.__code__.co_flags & CO_VARKEYWORDS:
+                    method.__wrapped__ = _as_written(method)  # type: ignore[attr-defined]
+                    _add_defaults(method)
+        return cls
+
+    return decorated
+
+
+def _arguments(method: FunctionType) -> tuple[str, ...]:
+    """Return the names of the arguments of a method, without those of ``**wrong``."""
+    code = method.__code__
+    return code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
+
+
+def _as_written(method: FunctionType) -> FunctionType:
+    """Return a function with the signature of a method, without ``**wrong``."""
+    code, annotations = method.__code__, {**method.__annotations__}
+    if annotations.pop("wrong", None):
+        code = code.replace(co_flags=code.co_flags & ~CO_VARKEYWORDS)
+    written = FunctionType(code, {}, method.__name__, method.__defaults__)
+    written.__kwdefaults__, written.__annotations__ = method.__kwdefaults__, annotations
+    return written
+
+
+def _add_defaults(method: FunctionType) -> None:
+    """Set a default for each argument of a method, but for `self`."""
+    positional = method.__code__.co_argcount
+    defaults = method.__defaults__ or ()
+    method.__defaults__ = (nothing(),) * (positional - 1 - len(defaults)) + defaults
+    by_name = dict.fromkeys(_arguments(method)[positional:], nothing())
+    method.__kwdefaults__ = {**by_name, **(method.__kwdefaults__ or {})}
