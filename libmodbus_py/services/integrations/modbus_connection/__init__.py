@@ -35,8 +35,8 @@ except ImportError as error:
     ) from error
 
 from ....client.asynchronous import AsyncClient
-from ....client.sender import Sender
 from ....client.reconnecting import State
+from ....client.sender import Sender
 from ....client.statistics import Statistics
 from ....ports.endpoint import Endpoint, parse
 from ....ports.hosts import split_host_and_port
