@@ -1,10 +1,10 @@
 """
-What is known of a line, for the life of the process: whoever opens it next needs it, too.
+The history of each line, for the life of the process, whichever client asks.
 
-A unit that owes an answer sends it to the next client of its line. So clients of one line share
-this, whether they follow each other or, on a converter that takes several connections, ask at the
-same time in different threads. Nothing here needs a lock: each change is a single one, and what two
-threads change at once is a time or a mark that either of them may set. A forked child has a copy.
+A unit that owes an answer sends it to the next client of its line. So the clients of one line share
+its history, those that follow each other and those that ask at the same time in different threads,
+as a converter allows. Nothing here needs a lock: each change is a single one, and two threads that
+make the same change set a time or a mark that either of them may set. A forked child has a copy.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ class Pair:
     is_answered: bool = False
     # True if the last answers may be those to the requests before; else known at `checked_at`.
     is_shifted: bool = False
-    # After so many seconds an answer is checked again: doubled each time.
-    interval: float = math.inf
     _owed: weakref.ref[Call] | None = None
 
-    def __init__(self, now: float) -> None:
+    def __init__(self, now: float, interval: float = math.inf) -> None:
+        # After so many seconds an answer is checked again: doubled each time.
+        self.interval: float = interval
         self.heard_at: float = now  # when a frame of it came last
         self.checked_at: float = now
 
@@ -50,7 +50,7 @@ class Pair:
 
     @property
     def owed(self) -> Call | None:
-        """Whose answer may still come; None if there may be others."""
+        """The request whose answer may still come; None if others may come, too."""
         return None if self._owed is None else self._owed()
 
     def doubt(self, now: float, silence: float, owed: Call | None = None) -> None:
@@ -80,30 +80,30 @@ class Pair:
 
 class History:
     """
-    What is known of one line.
+    The history of one line.
 
     Attributes:
-        pairs: the states of each unit and function.
+        units: of each unit the states of its functions.
         answers: the earlier answers, and how long they took.
-        repeating: the units of which a frame came that nobody had asked for.
+        repeating: the units of which a frame came without a request.
     """
 
     def __init__(self) -> None:
-        self.pairs: dict[tuple[int, int], Pair] = {}
+        self.units: dict[int, dict[int, Pair]] = {}
         self.answers: Answers = Answers()
         self.repeating: set[int] = set()
 
     def pair(self, unit: int, function: int, now: float, *, is_unknown: bool = False) -> Pair:
         """Return the states of a unit and a function; if `is_unknown`, its first answer is held."""
-        pair = self.pairs.get((unit, function))
+        pair = self.units.get(unit, {}).get(function)
         if pair is None:
-            pair = self.pairs.setdefault((unit, function), Pair(now))
-            pair.interval = 0.0 if is_unknown else math.inf
+            pair = Pair(now, 0.0 if is_unknown else math.inf)
+            pair = self.units.setdefault(unit, {}).setdefault(function, pair)
         return pair
 
-    def pairs_of(self, unit: int) -> list[Pair]:
-        """Return the states of all functions of a unit."""
-        return [pair for (other, _), pair in list(self.pairs.items()) if other == unit]
+    def pairs_of(self, unit: int) -> list[tuple[int, Pair]]:
+        """Return the functions of a unit, and the states of each."""
+        return list(self.units.get(unit, {}).items())
 
 
 _histories: dict[tuple[str, str], History] = {}
@@ -113,7 +113,7 @@ forget_lines = _histories.clear
 
 
 def history_of(endpoint: Endpoint) -> History:
-    """Return what is known of the line at an endpoint, whose framing and settings do not matter."""
+    """Return the history of the line at an endpoint; its framing and settings do not matter."""
     kind, address = endpoint.key
     key = kind, realpath(address) if endpoint.has_path else address
     history = _histories.setdefault(key, History())

@@ -14,9 +14,9 @@ this pair, and the other states are those of the line.
     ASKED   its answer, if it is in DOUBT, is the  HOLD
             first since the line was opened, took
             unusually long or short, or is due to
-            be checked; where a frame came that
-            nobody had asked for, also one equal
-            to an earlier one to another request
+            be checked; where a frame came
+            without a request, also one equal to
+            an earlier one to another request
     ASKED   a damaged answer, one that does not    IDLE and DOUBT; the request fails
             fit, the end of its time
     ASKED   its caller is gone                     IDLE and DOUBT
@@ -35,18 +35,18 @@ this pair, and the other states are those of the line.
             bytes that may be the beginning of one
     DOUBT   ten timeouts of silence                no DOUBT
 
-The silence lasts three times the slowest answer that the unit ever gave, one timeout if it gave
-none. An answer is due to be checked after DOUBT and after a late frame of its unit; then after
-twice as long each time, and at least once in ten timeouts. Of a line of which nothing is known, the
-first answer is held until the line has been open for 60 ms.
-
 Why: a late answer comes before the answer that follows it, so a second frame within HOLD tells that
 the first one was late or doubled. Silence lets late answers pass before the next request. A late
 frame of another function shows that the unit still works through earlier requests. If all answers
 are those to the requests before, the first of them came too soon or the second one did, so it is
 held. Other functions of the unit need not wait, because no late answer fits them. `./run explore`
 walks through every sequence of events that this table can meet; what it cannot tell apart is named
-in `EXCEPTIONS` there. What is known of a line outlives the client (`history`).
+in `EXCEPTIONS` there. The history of a line outlives its clients (`history`).
+
+The silence lasts three times the slowest answer that the unit ever gave, one timeout if it gave
+none. An answer is due to be checked after DOUBT and after a late frame of its unit; then after
+twice as long each time, and at least once in ten timeouts. On a line without a history, the first
+answer is held until the line has been open for 60 ms.
 
 A line keeps the order of requests to a unit: those behind one that waits wait, too
 (`Transactions`).
@@ -148,15 +148,15 @@ class Line(Matching):
         return max(
             (
                 pair.quiet_at
-                for (other, code), pair in list(self._history.pairs.items())
-                if pair.is_doubted and other == unit and function in (None, code)
+                for code, pair in self._history.pairs_of(unit)
+                if pair.is_doubted and function in (None, code)
             ),
             default=0.0,
         )
 
     def may_start(self, call: Call, now: float) -> bool:
         ready_at = self._silence.over_at
-        pair = self._history.pairs.get((call.unit, call.pdu[0]))
+        pair = self._history.units.get(call.unit, {}).get(call.pdu[0])
         if pair is not None and pair.is_doubted and pair.quiet_at > ready_at:
             ready_at = pair.quiet_at
         if ready_at > now:
@@ -189,7 +189,7 @@ class Line(Matching):
         is_unknown = self._is_unknown and now < self._opened_at + call.timeouts.timeout
         pair = self._history.pair(call.unit, call.pdu[0], now, is_unknown=is_unknown)
         # A unit that owes another answer may stand still, and is not quiet.
-        if any(other.is_doubted for other in self._history.pairs_of(call.unit)):
+        if any(other.is_doubted for _, other in self._history.pairs_of(call.unit)):
             silence = TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout
         else:
             silence = TIMES_SLOWEST * self._history.answers.slowest_of(call.unit)
@@ -336,7 +336,7 @@ class Line(Matching):
     def _note_late(self, unit: int, call: Call | None, now: float) -> None:
         """Note a late answer: its unit may still work through other requests."""
         self._statistics.late_answers += 1
-        for pair in self._history.pairs_of(unit):
+        for _, pair in self._history.pairs_of(unit):
             pair.interval = 0.0
             if pair.is_doubted:
                 pair.heard(now)
@@ -345,11 +345,12 @@ class Line(Matching):
 
     def _note_beginnings(self, data: bytes | bytearray, now: float) -> None:
         """Note bytes that may be the beginning of a late answer."""
-        for (unit, function), pair in list(self._history.pairs.items()):
-            for start in self._starts(unit, function) if pair.is_doubted else ():
-                lengths = range(1, len(start))
-                if start in data or any(data.endswith(start[:size]) for size in lengths):
-                    pair.heard(now)
+        for unit in list(self._history.units):
+            for function, pair in self._history.pairs_of(unit):
+                for start in self._starts(unit, function) if pair.is_doubted else ():
+                    lengths = range(1, len(start))
+                    if start in data or any(data.endswith(start[:size]) for size in lengths):
+                        pair.heard(now)
 
     def _starts(self, unit: int, function: int) -> list[bytes]:
         """Return how the answers of a unit to a function begin."""
@@ -459,7 +460,7 @@ class Line(Matching):
         if call is not None:
             self._doubt(call, now)
         self._history = history_of(self._endpoint)
-        self._is_unknown = not self._history.pairs
+        self._is_unknown = not self._history.units
         self._opened_at, self._is_opened = now, True
         return [] if call is None else [call]
 

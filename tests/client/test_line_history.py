@@ -200,7 +200,7 @@ def test_threads_that_open_a_line_at_once_share_what_is_known() -> None:
         thread.join()
     assert len(found) == 8
     assert {id(history) for history in found} == {id(found[0])}
-    assert len(found[0].pairs) == 99
+    assert len(found[0].pairs_of(1)) == 99
 
 
 def test_what_is_known_keeps_no_request_alive() -> None:
@@ -221,4 +221,4 @@ def test_a_forked_child_knows_its_lines_by_itself() -> None:
         history_of(parse("rtu+tcp://host")).pair(1, 3, 0.0).doubt(0.0, 1.0)
         os._exit(0)
     assert os.waitpid(child, 0)[1] == 0
-    assert history.pairs == {}
+    assert history.units == {}
