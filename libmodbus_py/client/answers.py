@@ -89,9 +89,9 @@ class Answers:
 
     def is_usual(self, unit: int, answer: bytes, took: float) -> bool:
         """Return False if an answer took less time, or more, than those before let expect."""
-        _, fastest = self._times.get((unit, answer[0], len(answer)), NO_TIMES)
-        is_fast = fastest < math.inf and took < SHARE_OF_FASTEST * fastest
-        return not is_fast and took <= TIMES_SLOWEST * (self.slowest_of(unit) or math.inf)
+        fastest = min(self._times.get((unit, answer[0], len(answer)), NO_TIMES))
+        slowest = self.slowest_of(unit) or math.inf
+        return SHARE_OF_FASTEST * fastest <= took <= TIMES_SLOWEST * slowest
 
     def slowest_of(self, unit: int) -> float:
         """Return how long the slowest answer of a unit took, ever; 0.0 before the first."""
