@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import copy
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 from ..protocol.errors import MAX_RECEIVED, FrameError, InvalidResponse, ModbusError
-from ..protocol.framing import Frame, Framer, Framing, make_framer, mbap
+from ..protocol.framing import HEADER, TcpFramer, UdpFramer, mbap
 from .call import Call, Matching, no_answer
 from .statistics import Statistics
 
@@ -39,25 +40,25 @@ class Ids(Matching):
     ) -> None:
         super().__init__(statistics, trace)
         self._any_unit = any_unit
-        self._framing: Framing = endpoint.framing
+        self._is_datagram = endpoint.framing == "udp"
         self._last = 0
         self._answered_at = 0.0
+        # The units that answered, where they are not those that were asked.
+        self._answerers: WeakKeyDictionary[Call, int] = WeakKeyDictionary()
         self.reset(0.0)
 
-    def start(self, call: Call, now: float) -> None:
+    def start(self, call: Call, now: float) -> bytes:
         number = self._last + 1 & 0xFFFF
-        pending = self.pending
+        pending, pdu = self.pending, call.pdu
         while number in pending or number in self._abandoned:
             number = number + 1 & 0xFFFF
         self._last = number
         if not pending:
             self._strays = b""
             self.unasked: int = 0
-        if call.adu:
-            call.reply = None
-        call.adu = mbap(number, call.unit, call.pdu)
         if not call.is_silent:
             pending[number] = call
+        return HEADER.pack(number, 0, 1 + len(pdu), call.unit) + pdu
 
     # --- answers --------------------------------------------------------------------------
 
@@ -65,41 +66,45 @@ class Ids(Matching):
         if not self.pending:
             self.unasked += len(data)
         answered: list[Call] = []
-        for each in self._framer.scan(data):
+        framer = self._framer
+        frame = framer.whole(data)
+        for each in framer.scan(data) if frame is None else (frame,):
             if isinstance(each, FrameError):
                 self._blame(each, answered)
                 continue
             unit, pdu, number = each
             if self.is_traced:
-                self._trace.tell("received", self._framer.encode(each), unit, pdu[0])
+                self._trace.tell("received", mbap(number, unit, pdu), unit, pdu[0])
             call = self.pending.pop(number, None)
             if call is None:
-                self._drop(each, now)
+                self._drop(number, mbap(number, unit, pdu), now)
                 continue
-            call.answerer = unit
             if call.unit == unit or self._any_unit:
                 self.unanswered: int = 0
                 self._answered_at = now
-                call.reply = pdu
+                call.answer(pdu)
+                if call.unit != unit:
+                    self._answerers[call] = unit
             else:
                 self._statistics.invalid += 1
-                call.reply = InvalidResponse(
+                error = InvalidResponse(
                     f'unit {unit} answered; accept_unit="any" would take it',
-                    received=self._framer.encode(each),
+                    received=mbap(number, unit, pdu),
                 )
-                call.reply.answers_another = True
+                error.answers_another = True
+                call.answer(error)
             answered.append(call)
         return answered
 
-    def _drop(self, frame: Frame, now: float) -> None:
+    def _drop(self, number: int, adu: bytes, now: float) -> None:
         """Drop a frame. Late answers prove that the server is alive; stray frames do not."""
         self._statistics.late_answers += 1
-        if frame.transaction in self._abandoned:
-            del self._abandoned[frame.transaction]
+        if number in self._abandoned:
+            del self._abandoned[number]
             self.unanswered = 0
             self._answered_at = now
         else:
-            self._keep_stray(self._framer.encode(frame))
+            self._keep_stray(adu)
 
     def _keep_stray(self, data: bytes) -> None:
         self._strays += data[: MAX_RECEIVED - len(self._strays)]
@@ -112,16 +117,16 @@ class Ids(Matching):
         if not self._framer.in_step:
             self.is_in_step = False
             for call in self.pending.values():
-                call.reply = copy.copy(error)
+                call.answer(copy.copy(error))
                 answered.append(call)
             self.pending.clear()
-        elif self._framing == "udp" or _number(error.received) not in self.pending:
+        elif self._is_datagram or _number(error.received) not in self.pending:
             self._keep_stray(error.received)
         else:
-            self.pending[_number(error.received)].reply = error  # unless the right answer follows
+            self.pending[_number(error.received)].doubt(error)
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:
-        frame = mbap(_number(call.adu), call.answerer, pdu)
+        frame = mbap(_number(call.adu), self._answerers.get(call, call.unit), pdu)
         return frame if self.pending else frame + bytes(self.rest)
 
     # --- no answer ------------------------------------------------------------------------
@@ -134,9 +139,9 @@ class Ids(Matching):
                 continue
             del self.pending[number]
             self._abandon(number)
-            call.reply = call.reply or self._no_answer(call)
+            call.answer(call.reply or self._no_answer(call))
             self._statistics.timeouts += 1
-            self.unanswered += call.since >= self._answered_at
+            self.unanswered += call.sent_at >= self._answered_at
             overdue.append(call)
         return overdue
 
@@ -166,7 +171,7 @@ class Ids(Matching):
 
     def reset(self, now: float) -> list[Call]:
         calls = list(self.pending.values())
-        self._framer: Framer = make_framer(self._framing, "client")
+        self._framer: TcpFramer = UdpFramer() if self._is_datagram else TcpFramer()
         self._begin_again(self._framer.rest)
         self._abandoned: dict[int, None] = {}
         self._strays = b""

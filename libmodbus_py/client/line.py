@@ -80,7 +80,7 @@ from ..protocol.framing import (
 )
 from ..protocol.pdu.request import Request
 from ..protocol.rtu import has_own_length
-from .call import Call, Matching, Phase, no_answer
+from .call import Call, Matching, no_answer
 from .history import Pair, history_of
 from .statistics import Statistics
 
@@ -168,7 +168,7 @@ class Line(Matching):
         self._waits.pop(call, None)
         return True
 
-    def start(self, call: Call, now: float) -> None:
+    def start(self, call: Call, now: float) -> bytes:
         request = call.request
         own = request if request is not None and has_own_length(request) else None
         self._own, last = own, self._own
@@ -179,7 +179,7 @@ class Line(Matching):
             self._framer = self._make_framer()
         elif own is not last:
             self._framer = self._make_framer()
-        call.adu = adu = self._framer.encode(Frame(call.unit, call.pdu))
+        adu = self._framer.encode(Frame(call.unit, call.pdu))
         self._received.clear()
         self._quiet_at = self._wrong = self._held = None
         self.unasked: int = 0
@@ -199,6 +199,7 @@ class Line(Matching):
             self._is_opened = False
         if not call.is_silent:
             self._call = call
+        return adu
 
     def _pair(self, call: Call, now: float) -> Pair:
         return self._history.pair(call.unit, call.pdu[0], now)
@@ -288,7 +289,7 @@ class Line(Matching):
         self._held_for = TIMES_SLOWEST * max(slowest, now - call.sent_at)
         if self._is_opened and self._is_unknown:
             self._held_for = max(self._held_for, self._opened_at + OPENED_S - now)
-        call.state = Phase.ANSWERED
+        call.hold()
         self._begin_hold(call, now)
 
     def _begin_hold(self, call: Call, now: float) -> None:
@@ -302,7 +303,7 @@ class Line(Matching):
         self._note_time(call, pdu, came_at, now)
         self._is_opened = False
         self.unanswered: int = 0
-        call.reply = pdu
+        call.answer(pdu)
         self._end(call)
 
     def _note_time(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
@@ -312,7 +313,7 @@ class Line(Matching):
 
     def _fail(self, call: Call, error: ModbusError, now: float) -> None:
         error.received = bytes(self._received)
-        call.reply = error
+        call.answer(error)
         self._doubt(call, now)
         self._end(call)
 

@@ -44,6 +44,7 @@ class SocketPort(Port):
 
     def __init__(self, name: str) -> None:
         self.silence: Silence = Silence()
+        self.resume_at: float | None = None  # all is sent at once: read often, never set
         self._name = name
 
     def __str__(self) -> str:

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "Overheard", "RtuFramer", "TcpFramer",
-    "UdpFramer", "crc16", "cut", "delimiter_after", "is_delimiter", "is_one_frame", "lrc",
-    "make_framer", "pdu_of", "split", "transaction_of",
+    "HEADER", "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "Overheard", "RtuFramer",
+    "TcpFramer", "UdpFramer", "crc16", "cut", "delimiter_after", "is_delimiter", "is_one_frame",
+    "lrc", "make_framer", "pdu_of", "split", "transaction_of",
 ]
 # fmt: on
 
@@ -47,13 +47,14 @@ TRANSACTION, UNIT, FUNCTION = slice(0, 2), 6, 7
 """The positions of transaction id, unit and function code in a frame with an MBAP header."""
 
 _HEADER = struct.Struct(">HHH")
-_PREFIX = struct.Struct(">HHHB")
+HEADER = struct.Struct(">HHHB")  # with the unit
+MAX_FRAME = HEADER.size + MAX_PDU
 _CRC = struct.Struct("<H")
 
 
 def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
     """Return a PDU with an MBAP header; nothing is checked."""
-    return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
+    return HEADER.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
 
 def rtu(_transaction: int, unit: int, pdu: bytes) -> bytes:
@@ -92,7 +93,7 @@ def cut(data: bytes | bytearray, start: int, found: list[Frame | FrameError], mo
             error = FrameError(f"header with protocol {protocol}, not 0", received=received)
             add_error(found, error)
         else:
-            unit, pdu = data[start + 6], bytes(data[start + 7 : end])
+            unit, pdu = data[start + UNIT], bytes(data[start + FUNCTION : end])
             # As Frame(unit, pdu, transaction), in half the time: bulk reads do little else.
             found.append(tuple.__new__(Frame, (unit, pdu, transaction)))
         start = end
@@ -104,7 +105,7 @@ def is_one_frame(data: bytes) -> bool:
     """Return True if the bytes are one whole frame with an MBAP header, and nothing else."""
     size = len(data)
     return (
-        8 <= size <= _PREFIX.size + MAX_PDU
+        8 <= size <= HEADER.size + MAX_PDU
         and size == _HEADER.size + (data[4] << 8 | data[5])
         and not (data[2] or data[3])
     )
@@ -128,26 +129,35 @@ class TcpFramer(Framer):
     """
 
     has_broadcast = False
-    max_size = MAX_PDU + 7
+    max_size = MAX_FRAME
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, transaction = checked_frame(frame)
-        return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
+        return HEADER.pack(transaction, 0, 1 + len(pdu), unit) + pdu
+
+    def whole(self, data: bytes) -> tuple[int, bytes, int] | None:
+        """
+        Return what a `Frame` holds if a chunk is one whole frame, as most are; None if it is not.
+
+        This takes a quarter of the time of `scan`.
+        """
+        size = len(data)
+        if FUNCTION < size <= MAX_FRAME and not self.rest and self.in_step:
+            transaction, protocol, length, unit = HEADER.unpack_from(data)
+            if length == size - UNIT and not protocol:
+                return unit, data[FUNCTION:], transaction
+        return None
 
     def scan(self, data: bytes) -> list[Frame | FrameError]:
-        if len(data) > FUNCTION and not self.rest and self.in_step:
-            transaction, protocol, length, unit = _PREFIX.unpack_from(data)
-            if not protocol and len(data) == _HEADER.size + length <= self.max_size:
-                # One whole frame, as most are: a quarter of the time.
-                return [tuple.__new__(Frame, (unit, data[FUNCTION:], transaction))]
-        return super().scan(data)
+        frame = self.whole(data)
+        return super().scan(data) if frame is None else [tuple.__new__(Frame, frame)]
 
     def _scan(self) -> None:
         if not self.in_step:
             self._reject("stream out of step", len(self.rest))
             return
         try:
-            del self.rest[: cut(self.rest, 0, self._found, len(self.rest))]
+            del self.rest[: cut(bytes(self.rest), 0, self._found, len(self.rest))]
         except FrameError as error:
             self.in_step = False
             add_error(self._found, error)

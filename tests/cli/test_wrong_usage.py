@@ -122,7 +122,7 @@ TYPES = [
     ("read h coils 0 --type int16", "only holding, input, file have"),
     ("read h 10001 --type int16", "discrete inputs have no type"),
     ("read h coils 0 --type all", "coils have no type"),
-    ("read h hr 0 --type int8", "int16, int32, int64, uint16,"),
+    ("read h hr 0 --type int9", "int16, int32, int64, int8,"),
     ("read h hr 0 --type ''", "date96, eui48, string:N, not ''"),
     ("read h hr 0 --type flaot32", "did you mean float32"),
     ("read h hr 0:flaot32", "did you mean float32"),

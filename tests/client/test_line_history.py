@@ -87,11 +87,11 @@ def test_a_client_for_each_poll_has_no_value_of_another_request(url: str) -> Non
                     after = 0.1 + chance.uniform(0.001, 0.05) if count % 40 == 17 else 0.008
                     late.append((talk.times[-1] + after, value(7 * address)))
                     late.sort()
-                if late and late[0][0] <= talk.connection.alarm:
+                if late and late[0][0] <= talk.matching.alarm:
                     talk.wait_until(max(late[0][0], talk.now))
                     talk.come(late.pop(0)[1])
                 else:
-                    talk.wait_until(talk.connection.alarm)
+                    talk.wait_until(talk.matching.alarm)
             assert isinstance(batch.outcomes[0], ModbusError) or batch.outcomes == [[7 * address]]
         closed(talk)
     assert count > 1900
