@@ -112,8 +112,11 @@ class Line(Matching):
         trace: Trace,
         silence: Silence,
         delimiter: int = LINE_FEED,
+        *,
+        any_unit: bool = False,
     ) -> None:
         super().__init__(statistics, trace)
+        self._any_unit = any_unit
         self._endpoint = endpoint
         self._silence = silence
         self._delimiter = delimiter
@@ -250,6 +253,8 @@ class Line(Matching):
         if self.is_traced:
             self._trace.tell("received", self._framer.encode(found), unit, pdu[0])
         function = pdu[0] & 0x7F
+        if self._any_unit and call is not None:
+            unit = call.unit
         if call is None or unit != call.unit or function != call.pdu[0]:
             self._note_other(unit, function, call, now)
         elif pdu == call.pdu and self._echo.is_there and not self._echo.has_returned:
@@ -384,6 +389,9 @@ class Line(Matching):
         wrong = self._wrong
         if isinstance(wrong, FrameError) and self._held is None and self._is_of(call, data):
             self._fail(call, wrong, now)
+
+    def has_begun(self) -> bool:
+        return bool(self._received)
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:
         return bytes(self._received)

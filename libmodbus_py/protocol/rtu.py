@@ -139,6 +139,8 @@ class RtuCutter:
                     return data[at + 1 : end - 2]
                 if end == UNFINISHED and not is_over:
                     return b""
+                if is_one_adu(data[at:]):  # of another length than the function has
+                    return data[at + 1 : -2]
         return None
 
     def is_one_frame(self, data: bytes) -> bool:
