@@ -29,6 +29,7 @@ ENDPOINT = "tls://127.0.0.1:1802"
 """The endpoint of the example commands: only root can listen on port 802."""
 
 DAYS = 365
+"""Of certificates and of the revocation list."""
 
 AUTHORITY_DAYS = 3650
 """Ten years: the authority of machines outlives their certificates, which are made again."""

@@ -45,7 +45,7 @@ ROOM_BYTES = 65_536
 """Bytes that a disk must have left before a change: more than the longest event."""
 
 FIRST_LINE = re.compile(rb'\n*(\{"time": "[^"\n]*", "event": "|\Z)')
-"""How an audit trail begins."""
+"""Matches the beginning of an audit trail."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from ..security.describing import time_in
 from ..security.role import role_of
 from .certificates import EARLIER, Identity, check_days, load
 
-__all__ = ["Authority", "Issued"]
+__all__ = ["Authority"]
 
 AUTHORITY = "ca"
 
@@ -210,7 +210,7 @@ class Authority:
 
     def _serial(self, name: str, issued: dict[str, Issued]) -> int:
         if name == AUTHORITY:
-            raise ValueError("an authority cannot revoke itself: let nobody trust it any more")
+            raise ValueError("an authority cannot revoke itself: trust another one instead")
         if name in issued:
             return issued[name].certificate.serial_number
         digits = name.replace(":", "")
