@@ -112,6 +112,7 @@ class Pump:
                 await self._write_another()
                 most = 1 if self._single else self._most
                 batch = await self.buffer.take_polls(most, LONGEST_SILENCE_S)
+                self.statistics.note_batch(len(batch))
                 if _polls(batch) > 1 and any(each.device in self._refused for each in batch):
                     self.buffer.put_back(batch)
                     self._single = _polls(batch)

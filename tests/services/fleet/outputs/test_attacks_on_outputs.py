@@ -129,10 +129,9 @@ async def test_an_answer_after_a_reload_is_of_nobody(after: list[str]) -> None:
 async def test_metrics_can_be_scraped_while_a_fleet_is_read_again() -> None:
     """From another thread, as a server of metrics does."""
     prometheus = pytest.importorskip("prometheus_client")
-    from libmodbus_py.services.fleet.statistics import LastValues
     from libmodbus_py.services.integrations.prometheus import collect
 
-    registry, values, is_over = prometheus.CollectorRegistry(), LastValues(), asyncio.Event()
+    registry, is_over = prometheus.CollectorRegistry(), asyncio.Event()
 
     def scrape() -> int:
         count = 0
@@ -149,8 +148,8 @@ async def test_metrics_can_be_scraped_while_a_fleet_is_read_again() -> None:
             [meter(f"{kind}{unit}", url, unit=unit, labels={"kind": kind}) for unit in units]
             for kind in ("x", "y")
         )
-        async with polling(*one, outputs=[values]) as (fleet, readings):
-            collect(fleet, values, registry=registry)
+        async with polling(*one) as (fleet, readings):
+            collect(fleet, registry=registry)
             scraping = asyncio.create_task(asyncio.to_thread(scrape))
             for _ in range(30):
                 for devices in (one, other):
