@@ -252,6 +252,10 @@ class Values:
                 value.reading = each
                 value.samples.add(each[0], each[3])
 
+    def bad(self) -> list[ValueRow]:
+        """Return the values that are not good, although their device answers."""
+        return [each for each in self._values.values() if each.is_problem]
+
     def series(self, name: tuple[str, str], column: str) -> Series | None:
         """Return the numbers of a value; None if there is no such value."""
         value = self._values.get(name)
