@@ -272,7 +272,10 @@ class World:
         self.asked.append(Asked(letter, call, self.now, version))
 
     def send(self) -> None:
-        for adu in self.connection.start(self.now):
+        self.connection.start(self.now, self.receive_all)
+
+    def receive_all(self, adus: list[bytes], now: float) -> None:
+        for adu in adus:
             self.note_order(adu)
             self.receive(adu)
 
@@ -285,7 +288,7 @@ class World:
         if len(pending) > 1 and any(call.changes for call in pending):
             self.errors.add("beside")
         arrival = self.arrivals[0][0] if self.arrivals else math.inf
-        at = min(arrival, connection.alarm)
+        at = min(arrival, connection.matching.alarm)
         if at > until or at == math.inf:
             self.now = max(self.now, until) if until < math.inf else self.now
             return False

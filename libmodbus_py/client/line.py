@@ -64,9 +64,9 @@ from ..protocol.errors import (
 )
 from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_after, make_framer
 from ..protocol.pdu.request import Request
-from ..protocol.rtu import has_own_length
+from ..protocol.rtu import find_response, has_own_length
 from .answers import Answers
-from .call import Call, Matching, Phase, no_answer
+from .call import Call, Matching, no_answer
 from .statistics import Statistics
 
 __all__ = ["Line"]
@@ -127,8 +127,11 @@ class Line(Matching):
         trace: Trace,
         silence: Silence,
         delimiter: int = LINE_FEED,
+        *,
+        any_unit: bool = False,
     ) -> None:
         super().__init__(statistics, trace)
+        self._any_unit = any_unit
         self._endpoint = endpoint
         self._silence = silence
         self._delimiter = delimiter
@@ -182,7 +185,7 @@ class Line(Matching):
     def is_overdue(self, call: Call, now: float) -> bool:
         return self._waits.get(call, math.inf) <= now and not self.may_start(call, now)
 
-    def start(self, call: Call, now: float) -> None:
+    def start(self, call: Call, now: float) -> bytes:
         request = call.request
         own = request if request is not None and has_own_length(request) else None
         self._own, last = own, self._own
@@ -193,7 +196,7 @@ class Line(Matching):
             self._framer = self._make_framer()
         elif own is not last:
             self._framer = self._make_framer()
-        call.adu = adu = self._framer.encode(Frame(call.unit, call.pdu))
+        adu = self._framer.encode(Frame(call.unit, call.pdu))
         self._received.clear()
         self._quiet_at = self._wrong = self._held = None
         self.unasked: int = 0
@@ -208,6 +211,7 @@ class Line(Matching):
             pair.check(now)
         if not call.is_silent:
             self._call = call
+        return adu
 
     def _pair(self, call: Call, now: float) -> Pair:
         key = call.unit, call.pdu[0]
@@ -238,8 +242,8 @@ class Line(Matching):
         if call is not None and (self._framer.pending or self._wrong or self._echo.is_holding):
             self._quiet_at = now + (self._framer.quiet or 0.0)
             self.wake(self._quiet_at)
-            if not self._framer.pending:
-                self._end_if_damaged(call, now)
+            if self._endpoint.framing == "ascii" and not self._framer.pending:
+                self._search(call, now)  # the end of a frame is marked: no more of it comes
         ended, self._ended = self._ended, []
         return ended
 
@@ -258,11 +262,13 @@ class Line(Matching):
         if self.is_traced:
             self._trace.tell("received", self._framer.encode(found), unit, pdu[0])
         function = pdu[0] & 0x7F
+        if self._any_unit and call is not None:
+            unit = call.unit
         if call is None or unit != call.unit or function != call.pdu[0]:
             self._note_other(unit, function, call, now)
         elif pdu == call.pdu and self._echo.is_there and not self._echo.has_returned:
             self._echo.has_returned = True
-        elif pdu == call.pdu and self._echo.is_there is None and function in _READS_LIKE_ANSWERS:
+        elif pdu == call.pdu and self._echo.is_there is None and function in _LIKE_ANSWERS:
             text = "an answer that is equal to its request may be an echo; echo=True or False?"
             self._wrong = InvalidResponse(text)
         elif self._held is None:
@@ -290,7 +296,7 @@ class Line(Matching):
 
     def _hold(self, call: Call, pdu: bytes, now: float) -> None:
         self._held, self._held_at = pdu, now
-        call.state = Phase.ANSWERED
+        call.hold()
         self._begin_hold(call, pdu, now)
 
     def _begin_hold(self, call: Call, pdu: bytes, now: float) -> None:
@@ -304,7 +310,7 @@ class Line(Matching):
         self._answers.add(call.unit, call.pdu, pdu)
         self._note_time(call, pdu, came_at, now)
         self.unanswered: int = 0
-        call.reply = pdu
+        call.answer(pdu)
         self._end(call)
 
     def _note_time(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
@@ -314,7 +320,7 @@ class Line(Matching):
 
     def _fail(self, call: Call, error: ModbusError, now: float) -> None:
         error.received = bytes(self._received)
-        call.reply = error
+        call.answer(error)
         self._pair(call, now).doubt(now, call.timeouts.timeout, call)
         self._end(call)
 
@@ -344,15 +350,31 @@ class Line(Matching):
         if call is not None and call.unit == unit and self._held is not None:
             self._begin_hold(call, self._held, now)
 
-    def _end_if_damaged(self, call: Call, now: float) -> None:
-        """End the wait for a damaged answer; after mere noise, an answer may still follow."""
-        if isinstance(self._wrong, FrameError) and self._held is None:
-            starts = [bytes([call.unit, call.pdu[0] | bit]) for bit in (0, 0x80)]
-            rest = bytes(self._received)
-            if self._endpoint.framing == "ascii":
-                starts, rest = [b":%02X%02X" % (each[0], each[1]) for each in starts], rest.upper()
-            if any(each in rest.replace(call.adu, b"", 1) for each in starts):
-                self._fail(call, self._wrong, now)
+    def _search(self, call: Call, now: float, *, is_over: bool = False) -> None:
+        """
+        Look for the answer between noise; end the wait for one that is damaged. After mere noise,
+        an answer may still follow.
+        """
+        if self._held is not None:
+            return
+        data = bytes(self._received)
+        if self._endpoint.framing == "rtu":
+            heard = data.replace(call.adu, b"", 1) if self._echo.is_there else data
+            pdu = find_response(heard, call.unit, call.pdu[0], is_over=is_over)
+            if pdu:
+                self._framer = self._make_framer()
+                self._judge(Frame(call.unit, pdu), now)
+            if pdu is not None:
+                return
+        starts, rest = [bytes([call.unit, call.pdu[0] | bit]) for bit in (0, 0x80)], data
+        if self._endpoint.framing == "ascii":
+            starts, rest = [b":%02X%02X" % (each[0], each[1]) for each in starts], data.upper()
+        is_damaged = any(each in rest.replace(call.adu, b"", 1) for each in starts)
+        if isinstance(self._wrong, FrameError) and is_damaged:
+            self._fail(call, self._wrong, now)
+
+    def has_begun(self) -> bool:
+        return bool(self._received)
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:
         return bytes(self._received)
@@ -361,6 +383,8 @@ class Line(Matching):
 
     def expire(self, now: float) -> list[Call]:
         self._end_frame(now)
+        if (call := self._call) is not None and call.deadline <= now:
+            self._search(call, now, is_over=True)
         call, held = self._call, self._held
         if call is None:
             pass
@@ -399,7 +423,7 @@ class Line(Matching):
         for found in [*self._framer.scan(self._echo.release()), *self._framer.scan_silence()]:
             self._judge(found, now)
         if self._call is not None:
-            self._end_if_damaged(self._call, now)
+            self._search(self._call, now)
 
     def conclude(self, call: Call, error: Exception | None, now: float) -> None:
         if error is None:
@@ -431,15 +455,16 @@ class Line(Matching):
         return [call]
 
 
-# Reads with a possible answer that is equal to the request: it has the same length.
-_READS_LIKE_ANSWERS = frozenset([0x01, 0x02, 0x17])
+# A frame that is equal to the request may be an echo: a possible answer to reads, because it has
+# the same length; to writes of several cells, what some devices answer.
+_LIKE_ANSWERS = frozenset([0x01, 0x02, 0x0F, 0x10, 0x17])
 
 
 def _is_telling(pdu: bytes) -> bool:
     """
     Return True if the frame of a request cannot be an answer: such a one is an echo.
 
-    The answer to a read has the number of its bytes where the request has its address; the answer
-    to a write of several cells has no values.
+    The answer to a read has the number of its bytes where the request has its address. Some devices
+    answer a write of several cells with the whole request.
     """
-    return (pdu[0] in (1, 2, 3, 4, 23) and pdu[1] != len(pdu) - 2) or pdu[0] in (15, 16)
+    return pdu[0] in (1, 2, 3, 4, 23) and pdu[1] != len(pdu) - 2

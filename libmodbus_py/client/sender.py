@@ -19,13 +19,17 @@ __all__ = ["Sender", "Submitted"]
 
 
 class Sender:
-    """Sends requests to any unit over the connection of a client, with the client's timeouts."""
+    """
+    Sends requests to any unit over the connection of a client, with the client's timeouts.
+
+    `has_broadcast` is True if unit 0 stands for all units.
+    """
 
     def __init__(self, client: AsyncClient) -> None:
         self.client: AsyncClient = client
         self._connection = client._connection
         self._driver = client._driver
-        self._has_broadcast = client._has_broadcast
+        self.has_broadcast: bool = client._has_broadcast
 
     def submit(
         self, unit: int, request: pdu.Request[Any], on_done: Callable[[], object]
@@ -48,7 +52,7 @@ class Sender:
         """
         if type(unit) is not int or not 0 <= unit <= 255:
             unit = integer("unit", unit, 0, 255)
-        call = Call(unit, request, self.client._timeouts, unit == 0 and self._has_broadcast)
+        call = Call(unit, request, self.client._timeouts, unit == 0 and self.has_broadcast)
         self._driver.ask(call, on_done)
         return Submitted(call, self._driver)
 

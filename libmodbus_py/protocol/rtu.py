@@ -49,7 +49,7 @@ from .scan import (
     lib,
 )
 
-__all__ = ["Piece", "RtuCutter", "has_own_length", "may_be"]
+__all__ = ["Piece", "RtuCutter", "find_response", "has_own_length", "may_be"]
 
 Kind = Literal["request", "response", "damage"]
 
@@ -97,6 +97,28 @@ def may_be(data: bytes) -> tuple[bool, bool]:
     size = len(data)
     can_ask = data[0] < 0x80 and pdu.request_length(data) in (size, 0)
     return can_ask, pdu.response_length(data) in (size, 0)
+
+
+_RESPONSES = _scanner(is_client=True)
+
+
+def find_response(data: bytes, unit: int, function: int, *, is_over: bool) -> bytes | None:
+    """
+    Return the PDU of the first response of a unit and function, whatever is before and behind it.
+
+    None if there is none; empty if one has begun that may still be completed, unless no more bytes
+    are waited for (`is_over`).
+    """
+    for at in range(len(data) - 1):
+        if data[at] == unit and data[at + 1] & 0x7F == function:
+            end = _RESPONSES.at(data, at, at, SILENT)
+            if end > 0:
+                return data[at + 1 : end - 2]
+            if end == UNFINISHED and not is_over:
+                return b""
+            if is_one_adu(data[at:]):  # of another length than the function has
+                return data[at + 1 : -2]
+    return None
 
 
 class RtuCutter:

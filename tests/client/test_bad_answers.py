@@ -104,6 +104,51 @@ def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
         assert values(context) == VALUES
 
 
+@pytest.mark.parametrize("scheme", ["tcp", "tls", "udp", "unix"])
+def test_an_exception_whose_length_counts_a_byte_too_much_is_taken(
+    world: World, scheme: str
+) -> None:
+    """wlcrs/tmodbus#146: exceptions of 9 bytes whose header says 4 in place of 3."""
+    refused = tcp(b"\x83\x02", length=4)
+    peer = world.peer(scheme, answering(refused, refused, good_tcp))
+    with world.connect(peer.url) as context:
+        for _ in range(2):
+            with world.lasting(0, 0.01), pytest.raises(IllegalDataAddress):
+                values(context)
+        assert values(context) == VALUES
+    assert peer.connections <= 1
+
+
+def test_the_byte_that_follows_such_an_exception_is_dropped(world: World) -> None:
+    def refuse(request: bytes, write: Write) -> None:
+        write(mbap(request, b"\x83\x02", length=4))
+        write(b"\0", after=0.1)
+        peer.on_request = answering(good_tcp)
+
+    peer = world.peer("tcp", refuse)
+    with world.connect(peer.url, retries=1) as context:
+        with pytest.raises(IllegalDataAddress):
+            values(context)
+        world.sleep(0.2)
+        for _ in range(3):
+            assert values(context) == VALUES
+    assert peer.connections == 1
+
+
+def test_a_write_whose_echo_has_a_byte_more_was_carried_out(world: World) -> None:
+    """IndustrialShields/arduino-Tools40#7: function 6 is answered with a stray byte, counted."""
+    peer = world.peer("tcp", answering(lambda request: [mbap(request, request[7:] + b"\6")]))
+    with world.connect(peer.url) as context:
+        context.write_register(0, 7)
+        context.write_coil(0, True)
+    peer.on_request = answering(lambda request: [mbap(request, b"\x06\0\0\0\x08\6")])
+    with (
+        world.connect(peer.url) as context,
+        pytest.raises(InvalidResponse, match="6 bytes: 06 00 00 00 08 06"),
+    ):
+        context.write_register(0, 7)
+
+
 def test_tcp_answer_followed_by_garbage(world: World) -> None:
     def with_garbage(request: bytes) -> list[bytes]:
         return [mbap(request, GOOD) + b"\xde\xad\xbe\xef"]

@@ -229,7 +229,7 @@ def test_who_has_more_time_than_the_attempt_waits_for_the_next(until: float, is_
     assert long.is_done is is_done
     assert talk.connection.is_wanted is not is_done
     if not is_done:
-        assert talk.connection.alarm <= 3.0
+        assert talk.matching.alarm <= 3.0
         talk.wait_until(2.9)
         assert not long.is_done
         talk.wait_until(3.0)

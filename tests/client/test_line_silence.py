@@ -117,7 +117,7 @@ def test_the_clock_rests_after_half_an_answer() -> None:
             talk.lose()
         talk.wait(5)
         assert batch.is_done
-        assert talk.connection.alarm == math.inf, end
+        assert talk.matching.alarm == math.inf, end
 
 
 def test_only_the_unit_that_owes_an_answer_is_left_alone() -> None:

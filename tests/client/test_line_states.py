@@ -349,13 +349,12 @@ def test_a_frame_exactly_at_the_end_of_hold(frame: bytes, is_first: bool) -> Non
     assert talk.is_at_rest
 
 
-@each_case("by_itself", [True, False])
-def test_doubt_goes_on_over_another_connection(by_itself: bool) -> None:
+def test_doubt_goes_on_over_another_connection() -> None:
     """The unit is behind the server: its late answer may come over the next connection, too."""
     talk = used()
     first = talk.ask(5)
     talk.wait(0.3)
-    talk.reconnect(by_itself=by_itself)
+    talk.reconnect(by_itself=False)
     assert kinds(first) == [ModbusConnectionError]
     lost_at, batch = talk.now, talk.ask(6)
     talk.wait(0.5)

@@ -30,7 +30,9 @@ def test_all_that_are_due_leave_together() -> None:
     talk.come(*[tcp(each, "83 06") for each in talk.sent])
     talk.now = 0.1
     talk.connection.tick(talk.now)
-    assert len(talk.connection.start(talk.now)) == 3
+    talk.forget()
+    talk.start()
+    assert len(talk.sent) == 3
     assert not any(batch.is_done for batch in batches)
 
 
@@ -119,10 +121,10 @@ def test_no_write_is_sent_before_the_answer_to_the_read_before_it_is_decoded() -
     talk = Talk(busy_retries=1)
     batch = talk.ask(1, pdu.WriteRegister(1, 9))
     talk.connection.take([tcp(talk.sent[-1], "83 02")], talk.now)
-    assert talk.connection.start(talk.now) == []
+    assert not talk.connection.start(talk.now, talk.receive)
     talk.connection.settle(talk.now)
     assert kinds(batch)[0] is IllegalDataAddress
-    assert talk.connection.start(talk.now) == []
+    assert not talk.connection.start(talk.now, talk.receive)
     assert talk.is_at_rest
 
 

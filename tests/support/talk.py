@@ -136,11 +136,13 @@ class Talk:
         self.start()
 
     def start(self) -> None:
-        while adus := self.connection.start(self.now):
-            self.connection.trace_sent()
-            self.sent += adus
-            self.times += [self.now] * len(adus)
+        while self.connection.start(self.now, self.receive):
+            pass
         self.notices.give()
+
+    def receive(self, adus: list[bytes], now: float) -> None:
+        self.sent += adus
+        self.times += [now] * len(adus)
 
     def come(self, *pieces: bytes) -> None:
         for piece in pieces:
@@ -152,7 +154,7 @@ class Talk:
     def wait(self, seconds: float) -> None:
         """Let time pass, and ring at every alarm on the way; one that never stops is a fault."""
         end, rung = round(self.now + seconds, 9), 0
-        while (at := self.connection.alarm) <= end + 1e-9:
+        while (at := self.matching.alarm) <= end + 1e-9:
             rung = rung + 1 if at <= self.now else 0
             assert rung < 10, "the alarm rings for ever"
             self.now = max(self.now, at)

@@ -69,11 +69,11 @@ async def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
             meter("none", url, map=RegisterMap(points[:1])),
             meter("not a number", url, map=RegisterMap([ratio])),
         )
-    wrong = "registers[0:1] hold no bcd16: {} has digits other than 0..9"
+    wrong = "has no value: {} has digits other than 0..9"
     count = "points without a good value: 2 of 3"
-    assert found["both"].problem == f"p1: {wrong.format('0A00')}; {count}"
+    assert found["both"].problem == f"p1 {wrong.format('0A00')}; {count}"
+    assert found["last"].problem == f"p2 {wrong.format('00B0')}"
     assert found["not a number"].problem == "ratio has no value: the device says nan"
-    assert found["last"].problem == f"p2: {wrong.format('00B0')}"
     assert found["none"].problem == ""
 
 
