@@ -76,7 +76,7 @@ class ShownWatch:
                 else (now, device, name, None, of, "bad", row.unit[1:-1])
                 for (name, of), row in zip(names, results[at].rows, strict=False)
             ]
-        self._values.put(readings)
+        self._values.put_readings(readings)
 
     def _describe(self, unit: int, results: Sequence[ReadResult]) -> None:
         """Set the rows of the table again if the values of a unit have other names now."""

@@ -24,6 +24,7 @@ from ...tools.page.table_source import (
 from ...tools.page.text import cell_text, first_names, value_text
 from .config import DeviceConfig
 from .fleet import Fleet
+from .outputs.output import Output
 from .poller import DeviceState, Poller
 from .readings import Reading
 from .statistics import JournalStatistics, OutputStatistics
@@ -56,10 +57,10 @@ def problems(fleet: Fleet) -> list[str]:
     return texts
 
 
-class PageOutput:
+class PageOutput(Output):
     """An output whose readings a page shows; `fleet` is set before the first."""
 
-    name: str = "page"
+    name = "page"
     is_live = True
 
     def __init__(self) -> None:
@@ -67,21 +68,15 @@ class PageOutput:
         self.values: Values = Values(self._device_row)
         self._is_new = True
 
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
+    def describe_devices(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Take other points before the next readings: then the fleet has its new devices."""
         self._is_new = True
 
-    async def open(self) -> None:
-        """Do nothing: there is no connection."""
-
-    async def write(self, readings: Sequence[Reading]) -> None:
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         if self._is_new and self.fleet is not None:
             self._is_new = False
             self.values.describe(_points(self.fleet.devices))
-        self.values.put(readings)
-
-    async def close(self) -> None:
-        """Do nothing: there is no connection."""
+        self.values.put_readings(readings)
 
     def _device_row(self, name: str) -> GroupRow:
         assert self.fleet is not None

@@ -221,7 +221,7 @@ class ValueRow:
 
 
 class Values:
-    """The rows of devices, made by their names, and of their values. Any thread may `put`."""
+    """The rows of devices, made by their names, and of their values. Any thread may put readings."""
 
     def __init__(self, device_row: Callable[[str], GroupRow]) -> None:
         self._device_row = device_row
@@ -244,7 +244,7 @@ class Values:
             rows.append(row)
         self._values, self.rows = after, rows
 
-    def put(self, readings: Iterable[tuple[Any, ...]]) -> None:
+    def put_readings(self, readings: Iterable[tuple[Any, ...]]) -> None:
         """Take readings, each with the fields of `ValueRow.reading`."""
         for each in readings:
             value = self._values.get((each[1], each[2]))

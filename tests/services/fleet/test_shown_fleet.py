@@ -252,7 +252,7 @@ async def test_a_look_from_another_thread_does_not_disturb_a_fleet_that_changes(
             looking = asyncio.create_task(asyncio.to_thread(look))
             for count in [*range(40), 0]:
                 fleet.replace([meter(f"m{at}", peer.url, unit=1) for at in range(count)])
-                await output.write([])
+                await output.write_readings([])
             is_over.append(True)
             await looking
             assert cells(shown) == {}

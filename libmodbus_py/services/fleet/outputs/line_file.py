@@ -21,7 +21,7 @@ from ....system import open_file
 from ...tasks import WriterThread, finish
 from ..readings import MOST_KEPT, Reading
 from .forms import COLUMNS, as_csv, as_json
-from .output import OutputError, file_at
+from .output import Output, OutputError, file_at
 
 __all__ = ["CsvOutput", "Format", "JsonOutput", "LineFile"]
 
@@ -43,7 +43,7 @@ class Format(NamedTuple):
     quote: bytes = b""
 
 
-class LineFile:
+class LineFile(Output):
     """
     An output that appends readings to a file, or to the standard output ("-").
 
@@ -60,11 +60,11 @@ class LineFile:
         if "\0" in self.path:
             raise WrongValue("path", "must not contain the character 0")
         # True if readings of earlier runs are not wanted.
-        self.is_live: bool = self.path == "-"
-        self.name: str = form.name if self.is_live else f"{form.name} {self.path}"
+        self.is_live = self.path == "-"
+        self.name = form.name if self.is_live else f"{form.name} {self.path}"
         thing = "the standard output" if self.is_live else file_at(self.path)
-        self.exclusive: tuple[str, ...] = (thing,)
-        self.buffer: int = buffer
+        self.exclusive = (thing,)
+        self.buffer = buffer
         self._form = form
         self._descriptor = -1
         self._is_terminal = False
@@ -75,14 +75,14 @@ class LineFile:
         """The name of its place in a journal, the same in whatever folder the program starts."""
         return f"{self._form.name} {os.path.abspath(self.path)}"
 
-    async def open(self) -> None:
+    async def open_output(self) -> None:
         self._thread.start()
         await self._thread.call(self._open)
 
-    async def write(self, readings: Sequence[Reading]) -> None:
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         await self._thread.call(self._write, self._form.lines(readings))
 
-    async def close(self) -> None:
+    async def close_output(self) -> None:
         if not self._thread.is_running:
             return
         try:

@@ -65,7 +65,7 @@ async def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
     path = tmp_path / "readings"
     async with pumping(make(str(path))) as pump:
         for at in range(5):
-            pump.buffer.put(poll(at))
+            pump.buffer.put_readings(poll(at))
         await until(lambda: pump.statistics.failures > 3)
         assert "No space left" in pump.statistics.trouble
         assert path.read_bytes()[-1:] in (b"", b"\n")
@@ -84,7 +84,7 @@ async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_rea
     """`run` raises its error; in an `async with` nobody else would hear of it."""
 
     class Broken(Picky):
-        async def open(self) -> None:
+        async def open_output(self) -> None:
             raise OutputError("MQTT needs aiomqtt")
 
     async with Peer() as peer:

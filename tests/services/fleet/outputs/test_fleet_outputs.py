@@ -152,7 +152,7 @@ async def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path
 class Described(Picky):
     """An output that wants to know the devices."""
 
-    def describe(self, devices: Any) -> None:
+    def describe_devices(self, devices: Any) -> None:
         self.labels = {name: each.labels for name, each in devices.items()}
 
 
