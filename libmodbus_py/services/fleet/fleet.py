@@ -256,14 +256,13 @@ class Fleet:
             self._end(poller)
         urls = {each.connection_key: each.endpoint.url for each in after.values()}
         ended = [key for key, line in self._lines.items() if line.url != urls.get(key)]
-        former = {key: self._end_line(key) for key in ended}
+        for key in ended:
+            self._end_line(key)
         self._plans = [plan for plan in self._plans if plan[2].name in self._pollers]
         heapify(self._plans)
         for device in after.values():
             if device.name not in self._pollers:
                 self._begin(device)
-        for key in former.keys() & self._lines.keys():
-            self._lines[key].replaces(former[key].client)
         self._end_if_all_polled()
 
     def take_back(self) -> None:
@@ -312,13 +311,12 @@ class Fleet:
         self._count(poller.state, -1)
         self.statistics.devices -= 1
 
-    def _end_line(self, key: str) -> FleetLine:
+    def _end_line(self, key: str) -> None:
         line = self._lines[key]
         for poller in list(line.pollers.values()):
             self._end(poller)
         del self._lines[key]
         self._closing.begin(line.close())
-        return line
 
     # --- polls ----------------------------------------------------------------------------------
 
