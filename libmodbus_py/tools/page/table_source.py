@@ -221,7 +221,7 @@ class ValueRow:
 
 
 class Values:
-    """The rows of devices, made by their names, and of their values. Any thread may put readings."""
+    """The rows of devices, made by their names, and of their values. Thread-safe."""
 
     def __init__(self, device_row: Callable[[str], GroupRow]) -> None:
         self._device_row = device_row

@@ -70,7 +70,7 @@ class Influx(Output):
         buffer: int = MOST_KEPT,
     ) -> None:
         self._protocol = LineProtocol(measurement)
-        self.buffer = buffer
+        self.buffer: int = buffer
         self._file: LineFile | None = None
         texts = {"database": database, "bucket": bucket, "organization": organization, "user": user}
         if url is None:
@@ -81,9 +81,9 @@ class Influx(Output):
             form = Format("influx", self._protocol.lines, begin)
             self._file = file = LineFile("-" if path is None else path, form, buffer)
             self.path: str = file.path
-            self.name = file.name
-            self.is_live = file.is_live
-            self.exclusive = file.exclusive
+            self.name: str = file.name
+            self.is_live: bool = file.is_live
+            self.exclusive: tuple[str, ...] = file.exclusive
             self._identity = file.identity
             return
         if path is not None:

@@ -60,11 +60,11 @@ class LineFile(Output):
         if "\0" in self.path:
             raise WrongValue("path", "must not contain the character 0")
         # True if readings of earlier runs are not wanted.
-        self.is_live = self.path == "-"
-        self.name = form.name if self.is_live else f"{form.name} {self.path}"
+        self.is_live: bool = self.path == "-"
+        self.name: str = form.name if self.is_live else f"{form.name} {self.path}"
         thing = "the standard output" if self.is_live else file_at(self.path)
-        self.exclusive = (thing,)
-        self.buffer = buffer
+        self.exclusive: tuple[str, ...] = (thing,)
+        self.buffer: int = buffer
         self._form = form
         self._descriptor = -1
         self._is_terminal = False

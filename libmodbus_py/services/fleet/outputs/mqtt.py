@@ -88,7 +88,7 @@ class Mqtt(Output):
             raise WrongValue("ca", "can only be used with mqtts://")
         flag(("retain",), retain)
         flag(("commands",), commands)
-        self.exclusive = (f"the topic {topic!r} of {self.name}",)
+        self.exclusive: tuple[str, ...] = (f"the topic {topic!r} of {self.name}",)
         if client_id is not None:  # with which a broker has one connection
             self.exclusive += (f"the client_id {client_id!r} at {self.name}",)
         is_of_points = not isinstance(topic, str) or "{name}" in topic or "{device}" not in topic
@@ -122,7 +122,7 @@ class Mqtt(Output):
             retain=retain,
             largest=max_message or LARGEST_BYTES,
         )
-        self.takes_commands = commands
+        self.takes_commands: bool = commands
         self._labels: dict[str, Mapping[str, str]] = {}
         self._commands: Commands | None = None
         self._offline = Message(self._status, OFFLINE) if self._status else None
