@@ -252,7 +252,7 @@ class Fleet:
             if still == poller.config:
                 continue
             if poller.config.connection_key not in passed_on:
-                self._receivers.put(poller.withdrawn(now, still.names if still else ()))
+                self._receivers.put_readings(poller.withdrawn(now, still.names if still else ()))
             self._end(poller)
         urls = {each.connection_key: each.endpoint.url for each in after.values()}
         ended = [key for key, line in self._lines.items() if line.url != urls.get(key)]
@@ -272,7 +272,7 @@ class Fleet:
         """
         now = time.time()
         for poller in self._pollers.values():
-            self._receivers.put(poller.withdrawn(now))
+            self._receivers.put_readings(poller.withdrawn(now))
             self._count(poller.state, -1)
             poller.forget()
 
@@ -280,7 +280,7 @@ class Fleet:
         """Report all points of devices as "offline" that no fleet polls."""
         now = time.time()
         for device in devices:
-            self._receivers.put(offline(device, now))
+            self._receivers.put_readings(offline(device, now))
 
     def _begin(self, device: DeviceConfig) -> None:
         assert self._loop is not None
@@ -350,7 +350,7 @@ class Fleet:
         if before is not None:
             now = time.time()
             self._count_poll(poller, before, now)
-            self._receivers.put(poller.readings(now, self._receivers.next_id))
+            self._receivers.put_readings(poller.readings(now, self._receivers.next_id))
             if poller.misses:
                 self._poll_after(poller, poller.pause)
         self._unpolled.discard(poller.name)

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import errno
 import math
-from collections.abc import Callable, Collection, Generator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from enum import Enum
 from functools import partial
 from itertools import count, repeat
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
@@ -46,6 +46,15 @@ class DeviceState(Enum):
     NEW = "new"
     UP = "up"
     DOWN = "down"
+
+
+class LastValue(NamedTuple):
+    """The value of a point when it was last read, or the reason why there was no good one."""
+
+    name: str
+    units: str
+    value: Any
+    reason: str = ""
 
 
 class Poller(LineRequest):
@@ -79,6 +88,8 @@ class Poller(LineRequest):
         self.since: float = 0.0
         self.error: Exception | None = None
         names, config = self.reads.names, self.config
+        self._values: list[Any] = [None] * len(names)
+        self._reasons: dict[int, str] = {}  # why the last reading of a point is not good
         self._changes = Changes(config.on_change, [config.dead_bands.get(each) for each in names])
         self._totals = Totals(at for at, each in enumerate(names) if config.map[each].never_falls)
 
@@ -96,6 +107,22 @@ class Poller(LineRequest):
     def is_refused(self) -> bool:
         """True if the device answered, but refused a request."""
         return self.state is DeviceState.UP and self.error is not None
+
+    @property
+    def bad_points(self) -> dict[str, str]:
+        """The points that have no good value although the device answers, each with the reason."""
+        reasons = self._reasons.copy() if self.state is DeviceState.UP else {}
+        return {self.reads.names[at]: reason for at, reason in reasons.items()}
+
+    def last_values(self) -> Iterator[LastValue]:
+        """Yield the points that have been read; none while the device does not answer."""
+        if self.state is DeviceState.UP:
+            points = zip(self.reads.names, self.reads.units, self._values, strict=True)
+            for at, (name, units, value) in enumerate(points):
+                if reason := self._reasons.get(at, ""):
+                    yield LastValue(name, units, None, reason)
+                elif value is not None:
+                    yield LastValue(name, units, classified(value)[0])
 
     @property
     def unreadable(self) -> list[Unreadable]:
@@ -197,10 +224,20 @@ class Poller(LineRequest):
         reported = self._changes.pick(values, self._due)
         if doubtful:
             reported = [at for at in reported if at not in doubtful]
+        if self._due is None:
+            self._values = values
+        else:
+            for at in self._due:
+                self._values[at] = values[at]
+        if self._reasons:
+            for at in reported:
+                self._reasons.pop(at, None)
         device, units, labels, readings = self.name, self.reads.units, self.config.labels, []
         for at, number in zip(reported, count(first) if first else repeat(0), strict=False):
             value, quality, reason = classified(values[at])
-            if at in fell:
+            if quality != "good":
+                self._reasons[at] = reason
+            elif fell and at in fell:
                 reason = "Fell"
             # As Reading(...), in half the time: a fleet does little else.
             fields = time, device, names[at], value, units[at], quality, reason, number, labels

@@ -191,7 +191,7 @@ class Buffer(AsyncIterator[Reading]):
             return found[0]
         raise StopAsyncIteration
 
-    def put(self, readings: Sequence[Reading]) -> None:
+    def put_readings(self, readings: Sequence[Reading]) -> None:
         """Add readings; they are ignored after `close`."""
         if self._is_closed:
             return

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.statistics import LastValues
 from tests.services.fleet.fleets import (
     Peer,
     good,
@@ -99,16 +98,18 @@ async def test_values_that_were_taken_back_are_reported_again_though_they_did_no
 
 
 @in_simulated_time
-async def test_metrics_forget_what_is_not_polled_any_more() -> None:
+async def test_the_last_values_of_what_is_not_polled_any_more_are_gone() -> None:
+    def last() -> set[tuple[str, str]]:
+        pollers = fleet.devices.values()
+        return {(each.name, point.name) for each in pollers for point in each.last_values()}
+
     async with Peer(good) as peer:
         devices = [meter(name, peer.url, unit=unit) for unit, name in enumerate("ab", 1)]
-        values = LastValues()
-        async with Fleet(devices, outputs=[values]) as fleet:
-            await until(lambda: len(values.statistics.by_name) == 6)
+        async with Fleet(devices) as fleet:
+            await until(lambda: len(last()) == 6)
             fleet.replace([devices[0]])
-            assert {device for device, _ in values.statistics.by_name} == {"a"}
-            # A reading that waited for this output meanwhile.
-            await values.write([Reading(0.0, "b", "voltage", 230.5, "V", "good")])
-            assert {device for device, _ in values.statistics.by_name} == {"a"}
+            assert {device for device, _ in last()} == {"a"}
             fleet.replace([meter("a", peer.url, items=("power",))])
-            await until(lambda: set(values.statistics.by_name) == {("a", "power")})
+            await until(lambda: last() == {("a", "power")})
+            fleet.take_back()
+            assert last() == set()

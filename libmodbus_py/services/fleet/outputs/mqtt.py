@@ -19,6 +19,7 @@ from ..config import DeviceConfig
 from ..readings import MOST_KEPT, Reading
 from .forms import object_text, poll_messages
 from .mqtt_connection import Message, MqttConnection
+from .output import Output
 from .topics import Topic, plain_topic
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ State = tuple[str, bool]
 """The topic of a device, and True if the device answers."""
 
 
-class Mqtt:
+class Mqtt(Output):
     """
     Publishes each reading to its own topic, or, if `topic` has no {name}, each poll of a device.
 
@@ -136,7 +137,7 @@ class Mqtt:
         """The name of its place in a journal."""
         return f"{self.name} {self._topic.template}"
 
-    def shares(self, other: object) -> str | None:
+    def shares(self, other: Output) -> str | None:
         """Return what another output takes too, in words; None if there is nothing."""
         if not isinstance(other, Mqtt) or other.name != self.name:
             return None
@@ -146,17 +147,17 @@ class Mqtt:
         topics = f"{self._topic.template!r} and {other._topic.template!r}"
         return f"topics of commands that can be the same: {topics} of {self.name}"
 
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
+    def describe_devices(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices; ValueError if one lacks a label that a topic holds, and none is set."""
         for topic in filter(None, (self._topic, self._state_topic)):
             topic.check(devices)
         self._labels = {name: each.labels for name, each in devices.items()}
 
-    def attach(self, commands: Commands) -> None:
+    def attach_commands(self, commands: Commands) -> None:
         """Set the object that carries out commands."""
         self._commands = commands
 
-    async def open(self) -> None:
+    async def open_output(self) -> None:
         connection = self._connection
         await connection.open(self._hear)
         if self.takes_commands:  # before "online", at which programs may send commands
@@ -174,14 +175,14 @@ class Mqtt:
             logger.error("%s ends connections at last values, which are left out", self.name)
         self._losses = 0
 
-    async def write(self, readings: Sequence[Reading]) -> None:
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         changed = self._states.changed(readings)
         messages = chain(self._messages.of(readings), self._states.messages(changed))
         await self._connection.publish_all(messages)
         self._messages.keep()
         self._states.keep(changed, readings)
 
-    async def close(self) -> None:
+    async def close_output(self) -> None:
         await self._connection.close(self._offline)
 
     async def _hear(self, message: aiomqtt.Message) -> None:
