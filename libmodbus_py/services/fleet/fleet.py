@@ -303,6 +303,7 @@ class Fleet:
         line = self._lines[poller.config.connection_key]
         del line.pollers[poller.name]
         line.withdraw(poller)
+        poller.cancel_pause()
         self._unpolled.discard(poller.name)
         self._count(poller.state, -1)
         self.statistics.devices -= 1
@@ -404,7 +405,7 @@ class Fleet:
 
     async def write(self, device: str, values: Mapping[str, Any]) -> None:
         """
-        Write values to points of a device, by their names.
+        Write values to points of a device, by their names; it is polled at once thereafter.
 
         Args:
             device: the name of the device.
@@ -422,5 +423,4 @@ class Fleet:
         for name in points.keys() & wanted.keys():
             with inside(name):
                 wanted[name] = json_value(points[name], wanted[name])
-        line = self._lines[poller.config.connection_key]
-        await line.sender_of(poller).client.for_unit(poller.unit).write_map(points, wanted)
+        await self._lines[poller.config.connection_key].write(poller, wanted)

@@ -175,6 +175,7 @@ WRONG_KEYS = {
     "items = ['reset']": "items[0]: the map has no point 'reset' to",
     "items = 'power'": "items must be a list of names, not str",
     "dead_bands = {x = 1}": "dead_bands.x: no point of this name",
+    "at_least = 0": "at_least must be in 0.01..86400 seconds",
     "dead_bands = {power = -1}": "dead_bands.power must be 0 or more",
     "labels = {x = 1}": "labels.x must be text, not int",
     "max_registers = 1": "max_registers: items['power']: float32 takes",
