@@ -243,11 +243,13 @@ class Fleet:
             self._receivers.describe(before)
             raise
         self._devices = after
-        now = time.time()
+        now, reported = time.time(), set[str]()
         for name, poller in list(self._pollers.items()):
             still = after.get(name)
             if still == poller.config:
                 continue
+            if poller.is_reported:
+                reported.add(name)
             if poller.config.connection_key not in passed_on:
                 self._receivers.put(poller.withdrawn(now, still.names if still else ()))
             self._end(poller)
@@ -259,6 +261,7 @@ class Fleet:
         for device in after.values():
             if device.name not in self._pollers:
                 self._begin(device)
+                self._pollers[device.name].was_reported = device.name in reported
         for key in former.keys() & self._lines.keys():
             self._lines[key].replaces(former[key].client)
         self._end_if_all_polled()

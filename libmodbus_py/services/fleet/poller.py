@@ -90,6 +90,7 @@ class Poller(LineRequest):
     def forget(self) -> None:
         """Forget the state of the device, and what was reported of it."""
         self.state: DeviceState = DeviceState.NEW
+        self.was_reported: bool = False  # with other keys, before the fleet was changed
         self.since: float = 0.0
         self.error: Exception | None = None
         names, config = self.reads.names, self.config
@@ -116,6 +117,11 @@ class Poller(LineRequest):
     def is_refused(self) -> bool:
         """True if the device answered, but refused a request."""
         return self.state is DeviceState.UP and self.error is not None
+
+    @property
+    def is_reported(self) -> bool:
+        """True if points of the device were reported, and not taken back."""
+        return self.was_reported or self.state is not DeviceState.NEW
 
     @property
     def unreadable(self) -> list[Unreadable]:
@@ -244,7 +250,7 @@ class Poller(LineRequest):
 
     def withdrawn(self, time: float, still_read: Collection[str] = ()) -> list[Reading]:
         """Return readings that take back those that were reported, without the points named."""
-        return [] if self.state is DeviceState.NEW else offline(self.config, time, still_read)
+        return offline(self.config, time, still_read) if self.is_reported else []
 
 
 def _error_of(answer: Any) -> ModbusError | None:
