@@ -201,6 +201,17 @@ BROKER = "[output.mqtt]\nurl = 'mqtt://x'\n"
 
 # Below these, in line 3.
 WRONG_KEYS_OF_A_BROKER = {
+    "discovery = 'openhab'": "discovery must be 'homeassistant', not 'openhab'",
+    "discovery = true": "discovery must be 'homeassistant', not True",
+    "topic = 'homeassistant/{device}/{name}'\ndiscovery = 'homeassistant'": (
+        "topic must not begin with homeassistant/, where configurations for discovery are"
+    ),
+    "status = 'homeassistant/status'\ndiscovery = 'homeassistant'": "status must not begin with",
+    "status = ''\ndiscovery = 'homeassistant'": "status must not be empty with discovery",
+    "retain = false\ntopic = 'p/{device}'\ndiscovery = 'homeassistant'": (
+        "retain must be true with discovery and a topic without {name}"
+    ),
+    "device_status = 'p/{device}/{name}'\ndiscovery = 'homeassistant'": "device_status must hold",
     "qos = 2": "qos must be in 0..1",
     "password = 'secret'": "password must not be written in the file: use ${NAME}",
     "password = '${NOT_THERE}'": "password: ${NOT_THERE}: the environment has no such variable",
