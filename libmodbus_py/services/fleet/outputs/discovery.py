@@ -101,37 +101,37 @@ class Discovery:
         self._node = identifier(topics.status)
         self.filter: str = f"{PREFIX}/+/{self._node}/+/config"
         self.devices: Mapping[str, DeviceConfig] = {}
-        # Those whose configurations were published.
+        # Those whose configurations were published, and the names of those that have not changed
+        # since. Another worker may have changed what it polled meanwhile.
         self.published: dict[str, DeviceConfig] = {}
+        self._current: set[str] = set()
         # Devices of the start without a reading: if they are removed, no reading says so.
         self._unread: set[str] = set()
-        # The topics of configurations of all devices, from the first question on.
-        self._known: set[str] | None = None
+        # Topics of configurations that the broker retained before the start.
+        self._retained: set[str] = set()
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices that are polled."""
-        # A device that is only read from a file again is the same.
-        known = self.published
-        self.devices = {
-            name: known[name] if known.get(name) == each else each for name, each in devices.items()
+        self._current = {
+            name for name in self._current & devices.keys() if devices[name] == self.devices[name]
         }
-        self._known = None
+        self.devices = devices
 
     def start(self) -> None:
         """Publish the configurations of all devices with the next ones that are published again."""
         self.published = dict(self.devices)
-        self._unread = {*self.devices}
+        self._current, self._unread = {*self.devices}, {*self.devices}
 
-    def is_leftover(self, topic: str) -> bool:
-        """Return True if this is the topic of a configuration of none of the devices."""
-        levels = topic.split("/")
-        if len(levels) != 5 or (levels[0], levels[2], levels[4]) != (PREFIX, self._node, "config"):
-            return False
-        if self._known is None:
-            self._known = {
-                each for device in self.devices.values() for each, _ in self._entities(device)
-            }
-        return topic not in self._known
+    def hear(self, topic: str) -> None:
+        """Note a configuration that the broker retained before the start."""
+        self._retained.add(topic)
+
+    def leftovers(self) -> set[str]:
+        """Return the topics of retained configurations that no device has."""
+        if not self._retained:
+            return set()
+        devices = self.devices.values()
+        return self._retained - {topic for each in devices for topic, _ in self._entities(each)}
 
     # --- messages -----------------------------------------------------------------------------
 
@@ -141,10 +141,12 @@ class Discovery:
             self._unread - self.devices.keys() - {each.device for each in readings}
         )
         for each in readings:
-            device = self.devices.get(each.device)
-            is_known = device is not None or each.quality == "offline"
-            if is_known and self.published.get(each.device) is not device:
-                devices[each.device] = device
+            name = each.device
+            if name in self._current:
+                continue
+            device = self.devices.get(name)
+            if device is not None or (each.quality == "offline" and name in self.published):
+                devices[name] = device
         return devices
 
     def messages(self, devices: Mapping[str, DeviceConfig | None]) -> Iterator[Message]:
@@ -159,14 +161,21 @@ class Discovery:
             for topic, entity in after.items():
                 yield Message(topic, json_text(entity).encode())
 
-    def keep(self, devices: Mapping[str, DeviceConfig | None], readings: Sequence[Reading]) -> None:
-        """Note that the configurations of devices were published, and readings behind them."""
+    def keep(
+        self,
+        devices: Mapping[str, DeviceConfig | None],
+        readings: Sequence[Reading],
+        leftovers: set[str],
+    ) -> None:
+        """Note that messages with devices, and readings behind them, were published."""
+        self._retained -= leftovers
         self._unread -= {*devices} | {each.device for each in readings}
         for name, device in devices.items():
             if device is None:
                 del self.published[name]
             else:
                 self.published[name] = device
+                self._current.add(name)
 
     def again(self) -> Iterator[Message]:
         """Yield the configurations that were published, which the broker may have lost."""
@@ -193,6 +202,8 @@ class Discovery:
             "origin": {"name": "libmodbus-py", "sw_version": __version__},
         }
         for point in device.map.values():
+            if point.is_readable and point.name not in read:  # which nobody wants to see
+                continue
             names = {"device": device.name, "name": point.name}
             own = topics.point.of(device.labels, **names)
             commands = {}

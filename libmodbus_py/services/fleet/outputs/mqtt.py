@@ -140,7 +140,7 @@ class Mqtt:
         self._has_begun = False  # it was open before
         # False if another poller or worker of this status is connected, whose configurations may be
         # among those that are left.
-        self._is_alone = True
+        self._is_alone, self._is_heard = True, False
         self._labels: dict[str, Mapping[str, str]] = {}
         self._commands: Commands | None = None
         self._offline = Message(self._status, OFFLINE) if self._status else None
@@ -183,12 +183,13 @@ class Mqtt:
         if self.takes_commands:  # before "online", at which programs may send commands
             await connection.subscribe(f"{self._point.filter}/set")
         if self._status:
-            self._is_alone = True
+            self._is_alone, self._is_heard = True, False
             await connection.subscribe(self._status)
             await connection.publish(Message(self._status, ONLINE))
         if not self._has_begun:
-            await self._begin_discovery()
+            # Once, whatever happens: a broker may drop its responses behind many thousand messages.
             self._has_begun = True
+            await self._begin_discovery()
         # The broker may have been restarted, and may have lost what it retained; or it ended the
         # connection at these values each time before.
         self._losses += 1
@@ -207,11 +208,13 @@ class Mqtt:
         changed = self._states.changed(readings)
         messages = chain(self._messages.of(readings), self._states.messages(changed))
         if self._discovery is not None:
+            leftovers = self._discovery.leftovers() if self._is_alone else set()
             devices = self._discovery.changed(readings)
-            messages = chain(self._discovery.messages(devices), messages)
+            deletions = (Message(topic, b"") for topic in leftovers)
+            messages = chain(deletions, self._discovery.messages(devices), messages)
         await self._connection.publish_all(messages)
         if self._discovery is not None:
-            self._discovery.keep(devices, readings)
+            self._discovery.keep(devices, readings, leftovers)
         self._messages.keep()
         self._states.keep(changed, readings)
 
@@ -222,22 +225,18 @@ class Mqtt:
         """Publish all configurations soon, and hear of those that an earlier run left."""
         if self._discovery is not None and self._discovery.devices:  # a worker has none at first
             self._discovery.start()
-            await self._connection.subscribe(self._discovery.filter)
+            await self._connection.hear_retained(self._discovery.filter, self._discovery.hear)
 
     async def _hear(self, message: aiomqtt.Message) -> None:
-        """
-        Answer a command, or the last will of another worker or of an earlier connection; delete a
-        configuration that is left.
-        """
+        """Answer a command, or the last will of another worker or of an earlier connection."""
         topic = str(message.topic)
         if topic == self._status:
-            if message.retain:  # of before this connection
-                self._is_alone = message.payload != ONLINE
-            elif message.payload == OFFLINE:
+            if message.payload == ONLINE:
+                # One that is retained is of before, and the first other one is the own.
+                self._is_alone = not (message.retain or self._is_heard)
+                self._is_heard = True
+            elif not message.retain:
                 await self._connection.publish(Message(self._status, ONLINE))
-        elif self._discovery is not None and self._discovery.is_leftover(topic):
-            if message.retain and self._is_alone:
-                await self._connection.publish(Message(topic, b""))
         elif self._commands is not None and not message.retain:  # a retained one is old
             await self._answer(self._commands, topic, message.payload)
 
