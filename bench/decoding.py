@@ -32,7 +32,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "uint16 with named bits": {"bits": {0: "door", 3: "alarm"}, "missing": 7},
     "bit of a register": {"bit": 3},
     "float32": {"type": "float32"},
-    "float32 with bounds": {"type": "float32", "plausible_minimum": -1e38},
+    "float32 with bounds": {"type": "float32", "plausible_minimum": -1e30},
 }
 
 

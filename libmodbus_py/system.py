@@ -31,7 +31,6 @@ __all__ = [
     "open_file",
     "peer_credentials",
     "reserve_descriptors",
-    "set_odd_baudrate",
 ]
 
 # Python has no name for it before 3.14; the number is that of <linux/in.h>.
@@ -198,30 +197,3 @@ def reserve_descriptors(descriptor: int, highest: int) -> None:
     with contextlib.suppress(OSError):
         duplicate = getattr(fcntl, "F_DUPFD_CLOEXEC", fcntl.F_DUPFD)  # PyPy has the second only
         os.close(fcntl.fcntl(descriptor, duplicate, highest))
-
-
-# --- serial ports -----------------------------------------------------------------------------
-
-
-def set_odd_baudrate(descriptor: int, baudrate: int) -> None:
-    """
-    Set a rate without a constant of its own, and check that the port accepted it.
-
-    Raises:
-        OSError: the port cannot do it.
-    """
-    # struct termios2, TCGETS2, TCSETS2, CBAUD and BOTHER of asm-generic/termbits.h; where they
-    # differ the ioctl fails, and the baud rate is refused.
-    termios2 = struct.Struct("4IB19B2I")
-    get, set_, rate_bits, other_rate = 0x802C542A, 0x402C542B, 0o010017, 0o010000
-    try:
-        fields = list(termios2.unpack(fcntl.ioctl(descriptor, get, bytes(termios2.size))))
-        fields[2] = fields[2] & ~(rate_bits | rate_bits << 16) | other_rate
-        fields[-2:] = baudrate, baudrate
-        fcntl.ioctl(descriptor, set_, termios2.pack(*fields))
-        *_, speed = termios2.unpack(fcntl.ioctl(descriptor, get, bytes(termios2.size)))
-    except OSError as error:
-        raise OSError(error.errno, f"baudrate {baudrate} refused: {error.strerror}") from None
-    # A receiver tolerates 2 % (serial line, 2.4).
-    if abs(speed - baudrate) > baudrate * 0.02:
-        raise OSError(errno.EINVAL, f"baudrate {baudrate} refused: the port does {speed}")

@@ -40,6 +40,8 @@ class AsyncioDriver:
         self._connection = connection
         self._life = connection.life
         self._notices = connection.notices
+        self._queue = connection.queue
+        self._matching = connection.matching
         # What callers wait for, each with the future or function that tells its caller.
         self._callers: dict[Call | Batch, Future[None] | Callable[[], object]] = {}
         self._begin_anew()
@@ -58,7 +60,8 @@ class AsyncioDriver:
         self._is_due = False
         self._is_inside = False
         self._is_telling = False
-        self._ended: deque[Call | Batch] = deque()
+        # The functions to call, when the state is consistent.
+        self._ended: deque[Callable[[], object]] = deque()
         self._closed = asyncio.Event()
 
     def now(self) -> float:
@@ -81,23 +84,25 @@ class AsyncioDriver:
             self._bind()
         done = loop.create_future()
         try:
-            self.ask(job, done)
+            self._submit(job, done)
             if not job.is_done:
                 await done
         finally:
             if not job.is_done:
                 self.withdraw(job)
 
-    def ask(self, job: Call | Batch, caller: Future[None] | Callable[[], object]) -> None:
+    def ask(self, job: Call | Batch, caller: Callable[[], object]) -> None:
         """
-        Send requests; once they are over, perhaps before this method returns, tell the caller.
+        Send requests; once they are over, perhaps before this method returns, call a function.
 
-        The result of a future is set; a function is called, and what it raises is logged.
+        What it raises is logged.
         """
-        if asyncio.get_running_loop() is not self._loop:
-            self._bind()
+        self._bind()
+        self._submit(job, caller)
+
+    def _submit(self, job: Call | Batch, caller: Future[None] | Callable[[], object]) -> None:
         self._callers[job] = caller
-        job.on_done = self._ended.append
+        job.on_end(self._note_end)
         try:
             self._enter(self._add, job)
         except BaseException:
@@ -109,7 +114,12 @@ class AsyncioDriver:
         connection.submit(job, now)
         if not connection.in_flight:
             self._turn(now)
-        elif not self._is_due:  # requests of this turn of the loop are sent together
+        else:  # requests of this turn of the loop are sent together
+            self._turn_soon()
+
+    def _turn_soon(self) -> None:
+        """Take one turn for all that is asked and withdrawn in this turn of the loop."""
+        if not self._is_due:
             self._is_due = True
             self._bound.call_soon(self._enter, self._turn)
 
@@ -119,10 +129,18 @@ class AsyncioDriver:
         if not job.is_done:
             self._enter(self._abandon, job)
 
+    def _note_end(self, job: Call | Batch) -> None:
+        """Wake the caller of requests that are over, or call its function later."""
+        caller = self._callers.pop(job, None)
+        if isinstance(caller, Future):
+            if not caller.done():
+                caller.set_result(None)  # the caller goes on in a later turn of the loop
+        elif caller is not None:
+            self._ended.append(caller)
+
     def _abandon(self, job: Call | Batch) -> None:
-        job.on_done = None
         self._connection.withdraw(job, self._now())
-        self._turn()
+        self._turn_soon()
 
     async def close(self) -> None:
         self._bind()
@@ -130,6 +148,7 @@ class AsyncioDriver:
         if self._attempt is not None:
             self._attempt.cancel()
             await asyncio.wait([self._attempt])
+        self._port.shut()
 
     def forget(self) -> None:
         """Close the port after the last handle was garbage collected."""
@@ -162,6 +181,8 @@ class AsyncioDriver:
         if self._attempt is not None and self._loop is not None and not self._loop.is_closed():
             self._attempt.cancel()
         self._close_port()
+        if self._attempt is None:
+            self._port.shut()
         self._life.close()
         self._alarm.cancel()
 
@@ -176,7 +197,7 @@ class AsyncioDriver:
     def change_timeout(self) -> None:
         """Note that some `Timeouts` were changed."""
         if self._loop is not None and not self._loop.is_closed():
-            self._connection.matching.wake(self._now())
+            self._matching.wake(self._now())
             self._set_timer()
 
     def _bind(self) -> asyncio.AbstractEventLoop:
@@ -226,11 +247,10 @@ class AsyncioDriver:
         self._connection.interrupted(error, self._now())
         for job in list(self._callers):
             job.settle(error)
-        self._ended.clear()
-        self._ended.extend(self._callers)
+            self._note_end(job)  # if it was over, and the exception came before this
 
     def _tell(self) -> None:
-        """Call user functions, and wake callers, now that the state is consistent."""
+        """Call user functions, now that the state is consistent."""
         if self._is_telling:  # a user function uses the client; the others are called after it
             return
         self._is_telling = True
@@ -238,25 +258,20 @@ class AsyncioDriver:
             if self._notices.waiting:
                 self._notices.give()
             while self._ended:
-                self._tell_caller()
+                self._call(self._ended.popleft())
         except BaseException:
             self._bound.call_soon(self._tell)
             raise
         finally:
             self._is_telling = False
 
-    def _tell_caller(self) -> None:
-        caller = self._callers.pop(self._ended.popleft(), None)
-        if isinstance(caller, Future):
-            if not caller.done():
-                caller.set_result(None)
-        elif caller is not None:
-            try:
-                result = caller()
-                if result is not None:
-                    finished("on_done", result)
-            except Exception:
-                log_failure(__name__, "on_done failed")
+    def _call(self, caller: Callable[[], object]) -> None:
+        try:
+            result = caller()
+            if result is not None:
+                finished("on_done", result)
+        except Exception:
+            log_failure(__name__, "on_done failed")
 
     # --- turns ------------------------------------------------------------------------------
 
@@ -274,31 +289,31 @@ class AsyncioDriver:
         else:
             if not connection.in_flight and self._port.has_input():
                 self._read()
-            while adus := connection.start(now):
-                self._send(adus, now)
+            queue = self._queue
+            while self._send(now) and (queue.waiting or queue.again):
+                pass
         if connection.broken is not None:
             self._lose(connection.broken, by_itself=False)
-        self._set_timer()
+        if self._matching.alarm < self._alarm.at or self._port.resume_at is not None:
+            self._set_timer()
 
-    def _send(self, adus: list[bytes], now: float) -> None:
-        port, connection = self._port, self._connection
-        # Checked again, because user code was called since, and the process may have been stopped.
-        if connection.is_guarded and (forbidden := connection.forbidden()) is not None:
-            self._lose(forbidden, by_itself=False)
-            return
+    def _send(self, now: float) -> bool:
+        """Send what may be sent now; return True if that was anything."""
+        port = self._port
         try:
-            port.send(adus, now)
-            if connection.untraced:
-                connection.trace_sent()
+            if not self._connection.start(now, port.send):
+                return False
             if port.has_unsent or self._is_writing:
                 self._follow_port()
             if not self._is_reading:
                 self._read_on()
         except ModbusConnectionError as error:
             self._lose(error)
+            return False
+        return True
 
     def _set_timer(self) -> None:
-        at = self._connection.matching.alarm
+        at = self._matching.alarm
         if self._port.resume_at is not None:
             at = min(at, self._port.resume_at)
         if at < self._alarm.at and self._life.state is not State.CLOSED:
@@ -316,30 +331,29 @@ class AsyncioDriver:
 
     def _readable(self) -> None:
         self._read()
-        if self._connection.is_wanted or self._connection.broken is not None:
+        queue = self._queue
+        if queue.waiting or queue.again or self._connection.broken is not None:
             self._turn()
-        else:
+        elif self._matching.alarm < self._alarm.at or self._port.resume_at is not None:
             self._set_timer()
 
     def _read(self) -> None:
         """Take the received bytes, and send what may be sent now."""
-        connection, now = self._connection, self._now()
+        connection, port, now = self._connection, self._port, self._now()
         try:
-            chunks = self._port.receive()
+            is_wanted = connection.take(port.receive(), now)
         except ModbusConnectionError as error:
             self._lose(error)
             return
-        connection.take(chunks, now)
-        adus = connection.start(now)
-        if adus:  # sending also acknowledges received bytes
-            self._send(adus, now)
+        if is_wanted and self._send(now):
+            pass  # sending also acknowledges received bytes
         elif connection.in_flight:
-            self._port.acknowledge()
+            port.acknowledge()
         elif connection.is_flooded:
             # Until the next request: a flood must not keep an idle client busy.
             self._is_reading = False
-            self._bound.remove_reader(self._port.descriptor)
-            self._port.discard_input()
+            self._bound.remove_reader(port.descriptor)
+            port.discard_input()
         connection.settle(now)
 
     def _read_on(self) -> None:

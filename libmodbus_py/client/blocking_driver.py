@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from .call import Batch, Call
     from .connection import Transactions
 
-__all__ = ["BlockingDriver"]
+__all__ = ["BlockingDriver", "make_driver"]
 
 # How long `close` waits for another thread to leave a connection that it was told to leave.
 LEAVING_S = 1.0
@@ -44,6 +44,7 @@ class BlockingDriver:
         self._connection = connection
         self._life = connection.life
         self._notices = connection.notices
+        self._queue = connection.queue
         try:
             self.waker: Waker = port.waker()
         except OSError as error:
@@ -54,7 +55,7 @@ class BlockingDriver:
         self._pauses: set[Waker] = set()
         self._start_anew()
         abandoned_in_children(self)
-        weakref.finalize(self, port.close)
+        weakref.finalize(self, port.shut)
 
     def _start_anew(self) -> None:
         # Reentrant, so that a signal handler that sends a request during another one gets an error
@@ -92,7 +93,7 @@ class BlockingDriver:
         Raises:
             RuntimeError: called from within a request of the same thread.
         """
-        lock = self.lock
+        lock, connection = self.lock, self._connection
         with lock:
             if self._is_busy:
                 raise RuntimeError(
@@ -105,7 +106,17 @@ class BlockingDriver:
                 self._shut()
             try:
                 self._is_busy = self._is_left = True
-                self._drive(job, lock)
+                now = self._now()
+                connection.submit(job, now)
+                while not job.is_done:
+                    if lock is not self.lock:  # a callback or a signal handler forked
+                        raise ModbusConnectionError(FORKED, errno=errno.EBADF)
+                    self._turn(job, now or self._now())
+                    if self._notices.waiting:
+                        self._notices.give()
+                    now = 0.0
+                if self._port.resume_at is not None:
+                    self._finish_sending()
                 self._is_left = False
             except BaseException:
                 self._interrupt()
@@ -146,7 +157,7 @@ class BlockingDriver:
             self.waker.close()
 
     def _shut(self) -> None:
-        self._port.close()
+        self._port.shut()
         self._connection.closed(self._now())
         self.waker.close()
 
@@ -159,51 +170,46 @@ class BlockingDriver:
 
     # --- the requests of one caller -----------------------------------------------------------
 
-    def _drive(self, job: Call | Batch, lock: threading.RLock) -> None:
-        connection, port, now = self._connection, self._port, self._now()
-        try:
-            connection.submit(job, now)
-            while not job.is_done:
-                if lock is not self.lock:  # a callback or a signal handler forked
-                    raise ModbusConnectionError(FORKED, errno=errno.EBADF)
-                try:
-                    if self._life.is_open:
-                        self._step(job, now or self._now())
-                    else:
-                        self._connect()
-                except Woken:  # by `close`, or because timeouts have changed
-                    self.waker.clear()  # before `_closed` is read: `close` sets it, then wakes
-                    if self._closed:
-                        raise
-                    connection.matching.wake(self._now())
-                if self._notices.waiting:
-                    self._notices.give()
-                now = 0.0
-            while port.resume_at is not None:
-                # Finish sending: an answer may come while RTS is set, as on a pseudo-terminal.
-                self.waker.sleep(max(0.0, port.resume_at - self._now()))
-                port.go_on(self._now())
-        except Woken:
-            self._shut()
-
-    def _step(self, job: Call | Batch, now: float) -> None:
+    def _turn(self, job: Call | Batch, now: float) -> None:
         """Send requests that may be sent, wait for bytes, and process them."""
-        connection, port = self._connection, self._port
+        connection, port, queue = self._connection, self._port, self._queue
         try:
+            if not self._life.is_open:
+                self._connect()
+                return
             if not connection.in_flight and port.has_input():
                 self._look(now)
-            adus = connection.start(now)
-            while adus:
-                port.send(adus, now)
-                if connection.untraced:
-                    connection.trace_sent()
-                adus = connection.start(now)
+            while connection.start(now, port.send) and (queue.waiting or queue.again):
+                pass
             if self._notices.waiting:
                 self._notices.give()  # the sent frames are traced before the wait for answers
             if not (job.is_done or connection.broken):
-                self._wait(now)
+                until = connection.matching.alarm
+                if connection.in_flight and not port.has_unsent and port.resume_at is None:
+                    is_ready = self.waker.is_ready(until - now)
+                else:
+                    is_ready = self._wait(now, until)
+                now = self._now()
+                if is_ready:
+                    # Sent before the answers are decoded, so that the server has work meanwhile;
+                    # sending also acknowledges received bytes.
+                    is_wanted = connection.take(port.receive(), now)
+                    is_sent = is_wanted and connection.start(now, port.send)
+                    if connection.in_flight and not is_sent:
+                        port.acknowledge()
+                if port.has_unsent or (port.resume_at is not None and port.resume_at <= now):
+                    port.go_on(now)
+                if connection.matching.alarm <= now:
+                    connection.tick(now)
+                connection.settle(now)
         except ModbusConnectionError as error:
             self._lose(error, by_itself=True)
+        except Woken:  # by `close`, or because timeouts have changed
+            self.waker.clear()  # before `_closed` is read: `close` sets it, then wakes
+            if self._closed:
+                self._shut()
+            else:
+                connection.matching.wake(self._now())
         if connection.broken is not None:
             self._lose(connection.broken, by_itself=False)
 
@@ -216,34 +222,24 @@ class BlockingDriver:
                 self._port.discard_input()
                 return
 
-    def _wait(self, now: float) -> None:
-        connection, port, is_ready = self._connection, self._port, False
-        until = connection.matching.alarm
+    def _wait(self, now: float, until: float) -> bool:
+        """Wait for a time, to send the rest, or for bytes; return True if there are bytes."""
+        port = self._port
         if port.resume_at is not None:
             until = min(until, port.resume_at)
-        if not connection.in_flight and until - now < SLEPT_S:
+        if not self._connection.in_flight and until - now < SLEPT_S:
             self.waker.sleep(max(0.0, until - now))
-        elif port.has_unsent:
+            return False
+        if port.has_unsent:
             self.waker.wait(port.descriptor, READ | WRITE, until)
-            is_ready = port.has_input()
-        else:
-            is_ready = self.waker.is_ready(until - now)
-        now = self._now()
-        if is_ready:  # sent before the answers are decoded, so that the server has work meanwhile
-            connection.take(port.receive(), now)
-            adus = connection.start(now)
-            if adus:  # sending also acknowledges received bytes
-                port.send(adus, now)
-                if connection.untraced:
-                    connection.trace_sent()
-            elif connection.in_flight:
-                port.acknowledge()
-            now = self._now()
-        if port.has_unsent or (port.resume_at is not None and port.resume_at <= now):
-            port.go_on(now)
-        if connection.matching.alarm <= now:
-            connection.tick(now)
-        connection.settle(now)
+            return bool(port.has_input())
+        return self.waker.is_ready(until - now)
+
+    def _finish_sending(self) -> None:
+        """Send the rest: an answer may come while RTS is set, as on a pseudo-terminal."""
+        while (at := self._port.resume_at) is not None:
+            self.waker.sleep(max(0.0, at - self._now()))
+            self._port.go_on(self._now())
 
     def _lose(self, error: ModbusConnectionError, *, by_itself: bool) -> None:
         self._port.close()
@@ -272,3 +268,32 @@ class BlockingDriver:
             if life.state is State.CONNECTING:
                 self._port.close()
                 life.given_up()
+
+
+class ClosingDriver(BlockingDriver):
+    """Closes a connection that has been idle for `idle_close`: in `wait_until`, before requests."""
+
+    def wait_until(self, at: float) -> bool:
+        while (until := self._connection.idle_until(self._now())) < at:
+            if not super().wait_until(until):
+                return False
+            with self.lock:
+                self._end_idle()
+                self._notices.give()
+        return super().wait_until(at)
+
+    def run(self, job: Call | Batch) -> None:
+        with self.lock:
+            if not self._is_busy:
+                self._end_idle()
+            super().run(job)
+
+    def _end_idle(self) -> None:
+        self._connection.end_idle(self._now())
+        if self._connection.broken is not None:
+            self._lose(self._connection.broken, by_itself=False)
+
+
+def make_driver(port: Port, connection: Transactions) -> BlockingDriver:
+    """Return the driver of a connection."""
+    return (BlockingDriver if connection.idle_close is None else ClosingDriver)(port, connection)

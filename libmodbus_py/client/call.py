@@ -19,7 +19,13 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Final
 
 from ..protocol.checks import integer, seconds
-from ..protocol.errors import ModbusError, ModbusTimeoutError, in_hex
+from ..protocol.errors import (
+    NO_UNIT,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    in_hex,
+)
 from ..protocol.pdu import MAX_PDU, Request
 
 if TYPE_CHECKING:
@@ -28,13 +34,16 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "ANSWERED", "NOT_ASKED", "SENT", "WAITING", "Batch", "Call", "Matching",
+    "ANSWERED", "NOT_ASKED", "SENT", "SILENCE", "WAITING", "Batch", "Call", "Matching",
     "Phase", "Timeouts", "no_answer", "raised",
 ]
 # fmt: on
 
 NOT_ASKED: Final = object()
 """The outcome of a request that has none yet, or was never sent."""
+
+SILENCE = (ModbusTimeoutError, *NO_UNIT)
+"""The failures of a request to a silent device: no answer, or that of a gateway in its place."""
 
 
 class Timeouts:
@@ -80,23 +89,10 @@ class Call:
             braces for the index.
     """
 
-    # Most requests change few of these: the others cost nothing to make.
-    batch: Batch | None = None
-    on_done: Callable[[Call], object] | None = None  # not of calls of a batch
-    changes: bool = False
-    is_silent: bool = False
-    state: Phase = WAITING
-    outcome: Any = NOT_ASKED  # the result, or the exception
-    is_done: bool = False
-    is_under_way: bool = True  # False if its batch has gone on without its outcome
-    reply: bytes | ModbusError | None = None  # the PDU of the answer, or an error
-    answerer: int = 0  # the unit that answered
-    adu: bytes = b""  # the frame that was sent last
-    sent_at: float = 0.0
-    since: float = 0.0  # when its time began; sooner by `used` if it has waited for the connection
-    used: float = 0.0
-    tries: int = 0  # how often it was sent again; `busy_tries` because the device was busy
-    busy_tries: int = 0
+    __slots__ = (
+        *("__weakref__", "adu", "batch", "changes", "is_done", "is_silent", "on_done", "outcome"),
+        *("pdu", "reply", "request", "sent_at", "state", "timeouts", "tries", "unit", "waited"),
+    )
 
     def __init__(
         self,
@@ -106,32 +102,48 @@ class Call:
         is_broadcast: bool = False,
         name: str = "request",
         index: int = 0,
+        batch: Batch | None = None,
     ) -> None:
         self.unit: int = unit
         self.request: Request[Any] | None = request
         self.timeouts: Timeouts = timeouts
+        self.batch: Batch | None = batch
+        self.on_done: Callable[[Call], object] | None = None  # not of calls of a batch
+        self.state: Phase = WAITING
+        self.reply: bytes | ModbusError | None = None  # the PDU of the answer, or an error
+        self.outcome: Any = NOT_ASKED  # the result, or the exception
+        self.is_done: bool = False
+        self.adu: bytes = b""  # the frame that was sent last
+        self.sent_at: float = 0.0  # until it is sent: when it began to wait for a connection
+        self.waited: float = 0.0  # seconds of its time that were over when the connection stood
+        # How often it was sent again: because it was not answered, and because the device was busy.
+        self.tries: tuple[int, int] = 0, 0
         if request is None:
             self.pdu: bytes = b""
+            self.changes: bool = False
+            self.is_silent: bool = False
             return
         if not isinstance(request, Request):
             given = type(request).__name__
             raise TypeError(f"{name.format(index)} must be a request object of pdu, not {given}")
         if is_broadcast and not request.may_be_broadcast:
-            raise ValueError(
-                f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
-                f"and {request} is not a write"
-            )
+            from ..protocol.pdu import RawRequest
+
+            if not isinstance(request, RawRequest):
+                raise ValueError(
+                    f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
+                    f"and {request} is not a write; broadcast=False, if a device answers it"
+                )
+            is_broadcast = False  # who sends bytes knows whether they are answered
         self.pdu = pdu = request.encode()
         if not isinstance(pdu, bytes):
             given = type(pdu).__name__
             raise TypeError(f"{name.format(index)} must encode to bytes, not {given}")
-        if not 1 <= len(pdu) <= MAX_PDU:
+        if not 0 < len(pdu) <= MAX_PDU:
             size = f"1..{MAX_PDU} bytes, not {len(pdu)}"
             raise ValueError(f"{name.format(index)} must encode to {size}")
-        if request.changes:
-            self.changes = True
-        if is_broadcast or not request.expects_response:
-            self.is_silent = True
+        self.changes = request.changes
+        self.is_silent = is_broadcast or not request.expects_response
 
     @property
     def function(self) -> int:
@@ -140,7 +152,53 @@ class Call:
     @property
     def deadline(self) -> float:
         """When its time is over; computed each time, because the timeout may be changed."""
-        return self.since + self.timeouts.timeout
+        return self.sent_at - self.waited + self.timeouts.timeout
+
+    def on_end(self, callback: Callable[[Call], object]) -> None:
+        """Call a function once it has its outcome."""
+        self.on_done = callback
+
+    def await_connection(self, now: float) -> None:
+        """Begin its time, because it waits for a connection."""
+        self.sent_at, self.waited = now, 0.0
+
+    def note_connection(self, now: float) -> None:
+        """Stop its time until it is sent: now it waits for other requests."""
+        self.waited = now - self.sent_at
+
+    def note_sent(self, adu: bytes, now: float) -> None:
+        """Note that a frame of it is sent: its time goes on."""
+        self.adu = adu
+        self.sent_at = now
+        self.state = SENT
+
+    def answer(self, reply: bytes | ModbusError) -> None:
+        """Note the reply, or the error in place of one."""
+        self.reply = reply
+        self.state = ANSWERED
+
+    def doubt(self, error: ModbusError) -> None:
+        """Note an error that is the reply unless an answer follows."""
+        self.reply = error
+
+    def hold(self) -> None:
+        """Note that an answer came, which may be that to another request."""
+        self.state = ANSWERED
+
+    def try_again(self, now: float, *, is_busy: bool) -> int | None:
+        """
+        Begin its time anew, because it is sent again; return how often that was done before.
+
+        None if it may not be sent again.
+        """
+        (lost, busy), timeouts = self.tries, self.timeouts
+        tries = busy if is_busy else lost
+        if tries >= (timeouts.busy_retries if is_busy else timeouts.retries):
+            return None
+        self.tries = (lost, busy + 1) if is_busy else (lost + 1, busy)
+        self.state = WAITING
+        self.sent_at, self.waited, self.reply = now, 0.0, None
+        return tries
 
     def settle(self, outcome: Any) -> None:
         """Set the outcome, unless no caller waits for it."""
@@ -157,6 +215,11 @@ class Call:
         """Note that no caller waits for the outcome any more."""
         self.is_done = True
 
+    def await_another_connection(self) -> None:
+        """Wait again, because its connection has ended; its time goes on."""
+        self.state = WAITING
+        self.sent_at, self.waited = self.sent_at - self.waited, 0.0
+
     def send_no_more(self) -> None:
         """Note that it is not to be sent again."""
         self.timeouts = Timeouts(self.timeouts.timeout, 0, 0)
@@ -167,14 +230,20 @@ class Batch:
     Requests of one caller to one unit, which are sent in their order, `limit` at a time.
 
     It is over as soon as its first failure and all requests before that have an outcome; with
-    `go_on`, when every request has one. `name` is that of a request in messages, with braces for
-    its index.
+    `go_on`, when every request has one. With `is_poll`, a request without an answer still ends it,
+    unless another one was answered: the device is silent, and each of the others would take as
+    long. `name` is that of a request in messages, with braces for its index.
 
     Raises:
         TypeError, ValueError: a request cannot be sent; the message contains its name.
     """
 
-    __slots__ = ("_go_on", "_open", "calls", "is_done", "limit", "on_done", "under_way", "waiting")
+    # fmt: off
+    __slots__ = (
+        "_go_on", "_is_poll", "_open", "calls", "is_done", "limit", "on_done", "under_way",
+        "waiting",
+    )
+    # fmt: on
 
     def __init__(
         self,
@@ -186,19 +255,19 @@ class Batch:
         is_broadcast: bool = False,
         limit: int = 1,
         go_on: bool = False,
+        is_poll: bool = False,
     ) -> None:
         self.calls: list[Call] = [
-            Call(unit, request, timeouts, is_broadcast, name, index)
+            Call(unit, request, timeouts, is_broadcast, name, index, self)
             for index, request in enumerate(requests)
         ]
-        for call in self.calls:
-            call.batch = self
         self.waiting: list[Call] = self.calls[::-1]  # to be submitted, the next one last
         # Without an answer, it is unknown whether a request was carried out before the next one.
         self.limit: int = 1 if any(each.is_silent for each in self.calls) else limit
         self._go_on = go_on
+        self._is_poll = is_poll
         self._open = len(self.calls)
-        self.under_way: int = 0  # how many were submitted and are not over
+        self.under_way: set[Call] = set()  # submitted, and others do not go on beside them
         self.is_done: bool = not self.calls
         self.on_done: Callable[[Batch], object] | None = None
 
@@ -207,20 +276,28 @@ class Batch:
         """The outcomes of the requests, in their order."""
         return [each.outcome for each in self.calls]
 
+    def on_end(self, callback: Callable[[Batch], object]) -> None:
+        """Call a function once it is over."""
+        self.on_done = callback
+
     def next(self) -> Call | None:
         """Remove and return the next call to submit; None if there is none now."""
-        if not self.waiting or self.under_way >= self.limit:
+        if not self.waiting or len(self.under_way) >= self.limit:
             return None
-        self.under_way += 1
-        return self.waiting.pop()
+        call = self.waiting.pop()
+        self.under_way.add(call)
+        return call
+
+    def next_after(self, call: Call) -> Call | None:
+        """As `next`, in place of a call that is under way."""
+        self.under_way.discard(call)
+        return self.next() if self.waiting else None
 
     def count(self, call: Call) -> None:
         """Note that a call has its outcome; the calls behind one that failed are forgotten."""
         self._open -= 1
         outcome = call.outcome
-        if isinstance(outcome, BaseException) and not (
-            self._go_on and isinstance(outcome, ModbusError)
-        ):
+        if isinstance(outcome, BaseException) and self._ends_with(outcome):
             for other in self.calls[self.calls.index(call) + 1 :]:
                 if not other.is_done:
                     self._open -= 1
@@ -230,6 +307,12 @@ class Batch:
             self.is_done = True
             if self.on_done is not None:
                 self.on_done(self)
+
+    def _ends_with(self, failure: BaseException) -> bool:
+        if not (self._go_on and isinstance(failure, ModbusError)):
+            return True
+        is_silence = self._is_poll and isinstance(failure, SILENCE)
+        return is_silence and not any(map(_is_answer, self.outcomes))
 
     def forget(self) -> None:
         """Note that no caller waits for the outcomes any more."""
@@ -242,6 +325,11 @@ class Batch:
         """End the batch, with this outcome for all requests that have none yet."""
         for call in self.calls:
             call.settle(outcome)
+
+
+def _is_answer(outcome: object) -> bool:
+    """Return True if a request has an outcome that shows that the device is there."""
+    return outcome is not NOT_ASKED and not isinstance(outcome, (*SILENCE, ModbusConnectionError))
 
 
 class Matching(ABC):
@@ -272,26 +360,42 @@ class Matching(ABC):
         self.is_in_step = True
         self.rest = rest
 
+    def drop_rest(self) -> bool:
+        """Drop the beginning of a frame if it can be no part of an answer; return True if so."""
+        return False
+
+    def has_begun(self) -> bool:
+        """Return True if bytes of an answer have come."""
+        return bool(self.rest)
+
+    def trace_frames(self, *, is_on: bool) -> None:
+        """Trace received frames from now on, or no longer."""
+        self.is_traced = is_on
+
     def wake(self, at: float) -> None:
         """Set the alarm, unless there is an earlier one."""
         if at < self.alarm:
             self.alarm = at
 
+    def clear_alarm(self) -> None:
+        """Note that the alarm has rung."""
+        self.alarm = math.inf
+
+    def note_unanswered(self) -> None:
+        """Count a request whose caller is gone: it may be one of many that get no answer."""
+        self.unanswered += 1
+
     def may_start(self, call: Call, now: float) -> bool:
         """Return True if a request may be sent now; else set `alarm` and the end of its wait."""
         return True
-
-    def is_overdue(self, call: Call, now: float) -> bool:
-        """Return True if the wait of a request that may not be sent has ended."""
-        return False
 
     def ready_at(self, unit: int, function: int | None = None) -> float:
         """Return when a unit may get a request of this, or any, function; 0.0 if it may at once."""
         return 0.0
 
     @abstractmethod
-    def start(self, call: Call, now: float) -> None:
-        """Encode the frame of a request, and expect the answer from now on."""
+    def start(self, call: Call, now: float) -> bytes:
+        """Return the frame of a request, and expect the answer from now on."""
 
     @abstractmethod
     def take(self, data: bytes, now: float) -> list[Call]:

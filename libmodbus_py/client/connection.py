@@ -4,7 +4,7 @@ The requests of one connection: when each is sent, and what its outcome is.
 `Transactions` uses no socket, clock or event loop. A driver waits, reads and sends for it:
 
     submit      a caller has a request, or several
-    start       the frames to send now
+    start       send what may be sent now
     take        bytes were received; then `start` again, so that the server has work, then `settle`
     settle      decode the answers, and set the outcomes
     tick        the time `alarm` has come; then `settle`, then `start`
@@ -13,24 +13,24 @@ The requests of one connection: when each is sent, and what its outcome is.
 
 Three parts decide for it: `Queue`, which request is next; its `Matching`, which answer belongs to
 which request (`Ids` by transaction ids, `Line` on lines without them, one request at a time); and
-`Outcomes`, what becomes of a request.
+`Outcomes`, what becomes of a request without a result.
 """
 
 from __future__ import annotations
 
 import errno
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from typing import TYPE_CHECKING
 
 from ..ports.trace import Trace
 from ..protocol.checks import finished, log_failure
-from ..protocol.errors import FrameError, ModbusConnectionError, ModbusError, alike
-from .call import ANSWERED, SENT, Batch, Call, Matching
+from ..protocol.errors import ModbusConnectionError, ModbusError, alike
+from .call import Batch, Call, Matching
 from .ids import Ids
-from .outcomes import Outcomes, add_hint, explain_end
+from .outcomes import CLOSED, Outcomes, add_hint, explain_end
 from .queue import Queue
-from .reconnecting import FORKED, Notices, Reconnecting, State
+from .reconnecting import FORKED, IDLE, Notices, Reconnecting, State
 from .statistics import Statistics
 
 if TYPE_CHECKING:
@@ -60,55 +60,51 @@ class Transactions:
         self.broken: ModbusConnectionError | None = None
         # True if so many bytes arrived that belong to no request that it is no accident.
         self.is_flooded: bool = False
-        # Requests whose frames are to be traced once they were sent.
-        self.untraced: list[Call] = []
         self.is_guarded: bool = settings["may_send"] is not None
         self.notices: Notices = Notices()
         self.statistics: Statistics = settings["statistics"] or Statistics()
         self.url: str = str(endpoint)
         self._trace = Trace(self.url, settings["trace"], later=self.notices.add)
-        self.life: Reconnecting = Reconnecting(
-            str(port), settings["max_pause"], self.statistics, self.notices, settings["on_state"]
-        )
+        # Who waits for a device misses it during a pause.
+        pause = 0.0 if endpoint.is_listening else settings["max_pause"]
+        life = Reconnecting(str(port), pause, self.statistics, self.notices, settings["on_state"])
+        self.life: Reconnecting = life
         self.matching: Matching
+        any_unit, any_id = settings["accept_unit"] == "any", settings["ids"] == "ignore"
+        # With any id, a late answer would be taken for that of the next request.
+        self._most_unanswered = 1 if any_id else settings["timeouts_before_reconnect"]
+        shared = endpoint, self.statistics, self._trace
         if endpoint.has_transactions:
-            any_unit = settings["accept_unit"] == "any"
-            self.matching = Ids(endpoint, self.statistics, self._trace, any_unit=any_unit)
+            self.matching = Ids(*shared, any_unit=any_unit, any_id=any_id)
         else:
             from .line import Line
 
-            self.matching = Line(
-                endpoint, self.statistics, self._trace, port.silence, settings["delimiter"]
-            )
+            self.matching = Line(*shared, port.silence, settings["delimiter"], any_unit=any_unit)
+        self._has_ids = endpoint.has_transactions
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
         self._settings = settings
-        self._queue = Queue(self.matching, settings["max_in_flight"])
-        self._outcomes = Outcomes(endpoint, port, self._queue, self.life, self.statistics)
+        self.queue: Queue = Queue(self.matching, settings["max_in_flight"])
+        self._outcomes = Outcomes(endpoint, port, self.queue, self.life, self.statistics)
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
-        self._next_start = 0.0
-
-    @property
-    def alarm(self) -> float:
-        """The time at which `tick` must be called; may be too early, but never too late."""
-        return self.matching.alarm
+        self._next_start = self._opened_at = 0.0
+        self.idle_close: float | None = settings["idle_close"]
 
     @property
     def is_wanted(self) -> bool:
         """True if a request waits to be sent, or a caller waits for the connection."""
-        queue = self._queue
-        return bool(queue.waiting or queue.again)
+        return bool(self.queue.waiting or self.queue.again)
 
     @property
     def limit(self) -> int:
         """The most requests in flight."""
-        return self._queue.limit
+        return self.queue.limit
 
     @property
     def room(self) -> int:
         """The most requests in flight now: 0 while a write has no outcome yet."""
-        return 0 if self._queue.write is not None else self._queue.limit
+        return 0 if self.queue.write is not None else self.queue.limit
 
     # --- callers ------------------------------------------------------------------------------
 
@@ -118,7 +114,7 @@ class Transactions:
         if call is None:
             return
         if not self.life.is_open:
-            call.since = now
+            call.await_connection(now)
             refusal = self.life.refusal(now, call.deadline)
             if refusal is not None:
                 self._outcomes.refuse(call, refusal)
@@ -127,7 +123,7 @@ class Transactions:
         elif call.request is None:
             call.settle(None)
             return
-        self._queue.waiting.append(call)
+        self.queue.waiting.append(call)
 
     def withdraw(self, job: Call | Batch, now: float) -> None:
         """Forget requests; their answers count as missing until they arrive."""
@@ -135,11 +131,12 @@ class Transactions:
         # Of a batch also those behind one that failed, which may be in flight.
         calls = job.calls if isinstance(job, Batch) else [job]
         were_in_flight = [self._let_go(call, now) for call in calls]
-        self.matching.unanswered += any(were_in_flight)
+        if any(were_in_flight):
+            self.matching.note_unanswered()
 
     def _let_go(self, call: Call, now: float) -> bool:
         """Stop waiting for a request whose caller is gone; return True if it was in flight."""
-        self._queue.remove(call)
+        self.queue.remove(call)
         was_in_flight = self.matching.withdraw(call, now)
         if was_in_flight:
             self.statistics.note(call.function, "cancelled")
@@ -165,100 +162,95 @@ class Transactions:
 
     # --- sending ------------------------------------------------------------------------------
 
-    def start(self, now: float) -> list[bytes]:
+    def start(self, now: float, send: Callable[[list[bytes], float], object]) -> bool:
         """
-        Return the frames to send now: up to half of those that may be in flight; the next call
-        returns the others, so that the server has work while answers are decoded.
+        Send what may be sent now; return True if that was anything.
+
+        At once up to half of those that may be in flight: the next call sends the others, so that
+        the server has work while answers are decoded. Frames are traced once they were sent.
         """
-        adus: list[bytes] = []
-        queue, matching = self._queue, self.matching
-        if not (queue.waiting or queue.again):
-            return adus
-        if self.broken is not None or not self.life.is_open:
-            return adus
+        queue, matching = self.queue, self.matching
+        if not (queue.waiting or queue.again) or self.broken is not None or not self.life.is_open:
+            return False
         if self.is_guarded and (error := self.forbidden()) is not None:
             self.refuse(error)
-            return adus
+            return False
         if (matching.unanswered or matching.rest) and self._is_useless():
             if not self.in_flight:
                 self._break("given up for a new connection")
-            return adus
+            return False
         if now < self._next_start:
             matching.wake(self._next_start)
-            return adus
-        matching.is_traced = self._trace.is_on()
-        unsettled = len(self._answered)
+            return False
+        adus: list[bytes] = []
+        traced: list[Call] = []
+        unsettled, most = self._answered, queue.limit
+        if (is_traced := self._trace.is_on()) is not matching.is_traced:
+            matching.trace_frames(is_on=is_traced)
         while (call := queue.next(now, self.in_flight, unsettled)) is not None:
-            adus.append(self._send(call, now))
+            if call.adu:
+                self.statistics.retries += 1
+            adu = matching.start(call, now)
+            call.note_sent(adu, now)
+            adus.append(adu)
+            self.in_flight += 1
+            deadline = now - call.waited + call.timeouts.timeout
+            if deadline < matching.alarm:
+                matching.wake(deadline)
+            if is_traced:
+                traced.append(call)
+            if call.changes:
+                queue.note_write(call)
+            if call.is_silent:
+                self._note_silent(call, now)
+            batch = call.batch
+            if batch is not None:
+                if len(batch.under_way) < batch.limit and (follower := batch.next()) is not None:
+                    queue.waiting.append(follower)
+                if 1 < batch.limit < most:
+                    most = batch.limit
             if self._settings["request_spacing"]:
                 self._next_start = now + self._settings["request_spacing"]
                 break
-            if not (queue.waiting or queue.again):
+            if most <= 2 * len(adus) or not (queue.waiting or queue.again):
                 break
-            most, batch = queue.limit, call.batch
-            if batch is not None and 1 < batch.limit < most:
-                most = batch.limit
-            if most <= 2 * len(adus):
-                break
-        if adus:
-            self.is_flooded = False
-            self.statistics.requests += len(adus)
-        return adus
+        if not adus:
+            return False
+        self.is_flooded = False
+        self.statistics.requests += len(adus)
+        send(adus, now)
+        for call in traced:
+            self._trace.tell("sent", call.adu, call.unit, call.pdu[0])
+        return True
+
+    def _note_silent(self, call: Call, now: float) -> None:
+        """Note that a request gets no answer: it is over after the turnaround."""
+        due = now + self._settings["turnaround"]
+        self._silent.append((due, call))
+        self.matching.wake(due)
 
     def _is_useless(self) -> bool:
         """Return True if the connection is dead, or an answer on it was cut off."""
         matching = self.matching
-        is_dead = (
-            self._is_socket and matching.unanswered >= self._settings["timeouts_before_reconnect"]
-        )
+        is_dead = self._is_socket and matching.unanswered >= self._most_unanswered
         # The next answer would be appended to half a frame that no request expects.
-        is_cut = matching.rest and self.in_flight == len(self._silent)
+        is_cut = matching.rest and self.in_flight == len(self._silent) and not matching.drop_rest()
         return is_dead or bool(is_cut)
-
-    def _send(self, call: Call, now: float) -> bytes:
-        matching = self.matching
-        if call.adu:
-            self.statistics.retries += 1
-        call.since = now - call.used
-        call.used = 0.0
-        call.sent_at = now
-        call.state = SENT
-        matching.start(call, now)
-        deadline = call.since + call.timeouts.timeout
-        if deadline < matching.alarm:
-            matching.alarm = deadline
-        if call.changes:
-            self._queue.note_write(call)
-        self.in_flight += 1
-        if call.is_silent:
-            self._silent.append((now + self._settings["turnaround"], call))
-            matching.wake(now + self._settings["turnaround"])
-        batch = call.batch
-        if batch is not None and batch.under_way < batch.limit:
-            self._go_on(batch)
-        if matching.is_traced:
-            self.untraced.append(call)
-        return call.adu
-
-    def trace_sent(self) -> None:
-        """Trace the frames that `start` has returned: they were sent."""
-        for call in self.untraced:
-            self._trace.tell("sent", call.adu, call.unit, call.pdu[0])
-        self.untraced.clear()
 
     # --- the connection -----------------------------------------------------------------------
 
     def opened(self, now: float) -> None:
         """The connection was established: send what waits for it."""
         self._reset(now)
-        if self._settings["connect_delay"]:
-            self._next_start = now + self._settings["connect_delay"]
-        for call in list(self._queue.waiting):
-            call.used = now - call.since
+        self._opened_at = now
+        self._next_start = max(self._next_start, now + self._settings["connect_delay"])
+        for call in list(self.queue.waiting):
+            call.note_connection(now)
             if call.request is None:
-                self._queue.remove(call)
+                self.queue.remove(call)
                 call.settle(None)
         self.life.opened()
+        self.matching.wake(self.idle_until(now))
 
     def begin_connecting(self, now: float) -> float | None:
         """
@@ -274,7 +266,7 @@ class Transactions:
             self.refuse(forbidden)
             return None
         self.life.connecting()
-        return max((call.deadline for call in self._queue.calls), default=0.0)
+        return max((call.deadline for call in self.queue.calls), default=0.0)
 
     def failed(self, error: ModbusConnectionError, now: float, until: float = math.inf) -> None:
         """
@@ -287,7 +279,7 @@ class Transactions:
         if error.errno == errno.ETIMEDOUT:
             later = {
                 call
-                for call in self._queue.calls
+                for call in self.queue.calls
                 if call.deadline > until and self.life.refusal(now, call.deadline) is None
             }
         self.refuse(error, later)
@@ -297,14 +289,17 @@ class Transactions:
         if by_itself and self.life.fruitless and self.in_flight:
             add_hint(error, explain_end(self._scheme, error.errno))
         self.life.lost(error, now, by_itself=by_itself)
-        self._fail_all(error, now)
+        # Some devices close connections, and may do so while a request is under way to them.
+        is_closed = by_itself and error.errno in CLOSED and not self.life.fruitless
+        again = self._fail_all(error, now, but_reads=is_closed and not self.matching.has_begun())
         # A connection that was given up as dead has taken its time, and the next one may be alive.
         if by_itself and self.life.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
-        for call in list(self._queue.waiting):  # their time to wait for the next one begins
-            self._queue.remove(call)
+        for call in list(self.queue.waiting):  # their time to wait for the next one begins
+            self.queue.remove(call)
             if not call.is_done:
                 self.submit(call, now)
+        self.queue.wait_again(again)
 
     def closed(self, now: float) -> None:
         """Note that the client was closed: all requests fail, now and later."""
@@ -318,8 +313,7 @@ class Transactions:
         """Forget all requests, whose callers were interrupted, and give up the connection."""
         for call in [*self._reset(now), *self._answered]:
             self.statistics.note(call.function, "cancelled")
-        self._queue.drain()
-        self._queue.write = None
+        self.queue.clear()
         self._answered = []
         if self.life.is_open:
             self.life.lost(error, now, by_itself=False)
@@ -335,7 +329,6 @@ class Transactions:
         calls = [*self.matching.reset(now), *(call for _, call in self._silent)]
         self.broken = None
         self.is_flooded = False
-        self.untraced.clear()
         self._silent = []
         self.in_flight = 0
         return calls
@@ -347,120 +340,149 @@ class Transactions:
 
     # --- failures -----------------------------------------------------------------------------
 
-    def _fail_all(self, error: ModbusConnectionError, now: float) -> None:
+    def _fail_all(
+        self, error: ModbusConnectionError, now: float, *, but_reads: bool = False
+    ) -> list[Call]:
+        """Fail the requests in flight; with `but_reads`, return those to be sent once more."""
+        again: list[Call] = []
         for call in self._reset(now):
-            call.state = ANSWERED
-            call.reply = alike(error)
-            self._answered.append(call)
+            if but_reads and not call.changes:
+                call.await_another_connection()
+                self.statistics.note(call.function, "lost")
+                again.append(call)
+            else:
+                call.answer(alike(error))
+                self._answered.append(call)
         self.settle(now)
+        return again
 
     def refuse(self, error: ModbusError, later: Collection[Call] = ()) -> None:
         """Fail all requests that wait, except some."""
-        for call in self._queue.drain(later):
+        for call in self.queue.drain(later):
             if not call.is_done:
                 self._outcomes.refuse(call, error)
 
     # --- answers ------------------------------------------------------------------------------
 
-    def take(self, chunks: Iterable[bytes], now: float) -> None:
-        """Take received bytes; `settle` decodes the answers."""
+    def take(self, chunks: Iterable[bytes], now: float) -> bool:
+        """
+        Take received bytes; return True if requests wait to be sent. `settle` decodes the answers.
+        """
         matching = self.matching
         for data in chunks:
-            self._note_ends(matching.take(data, now))
+            answered = matching.take(data, now)
+            self.in_flight -= len(answered)
+            self._answered += answered
+            for call in answered:
+                batch = call.batch
+                if batch is not None and batch.limit > 1:
+                    self._go_on_early(call, batch)
         if matching.unasked > MAX_UNASKED_BYTES or not matching.is_in_step:
             self.is_flooded = matching.unasked > MAX_UNASKED_BYTES
             if not matching.is_in_step:
                 self._break("closed, because the received bytes cannot be understood")
             elif self._is_socket:
                 self._break("flooded with frames that answer no request")
+        return bool(self.queue.waiting or self.queue.again)
 
-    def _note_ends(self, calls: list[Call]) -> None:
-        """End the time in flight of requests; after a good answer, its batch may go on."""
-        self.in_flight -= len(calls)
-        self._answered += calls
-        for call in calls:
-            call.state = ANSWERED
-            batch = call.batch
-            if batch is not None and batch.limit > 1 and call.is_under_way:
-                reply = call.reply
-                if isinstance(reply, bytes) and reply[0] < 0x80:
-                    call.is_under_way = False
-                    batch.under_way -= 1
-                    self._go_on(batch)
+    def _go_on_early(self, call: Call, batch: Batch) -> None:
+        """Let a batch go on after a good answer, before that is decoded."""
+        reply = call.reply
+        is_good = isinstance(reply, bytes) and reply[0] < 0x80
+        if is_good and (follower := batch.next_after(call)) is not None:
+            self.queue.waiting.append(follower)
 
-    def _free(self, batch: Batch) -> None:
-        batch.under_way -= 1
-        self._go_on(batch)
-
-    def _go_on(self, batch: Batch) -> None:
-        """Submit the next request of a batch."""
-        if (follower := batch.next()) is not None:
-            self._queue.waiting.append(follower)
+    def _go_on_after(self, call: Call) -> None:
+        """Submit the next request of the batch of a request, if it is one of a batch."""
+        if call.batch is not None and (follower := call.batch.next_after(call)) is not None:
+            self.queue.waiting.append(follower)
 
     def settle(self, now: float) -> None:
         """Decode the answers and set the outcomes."""
         answered, self._answered = self._answered, []
         for call in answered:
-            self._outcomes.settle(call, now)
+            if call.changes:
+                self.queue.note_end(call)
+            reply = call.reply
+            if call.is_done:
+                self.statistics.note(call.function, "cancelled")
+            elif isinstance(reply, bytes):
+                try:
+                    result = call.request.decode_response(reply)  # type: ignore[union-attr]
+                except BaseException as mistake:
+                    self._outcomes.note_invalid(mistake, call, now)
+                else:
+                    self.statistics.note_answer(reply[0], "ok", now - call.sent_at, now)
+                    if self.life.fruitless:  # the other side is alive
+                        self.life.prove()
+                    call.settle(result)
+                    if not self._has_ids:
+                        self.matching.conclude(call, None, now)
+            else:
+                assert reply is not None
+                self._outcomes.fail(reply, call, now)
             batch = call.batch
-            if batch is not None and (call.is_under_way or isinstance(call.outcome, BaseException)):
-                self._note_batch(call, batch, now)
+            if batch is not None:
+                if call.is_done and call in batch.under_way:
+                    self._go_on_after(call)
+                if isinstance(call.outcome, BaseException):
+                    self._leave_rest(batch, now)
 
-    def _note_batch(self, call: Call, batch: Batch, now: float) -> None:
-        """Let a batch go on after one of its requests, or forget those behind one that failed."""
-        if call.is_done and call.is_under_way:
-            self._free(batch)
-        if isinstance(call.outcome, BaseException):
-            self._queue.remove_over()
-            if batch.is_done and batch.under_way:
-                for each in batch.calls:
-                    self._let_go(each, now)
+    def _leave_rest(self, batch: Batch, now: float) -> None:
+        """Forget the requests behind one that failed."""
+        self.queue.remove_over()
+        if batch.is_done and batch.under_way:
+            for call in batch.calls:
+                self._let_go(call, now)
 
     # --- time ---------------------------------------------------------------------------------
 
     def tick(self, now: float) -> None:
         """End requests whose time is over; `settle` tells their callers."""
         matching = self.matching
-        matching.alarm = math.inf
+        matching.clear_alarm()
         self._end_silent(now)
         if self.life.is_open:
-            self._note_ends(matching.expire(now))
-            if not matching.has_ids:
-                self._end_waits_for_silence(now)
+            ended = matching.expire(now)
+            self.in_flight -= len(ended)
+            self._answered += ended
+            self.end_idle(now)
         else:
             self._end_waits(now)
+
+    def idle_until(self, now: float) -> float:
+        """Return when the connection is to be closed if no request comes; infinite for never."""
+        if self.idle_close is None or not self.life.is_open:
+            return math.inf
+        used_at = max(self._opened_at, self.statistics.last_success or 0.0)
+        return self.idle_close + (now if self.in_flight or self.is_wanted else used_at)
+
+    def end_idle(self, now: float) -> None:
+        """Ask the driver to close a connection that has been idle for too long."""
+        if (until := self.idle_until(now)) <= now:
+            self.broken = self.broken or IDLE
+        else:
+            self.matching.wake(until)
 
     def _end_silent(self, now: float) -> None:
         over = [call for due, call in self._silent if due <= now]
         self._silent = [each for each in self._silent if each[0] > now]
         for call in over:
             self.in_flight -= 1
-            self._queue.note_end(call)
+            self.queue.note_end(call)
             self.statistics.note(call.function, "silent")
             call.settle(None)
-            if call.batch is not None:
-                self._free(call.batch)
+            self._go_on_after(call)
         for due, _ in self._silent:
             self.matching.wake(due)
 
     def _end_waits(self, now: float) -> None:
         """Fail the requests that have waited too long for a connection."""
-        for call in self._queue.calls:
+        for call in self.queue.calls:
             if call.is_done:
                 continue
             if call.deadline > now:
                 self.matching.wake(call.deadline)
                 continue
-            self._queue.remove(call)
+            self.queue.remove(call)
             self._outcomes.refuse(call, self.life.not_in_time(call.timeouts.timeout))
-
-    def _end_waits_for_silence(self, now: float) -> None:
-        """Fail the requests that have waited too long for silence on the line."""
-        for call in self._queue.calls:
-            if self.matching.is_overdue(call, now):
-                self._queue.remove(call)
-                received = self.matching.received_with(call, b"")
-                error = FrameError("the line does not fall silent", received=received)
-                self._outcomes.fail_unsent(call, error)
-                if call.batch is not None:
-                    self._free(call.batch)

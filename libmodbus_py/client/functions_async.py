@@ -18,6 +18,7 @@ from .keywords import NoOthers, public_methods, unexpected
 
 if TYPE_CHECKING:
     from .asyncio_driver import AsyncioDriver
+    from .call import Timeouts
 
 __all__ = ["AsyncFunctions"]
 
@@ -67,10 +68,13 @@ class AsyncFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.execute, wrong)
-        unit, timeouts = self._unit, self._timeouts
-        if timeout is not None or retries is not None:
-            timeouts = timeouts.but(timeout, retries)
-        call = Call(unit, request, timeouts, unit == 0 and self._has_broadcast)
+        return await self._ask(request, self._timeouts.but(timeout, retries))
+
+    async def _ask(self, request: pdu.Request[Result], timeouts: Timeouts | None = None) -> Result:
+        """Send a request, and return its result; `timeouts` in place of the handle's."""
+        unit = self._unit
+        is_broadcast = unit == 0 and self._has_broadcast
+        call = Call(unit, request, timeouts or self._timeouts, is_broadcast)
         await self._driver.run(call)
         result: Result = call.outcome
         if isinstance(result, BaseException):
@@ -81,7 +85,7 @@ class AsyncFunctions(Handle):
         """Read 1..2000 coils (function 1, modbus_read_bits)."""
         if wrong:
             raise unexpected(self.read_coils, wrong)
-        return await self.execute(pdu.ReadCoils(address, count))
+        return await self._ask(pdu.ReadCoils(address, count))
 
     async def read_discrete_inputs(
         self, address: int, count: int, **wrong: Unpack[NoOthers]
@@ -89,7 +93,7 @@ class AsyncFunctions(Handle):
         """Read 1..2000 discrete inputs (function 2, modbus_read_input_bits)."""
         if wrong:
             raise unexpected(self.read_discrete_inputs, wrong)
-        return await self.execute(pdu.ReadDiscreteInputs(address, count))
+        return await self._ask(pdu.ReadDiscreteInputs(address, count))
 
     async def read_holding_registers(
         self, address: int, count: int, **wrong: Unpack[NoOthers]
@@ -97,7 +101,7 @@ class AsyncFunctions(Handle):
         """Read 1..125 holding registers (function 3, modbus_read_registers)."""
         if wrong:
             raise unexpected(self.read_holding_registers, wrong)
-        return await self.execute(pdu.ReadHoldingRegisters(address, count))
+        return await self._ask(pdu.ReadHoldingRegisters(address, count))
 
     async def read_input_registers(
         self, address: int, count: int, **wrong: Unpack[NoOthers]
@@ -105,19 +109,19 @@ class AsyncFunctions(Handle):
         """Read 1..125 input registers (function 4, modbus_read_input_registers)."""
         if wrong:
             raise unexpected(self.read_input_registers, wrong)
-        return await self.execute(pdu.ReadInputRegisters(address, count))
+        return await self._ask(pdu.ReadInputRegisters(address, count))
 
     async def write_coil(self, address: int, value: bool, **wrong: Unpack[NoOthers]) -> None:
         """Write one coil (function 5, modbus_write_bit)."""
         if wrong:
             raise unexpected(self.write_coil, wrong)
-        return await self.execute(pdu.WriteCoil(address, value))
+        return await self._ask(pdu.WriteCoil(address, value))
 
     async def write_register(self, address: int, value: int, **wrong: Unpack[NoOthers]) -> None:
         """Write one holding register, 0..65535 (function 6, modbus_write_register)."""
         if wrong:
             raise unexpected(self.write_register, wrong)
-        return await self.execute(pdu.WriteRegister(address, value))
+        return await self._ask(pdu.WriteRegister(address, value))
 
     async def write_coils(
         self, address: int, values: Iterable[bool], **wrong: Unpack[NoOthers]
@@ -125,7 +129,7 @@ class AsyncFunctions(Handle):
         """Write 1..1968 coils (function 15, modbus_write_bits)."""
         if wrong:
             raise unexpected(self.write_coils, wrong)
-        return await self.execute(pdu.WriteCoils(address, values))  # type: ignore[arg-type]
+        return await self._ask(pdu.WriteCoils(address, values))  # type: ignore[arg-type]
 
     async def write_registers(
         self, address: int, values: Iterable[int], **wrong: Unpack[NoOthers]
@@ -133,7 +137,7 @@ class AsyncFunctions(Handle):
         """Write 1..123 holding registers, each 0..65535 (function 16, modbus_write_registers)."""
         if wrong:
             raise unexpected(self.write_registers, wrong)
-        return await self.execute(pdu.WriteRegisters(address, values))  # type: ignore[arg-type]
+        return await self._ask(pdu.WriteRegisters(address, values))  # type: ignore[arg-type]
 
     async def mask_write_register(
         self, address: int, and_mask: int, or_mask: int, **wrong: Unpack[NoOthers]
@@ -145,7 +149,7 @@ class AsyncFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.mask_write_register, wrong)
-        return await self.execute(pdu.MaskWriteRegister(address, and_mask, or_mask))
+        return await self._ask(pdu.MaskWriteRegister(address, and_mask, or_mask))
 
     async def read_write_registers(
         self,
@@ -163,13 +167,13 @@ class AsyncFunctions(Handle):
         if wrong:
             raise unexpected(self.read_write_registers, wrong)
         request = pdu.ReadWriteRegisters(read_address, read_count, write_address, values)  # type: ignore[arg-type]
-        return await self.execute(request)
+        return await self._ask(request)
 
     async def read_exception_status(self, **wrong: Unpack[NoOthers]) -> int:
         """Read the eight exception status outputs, lowest in bit 0 (function 7)."""
         if wrong:
             raise unexpected(self.read_exception_status, wrong)
-        return await self.execute(pdu.ReadExceptionStatus())
+        return await self._ask(pdu.ReadExceptionStatus())
 
     async def diagnostics(self, sub_function: int, data: int = 0, **wrong: Unpack[NoOthers]) -> int:
         """
@@ -187,20 +191,20 @@ class AsyncFunctions(Handle):
         if wrong:
             raise unexpected(self.diagnostics, wrong)
         word = integer("data", data, 0, 0xFFFF).to_bytes(2, "big")
-        answer = await self.execute(pdu.Diagnostics(sub_function, word))
+        answer = await self._ask(pdu.Diagnostics(sub_function, word))
         return data if answer is None else int.from_bytes(answer, "big")
 
     async def read_comm_event_counter(self, **wrong: Unpack[NoOthers]) -> pdu.CommEventCounter:
         """Read the status word and the event counter (function 11)."""
         if wrong:
             raise unexpected(self.read_comm_event_counter, wrong)
-        return await self.execute(pdu.ReadCommEventCounter())
+        return await self._ask(pdu.ReadCommEventCounter())
 
     async def read_comm_event_log(self, **wrong: Unpack[NoOthers]) -> pdu.CommEventLog:
         """Read the counters and up to 64 events, newest first (function 12)."""
         if wrong:
             raise unexpected(self.read_comm_event_log, wrong)
-        return await self.execute(pdu.ReadCommEventLog())
+        return await self._ask(pdu.ReadCommEventLog())
 
     async def report_server_id(self, **wrong: Unpack[NoOthers]) -> pdu.ServerId:
         """
@@ -212,7 +216,7 @@ class AsyncFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.report_server_id, wrong)
-        return await self.execute(pdu.ReportServerId())
+        return await self._ask(pdu.ReportServerId())
 
     async def read_file_records(
         self, records: Sequence[tuple[int, int, int]], **wrong: Unpack[NoOthers]
@@ -229,7 +233,7 @@ class AsyncFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.read_file_records, wrong)
-        return await self.execute(pdu.ReadFileRecords(records))  # type: ignore[arg-type]
+        return await self._ask(pdu.ReadFileRecords(records))  # type: ignore[arg-type]
 
     async def write_file_records(
         self, records: Sequence[tuple[int, int, Iterable[int]]], **wrong: Unpack[NoOthers]
@@ -243,13 +247,13 @@ class AsyncFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.write_file_records, wrong)
-        return await self.execute(pdu.WriteFileRecords(records))  # type: ignore[arg-type]
+        return await self._ask(pdu.WriteFileRecords(records))  # type: ignore[arg-type]
 
     async def read_fifo_queue(self, address: int, **wrong: Unpack[NoOthers]) -> list[int]:
         """Read the 0..31 registers of a FIFO queue without removing them (function 24)."""
         if wrong:
             raise unexpected(self.read_fifo_queue, wrong)
-        return await self.execute(pdu.ReadFifoQueue(address))
+        return await self._ask(pdu.ReadFifoQueue(address))
 
     async def read_device_identification(
         self, level: str | int = "basic", **wrong: Unpack[NoOthers]
@@ -288,7 +292,7 @@ class AsyncFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.encapsulated_transport, wrong)
-        return await self.execute(pdu.EncapsulatedTransport(mei_type, data))
+        return await self._ask(pdu.EncapsulatedTransport(mei_type, data))
 
     async def _carry_out(self, steps: Generator[pdu.Request[Any], Any, Result]) -> Result:
         """Send the requests that a generator yields; each result is sent, or its error raised."""
@@ -296,7 +300,7 @@ class AsyncFunctions(Handle):
             request = next(steps)
             while True:
                 try:
-                    result = await self.execute(request)
+                    result = await self._ask(request)
                 except ModbusError as error:
                     request = steps.throw(error)
                 else:

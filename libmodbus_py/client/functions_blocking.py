@@ -19,6 +19,7 @@ from .keywords import NoOthers, public_methods, unexpected
 
 if TYPE_CHECKING:
     from .blocking_driver import BlockingDriver
+    from .call import Timeouts
 
 __all__ = ["BlockingFunctions"]
 
@@ -68,10 +69,13 @@ class BlockingFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.execute, wrong)
-        unit, timeouts = self._unit, self._timeouts
-        if timeout is not None or retries is not None:
-            timeouts = timeouts.but(timeout, retries)
-        call = Call(unit, request, timeouts, unit == 0 and self._has_broadcast)
+        return self._ask(request, self._timeouts.but(timeout, retries))
+
+    def _ask(self, request: pdu.Request[Result], timeouts: Timeouts | None = None) -> Result:
+        """Send a request, and return its result; `timeouts` in place of the handle's."""
+        unit = self._unit
+        is_broadcast = unit == 0 and self._has_broadcast
+        call = Call(unit, request, timeouts or self._timeouts, is_broadcast)
         self._driver.run(call)
         result: Result = call.outcome
         if isinstance(result, BaseException):
@@ -82,7 +86,7 @@ class BlockingFunctions(Handle):
         """Read 1..2000 coils (function 1, modbus_read_bits)."""
         if wrong:
             raise unexpected(self.read_coils, wrong)
-        return self.execute(pdu.ReadCoils(address, count))
+        return self._ask(pdu.ReadCoils(address, count))
 
     def read_discrete_inputs(
         self, address: int, count: int, **wrong: Unpack[NoOthers]
@@ -90,7 +94,7 @@ class BlockingFunctions(Handle):
         """Read 1..2000 discrete inputs (function 2, modbus_read_input_bits)."""
         if wrong:
             raise unexpected(self.read_discrete_inputs, wrong)
-        return self.execute(pdu.ReadDiscreteInputs(address, count))
+        return self._ask(pdu.ReadDiscreteInputs(address, count))
 
     def read_holding_registers(
         self, address: int, count: int, **wrong: Unpack[NoOthers]
@@ -98,7 +102,7 @@ class BlockingFunctions(Handle):
         """Read 1..125 holding registers (function 3, modbus_read_registers)."""
         if wrong:
             raise unexpected(self.read_holding_registers, wrong)
-        return self.execute(pdu.ReadHoldingRegisters(address, count))
+        return self._ask(pdu.ReadHoldingRegisters(address, count))
 
     def read_input_registers(
         self, address: int, count: int, **wrong: Unpack[NoOthers]
@@ -106,19 +110,19 @@ class BlockingFunctions(Handle):
         """Read 1..125 input registers (function 4, modbus_read_input_registers)."""
         if wrong:
             raise unexpected(self.read_input_registers, wrong)
-        return self.execute(pdu.ReadInputRegisters(address, count))
+        return self._ask(pdu.ReadInputRegisters(address, count))
 
     def write_coil(self, address: int, value: bool, **wrong: Unpack[NoOthers]) -> None:
         """Write one coil (function 5, modbus_write_bit)."""
         if wrong:
             raise unexpected(self.write_coil, wrong)
-        return self.execute(pdu.WriteCoil(address, value))
+        return self._ask(pdu.WriteCoil(address, value))
 
     def write_register(self, address: int, value: int, **wrong: Unpack[NoOthers]) -> None:
         """Write one holding register, 0..65535 (function 6, modbus_write_register)."""
         if wrong:
             raise unexpected(self.write_register, wrong)
-        return self.execute(pdu.WriteRegister(address, value))
+        return self._ask(pdu.WriteRegister(address, value))
 
     def write_coils(
         self, address: int, values: Iterable[bool], **wrong: Unpack[NoOthers]
@@ -126,7 +130,7 @@ class BlockingFunctions(Handle):
         """Write 1..1968 coils (function 15, modbus_write_bits)."""
         if wrong:
             raise unexpected(self.write_coils, wrong)
-        return self.execute(pdu.WriteCoils(address, values))  # type: ignore[arg-type]
+        return self._ask(pdu.WriteCoils(address, values))  # type: ignore[arg-type]
 
     def write_registers(
         self, address: int, values: Iterable[int], **wrong: Unpack[NoOthers]
@@ -134,7 +138,7 @@ class BlockingFunctions(Handle):
         """Write 1..123 holding registers, each 0..65535 (function 16, modbus_write_registers)."""
         if wrong:
             raise unexpected(self.write_registers, wrong)
-        return self.execute(pdu.WriteRegisters(address, values))  # type: ignore[arg-type]
+        return self._ask(pdu.WriteRegisters(address, values))  # type: ignore[arg-type]
 
     def mask_write_register(
         self, address: int, and_mask: int, or_mask: int, **wrong: Unpack[NoOthers]
@@ -146,7 +150,7 @@ class BlockingFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.mask_write_register, wrong)
-        return self.execute(pdu.MaskWriteRegister(address, and_mask, or_mask))
+        return self._ask(pdu.MaskWriteRegister(address, and_mask, or_mask))
 
     def read_write_registers(
         self,
@@ -164,13 +168,13 @@ class BlockingFunctions(Handle):
         if wrong:
             raise unexpected(self.read_write_registers, wrong)
         request = pdu.ReadWriteRegisters(read_address, read_count, write_address, values)  # type: ignore[arg-type]
-        return self.execute(request)
+        return self._ask(request)
 
     def read_exception_status(self, **wrong: Unpack[NoOthers]) -> int:
         """Read the eight exception status outputs, lowest in bit 0 (function 7)."""
         if wrong:
             raise unexpected(self.read_exception_status, wrong)
-        return self.execute(pdu.ReadExceptionStatus())
+        return self._ask(pdu.ReadExceptionStatus())
 
     def diagnostics(self, sub_function: int, data: int = 0, **wrong: Unpack[NoOthers]) -> int:
         """
@@ -188,20 +192,20 @@ class BlockingFunctions(Handle):
         if wrong:
             raise unexpected(self.diagnostics, wrong)
         word = integer("data", data, 0, 0xFFFF).to_bytes(2, "big")
-        answer = self.execute(pdu.Diagnostics(sub_function, word))
+        answer = self._ask(pdu.Diagnostics(sub_function, word))
         return data if answer is None else int.from_bytes(answer, "big")
 
     def read_comm_event_counter(self, **wrong: Unpack[NoOthers]) -> pdu.CommEventCounter:
         """Read the status word and the event counter (function 11)."""
         if wrong:
             raise unexpected(self.read_comm_event_counter, wrong)
-        return self.execute(pdu.ReadCommEventCounter())
+        return self._ask(pdu.ReadCommEventCounter())
 
     def read_comm_event_log(self, **wrong: Unpack[NoOthers]) -> pdu.CommEventLog:
         """Read the counters and up to 64 events, newest first (function 12)."""
         if wrong:
             raise unexpected(self.read_comm_event_log, wrong)
-        return self.execute(pdu.ReadCommEventLog())
+        return self._ask(pdu.ReadCommEventLog())
 
     def report_server_id(self, **wrong: Unpack[NoOthers]) -> pdu.ServerId:
         """
@@ -213,7 +217,7 @@ class BlockingFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.report_server_id, wrong)
-        return self.execute(pdu.ReportServerId())
+        return self._ask(pdu.ReportServerId())
 
     def read_file_records(
         self, records: Sequence[tuple[int, int, int]], **wrong: Unpack[NoOthers]
@@ -230,7 +234,7 @@ class BlockingFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.read_file_records, wrong)
-        return self.execute(pdu.ReadFileRecords(records))  # type: ignore[arg-type]
+        return self._ask(pdu.ReadFileRecords(records))  # type: ignore[arg-type]
 
     def write_file_records(
         self, records: Sequence[tuple[int, int, Iterable[int]]], **wrong: Unpack[NoOthers]
@@ -244,13 +248,13 @@ class BlockingFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.write_file_records, wrong)
-        return self.execute(pdu.WriteFileRecords(records))  # type: ignore[arg-type]
+        return self._ask(pdu.WriteFileRecords(records))  # type: ignore[arg-type]
 
     def read_fifo_queue(self, address: int, **wrong: Unpack[NoOthers]) -> list[int]:
         """Read the 0..31 registers of a FIFO queue without removing them (function 24)."""
         if wrong:
             raise unexpected(self.read_fifo_queue, wrong)
-        return self.execute(pdu.ReadFifoQueue(address))
+        return self._ask(pdu.ReadFifoQueue(address))
 
     def read_device_identification(
         self, level: str | int = "basic", **wrong: Unpack[NoOthers]
@@ -289,7 +293,7 @@ class BlockingFunctions(Handle):
         """
         if wrong:
             raise unexpected(self.encapsulated_transport, wrong)
-        return self.execute(pdu.EncapsulatedTransport(mei_type, data))
+        return self._ask(pdu.EncapsulatedTransport(mei_type, data))
 
     def _carry_out(self, steps: Generator[pdu.Request[Any], Any, Result]) -> Result:
         """Send the requests that a generator yields; each result is sent, or its error raised."""
@@ -297,7 +301,7 @@ class BlockingFunctions(Handle):
             request = next(steps)
             while True:
                 try:
-                    result = self.execute(request)
+                    result = self._ask(request)
                 except ModbusError as error:
                     request = steps.throw(error)
                 else:

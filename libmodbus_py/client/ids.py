@@ -2,16 +2,19 @@
 Which answer belongs to which request, where frames have transaction ids: Modbus/TCP, TLS and UDP.
 
 An answer belongs to the request with its id. An id is used again after all others, and not while
-a late answer with it may arrive; such an answer is dropped and counted.
+a late answer with it may arrive; such an answer is dropped and counted. A few bytes that come while
+every request has been answered are no part of an answer: they are dropped, as the heartbeats of
+some modems.
 """
 
 from __future__ import annotations
 
 import copy
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 from ..protocol.errors import MAX_RECEIVED, FrameError, InvalidResponse, ModbusError
-from ..protocol.framing import Frame, Framer, Framing, make_framer, mbap
+from ..protocol.framing import HEADER, TcpFramer, UdpFramer, mbap
 from .call import Call, Matching, no_answer
 from .statistics import Statistics
 
@@ -29,35 +32,43 @@ class Ids(Matching):
     """
     The requests in flight on one connection, by their transaction ids.
 
-    With `any_unit`, other units may answer, because some devices always answer as unit 255.
+    With `any_unit`, other units may answer, because some devices always answer as unit 255. With
+    `any_id`, a frame answers the only request in flight, whatever its id.
     """
 
     has_ids = True
 
     def __init__(
-        self, endpoint: Endpoint, statistics: Statistics, trace: Trace, *, any_unit: bool = False
+        self,
+        endpoint: Endpoint,
+        statistics: Statistics,
+        trace: Trace,
+        *,
+        any_unit: bool = False,
+        any_id: bool = False,
     ) -> None:
         super().__init__(statistics, trace)
         self._any_unit = any_unit
-        self._framing: Framing = endpoint.framing
+        self._any_id = any_id
+        self._is_datagram = endpoint.framing == "udp"
         self._last = 0
         self._answered_at = 0.0
+        # The units that answered, where they are not those that were asked.
+        self._answerers: WeakKeyDictionary[Call, int] = WeakKeyDictionary()
         self.reset(0.0)
 
-    def start(self, call: Call, now: float) -> None:
+    def start(self, call: Call, now: float) -> bytes:
         number = self._last + 1 & 0xFFFF
-        pending = self.pending
+        pending, pdu = self.pending, call.pdu
         while number in pending or number in self._abandoned:
             number = number + 1 & 0xFFFF
         self._last = number
         if not pending:
             self._strays = b""
             self.unasked: int = 0
-        if call.adu:
-            call.reply = None
-        call.adu = mbap(number, call.unit, call.pdu)
         if not call.is_silent:
             pending[number] = call
+        return HEADER.pack(number, 0, 1 + len(pdu), call.unit) + pdu
 
     # --- answers --------------------------------------------------------------------------
 
@@ -65,41 +76,47 @@ class Ids(Matching):
         if not self.pending:
             self.unasked += len(data)
         answered: list[Call] = []
-        for each in self._framer.scan(data):
+        framer = self._framer
+        frame = framer.whole(data)
+        for each in framer.scan(data) if frame is None else (frame,):
             if isinstance(each, FrameError):
                 self._blame(each, answered)
                 continue
             unit, pdu, number = each
             if self.is_traced:
-                self._trace.tell("received", self._framer.encode(each), unit, pdu[0])
+                self._trace.tell("received", mbap(number, unit, pdu), unit, pdu[0])
             call = self.pending.pop(number, None)
             if call is None:
-                self._drop(each, now)
-                continue
-            call.answerer = unit
+                if not (self._any_id and self.pending):
+                    self._drop(number, mbap(number, unit, pdu), now)
+                    continue
+                _, call = self.pending.popitem()
             if call.unit == unit or self._any_unit:
                 self.unanswered: int = 0
                 self._answered_at = now
-                call.reply = pdu
+                call.answer(pdu)
+                if call.unit != unit:
+                    self._answerers[call] = unit
             else:
                 self._statistics.invalid += 1
-                call.reply = InvalidResponse(
+                error = InvalidResponse(
                     f'unit {unit} answered; accept_unit="any" would take it',
-                    received=self._framer.encode(each),
+                    received=mbap(number, unit, pdu),
                 )
-                call.reply.answers_another = True
+                error.answers_another = True
+                call.answer(error)
             answered.append(call)
         return answered
 
-    def _drop(self, frame: Frame, now: float) -> None:
+    def _drop(self, number: int, adu: bytes, now: float) -> None:
         """Drop a frame. Late answers prove that the server is alive; stray frames do not."""
         self._statistics.late_answers += 1
-        if frame.transaction in self._abandoned:
-            del self._abandoned[frame.transaction]
+        if number in self._abandoned:
+            del self._abandoned[number]
             self.unanswered = 0
             self._answered_at = now
         else:
-            self._keep_stray(self._framer.encode(frame))
+            self._keep_stray(adu)
 
     def _keep_stray(self, data: bytes) -> None:
         self._strays += data[: MAX_RECEIVED - len(self._strays)]
@@ -112,16 +129,22 @@ class Ids(Matching):
         if not self._framer.in_step:
             self.is_in_step = False
             for call in self.pending.values():
-                call.reply = copy.copy(error)
+                call.answer(copy.copy(error))
                 answered.append(call)
             self.pending.clear()
-        elif self._framing == "udp" or _number(error.received) not in self.pending:
+        elif self._is_datagram or _number(error.received) not in self.pending:
             self._keep_stray(error.received)
         else:
-            self.pending[_number(error.received)].reply = error  # unless the right answer follows
+            self.pending[_number(error.received)].doubt(error)
+
+    def drop_rest(self) -> bool:
+        if self.pending or self._abandoned:
+            return False
+        self._framer.rest.clear()
+        return True
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:
-        frame = mbap(_number(call.adu), call.answerer, pdu)
+        frame = mbap(_number(call.adu), self._answerers.get(call, call.unit), pdu)
         return frame if self.pending else frame + bytes(self.rest)
 
     # --- no answer ------------------------------------------------------------------------
@@ -134,9 +157,9 @@ class Ids(Matching):
                 continue
             del self.pending[number]
             self._abandon(number)
-            call.reply = call.reply or self._no_answer(call)
+            call.answer(call.reply or self._no_answer(call))
             self._statistics.timeouts += 1
-            self.unanswered += call.since >= self._answered_at
+            self.unanswered += call.sent_at >= self._answered_at
             overdue.append(call)
         return overdue
 
@@ -147,7 +170,8 @@ class Ids(Matching):
         error = no_answer(timeout, self._strays or rest)
         if self._strays and self._strays[:2] != number:
             other = _number(self._strays)
-            error.args = (f"{error.args[0]}: id {other}, not {_number(number)}",)
+            hint = 'ids="ignore" would take it'
+            error.args = (f"{error.args[0]}: id {other}, not {_number(number)}; {hint}",)
             error.answers_another = True
         return error
 
@@ -166,7 +190,7 @@ class Ids(Matching):
 
     def reset(self, now: float) -> list[Call]:
         calls = list(self.pending.values())
-        self._framer: Framer = make_framer(self._framing, "client")
+        self._framer: TcpFramer = (UdpFramer if self._is_datagram else TcpFramer)("client")
         self._begin_again(self._framer.rest)
         self._abandoned: dict[int, None] = {}
         self._strays = b""

@@ -1,5 +1,5 @@
 """
-The outcome of each request: its result, its error with the likely mistake, or a repetition.
+The outcome of each request that failed: a repetition, or an error with the likely mistake.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import errno
 import re
 from typing import TYPE_CHECKING
 
-from ..ports.schemes import SCHEMES
+from ..ports.schemes import SCHEMES, TRANSPORTS
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
@@ -28,7 +28,10 @@ if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from ..ports.port import Port
 
-__all__ = ["Outcomes", "add_hint", "explain", "explain_end"]
+__all__ = ["CLOSED", "Outcomes", "add_hint", "explain", "explain_end"]
+
+CLOSED = (errno.ECONNRESET, errno.EPIPE)
+"""Errno if the other side has closed the connection."""
 
 BUSY = (Acknowledge, ServerDeviceBusy)
 
@@ -39,7 +42,7 @@ ASCII_FRAME = rb":[0-9A-Fa-f]{6}"
 
 
 class Outcomes:
-    """Decides what becomes of requests; the endpoint and the port are for errors."""
+    """Decides about requests without a result; the endpoint and the port are for errors."""
 
     def __init__(
         self, endpoint: Endpoint, port: Port, queue: Queue, life: Reconnecting, counted: Statistics
@@ -52,31 +55,16 @@ class Outcomes:
         self._life = life
         self._statistics = counted
 
-    def settle(self, call: Call, now: float) -> None:
-        """Set the outcome of a request whose reply is here, or send it again."""
-        if call.changes:
-            self._queue.note_end(call)
-        reply = call.reply
-        if call.is_done:
-            self._statistics.note(call.function, "cancelled")
-        elif not isinstance(reply, bytes):
-            assert reply is not None
-            self._fail(reply, call, now)
+    def note_invalid(self, mistake: BaseException, call: Call, now: float) -> None:
+        """Note what the class of a request raised for a reply: it refused it, or is wrong."""
+        if isinstance(mistake, ModbusError):
+            assert isinstance(call.reply, bytes)
+            self._statistics.invalid += isinstance(mistake, InvalidResponse)
+            mistake.received = self._matching.received_with(call, call.reply)
+            self.fail(mistake, call, now)
         else:
-            try:
-                outcome = call.request.decode_response(reply)  # type: ignore[union-attr]
-            except ModbusError as error:
-                self._statistics.invalid += isinstance(error, InvalidResponse)
-                error.received = self._matching.received_with(call, reply)
-                self._fail(error, call, now)
-            except BaseException as mistake:  # of the class of the request
-                self._statistics.note(call.function, "invalid")
-                call.settle(mistake)
-            else:
-                self._note_answer(call, "ok", now)
-                call.settle(outcome)
-                if not self._matching.has_ids:
-                    self._matching.conclude(call, None, now)
+            self._statistics.note(call.function, "invalid")
+            call.settle(mistake)
 
     def fail_unsent(self, call: Call, error: ModbusError) -> None:
         """Fail a request that is not sent."""
@@ -91,10 +79,7 @@ class Outcomes:
         while follower is not None:
             self.fail_unsent(follower, error)
             batch = follower.batch
-            if batch is None:
-                return
-            batch.under_way -= 1
-            follower = batch.next()
+            follower = None if batch is None else batch.next_after(follower)
 
     def _outcome(self, error: ModbusError, call: Call) -> BaseException:
         """Return an error with its request, or the exception that the request's class raised."""
@@ -111,17 +96,12 @@ class Outcomes:
             return mistake
         return error
 
-    def _note_answer(self, call: Call, result: str, now: float) -> None:
-        """Count a valid answer; it proves that the device is alive."""
-        took = now - call.sent_at
-        self._statistics.note_answer(call.pdu[0], result, took, now)
-        if self._life.fruitless:
-            self._life.prove()
-
-    def _fail(self, error: ModbusError, call: Call, now: float) -> None:
+    def fail(self, error: ModbusError, call: Call, now: float) -> None:
+        """Set the outcome of a request that failed, or send it again."""
         if isinstance(error, ExceptionResponse):
             self._statistics.exceptions += 1
-            self._note_answer(call, "exception", now)
+            self._statistics.note_answer(call.pdu[0], "exception", now - call.sent_at, now)
+            self._life.prove()
         else:
             self._statistics.note(call.function, result_of(error))
         self._matching.conclude(call, error, now)
@@ -137,16 +117,11 @@ class Outcomes:
         assert call.request is not None
         if not is_busy and (isinstance(error, ExceptionResponse) or not call.request.repeatable):
             return False
-        done = call.busy_tries if is_busy else call.tries
-        if done >= (call.timeouts.busy_retries if is_busy else call.timeouts.retries):
+        tries = call.try_again(now, is_busy=is_busy)
+        if tries is None:
             return False
-        if is_busy:
-            call.busy_tries += 1
-        else:
-            call.tries += 1
         # A busy device is asked again after 0.1 seconds, doubled each time, up to 1 second.
-        pause = min(1.0, 0.1 * 2**done) if is_busy else 0.0
-        call.since = now
+        pause = min(1.0, 0.1 * 2**tries) if is_busy else 0.0
         self._queue.put_again(call, now + pause)
         return True
 
@@ -171,6 +146,8 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
         if other != framing and framing != "udp" and looks_so(received):
             is_on_tcp = scheme.endswith("tcp") and other != "tcp"
             return f"this looks like {other}{'+tcp' * is_on_tcp}://"
+    if TRANSPORTS[SCHEMES[scheme][1]].is_listening:  # type: ignore[index]
+        return "a registration packet or heartbeat? see greeting"
     unit, function = sent[0], sent[1]
     starts = (bytes([unit, function]), bytes([unit, function | 0x80]))
     if scheme == "rtu" and not any(start in received for start in starts):
@@ -180,8 +157,8 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
 
 def explain_end(scheme: str, number: int | None) -> str:
     """Return the likely mistake if a connection ended, with this errno, before any answer."""
-    is_ended = number in (errno.ECONNRESET, errno.EPIPE)
-    return "nothing was answered yet; does it want tls://?" if scheme in PLAIN and is_ended else ""
+    is_plain = scheme in PLAIN and number in CLOSED
+    return "nothing was answered yet; does it want tls://?" if is_plain else ""
 
 
 def _explain_role(certificate: bytes | None) -> str:

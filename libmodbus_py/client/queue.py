@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection
 
-from .call import Call, Matching, Phase
+from .call import Call, Matching
 
 __all__ = ["Queue"]
 
@@ -40,11 +40,11 @@ class Queue:
         """The requests to be sent again, and then those to be sent for the first time."""
         return [*self.again, *self.waiting]
 
-    def next(self, now: float, in_flight: int, unsettled: int) -> Call | None:
+    def next(self, now: float, in_flight: int, unsettled: Collection[Call]) -> Call | None:
         """
         Remove and return the next request; None, and the alarm is set, if none may be sent.
 
-        `unsettled` requests were answered, and have no outcome yet.
+        The `unsettled` requests were answered, and have no outcome yet.
         """
         if not self._has_ids:
             return None if in_flight or unsettled else self._next_on_line(now)
@@ -56,12 +56,13 @@ class Queue:
             return None
         waiting = self.waiting
         while waiting:
-            call = waiting[0]
-            if call.changes and not call.is_done and (in_flight or unsettled or self.again):
+            call = waiting.popleft()
+            if call.is_done:
+                continue
+            if call.changes and (in_flight or unsettled or self.again):
+                waiting.appendleft(call)
                 return None
-            del waiting[0]
-            if not call.is_done:
-                return call
+            return call
         return None
 
     def _next_again(self, now: float) -> Call | None:
@@ -96,11 +97,16 @@ class Queue:
 
     def put_again(self, call: Call, due: float) -> None:
         """Send a request again at a time."""
-        call.state = Phase.WAITING
         self.again[call] = due
         self.matching.wake(due)
         if call.changes:
             self.write = call
+
+    def wait_again(self, calls: list[Call]) -> None:
+        """Put back requests that were sent before all others; their time goes on."""
+        self.waiting.extendleft(reversed(calls))
+        for call in calls:
+            self.matching.wake(call.deadline)
 
     def note_write(self, call: Call) -> None:
         """Note that a write was sent."""
@@ -131,3 +137,9 @@ class Queue:
         for call in drained:
             self.note_end(call)
         return drained
+
+    def clear(self) -> None:
+        """Forget all requests, and those in flight."""
+        self.waiting.clear()
+        self.again.clear()
+        self.write = None

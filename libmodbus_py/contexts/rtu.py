@@ -4,16 +4,18 @@ Contexts on serial lines in RTU mode.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar, Literal
 
 from ..binding.library import check, ffi, lib
 from ..ports.options import Parity
 from ..ports.serial import SerialPort
 from ..ports.waiting import READ
-from ..protocol.checks import checked_callback, seconds
-from ..protocol.errors import ModbusTimeoutError
+from ..protocol.checks import checked_callback, finished, seconds
+from ..protocol.errors import ModbusConnectionError, ModbusTimeoutError
 from ..protocol.framing import RtuFramer
 from ..protocol.pdu.request import Request
 from ..protocol.rtu import has_own_length
@@ -94,6 +96,7 @@ class RtuContext(Slave):
         )
         self._silent_from: float | None = None  # the time of a failure after which it must be so
         self._callback: Any = None
+        self._rts_error: BaseException | None = None
         super().__init__(port.context, unit, timeout)
 
     @property
@@ -144,21 +147,57 @@ class RtuContext(Slave):
 
         Args:
             function: called with True before a frame is sent, and with False behind it, in the
-                thread of the call; what it raises is printed. `rts` must be "up" or "down".
+                thread of the call. What it raises is the cause of the ModbusConnectionError that
+                the call raises. `rts` must be "up" or "down".
         """
         checked_callback("function", function)
 
         def turn(_: object, is_on: int) -> None:
-            function(bool(is_on))
+            try:
+                finished("function", function(bool(is_on)))
+            except BaseException as error:  # which C code cannot pass on
+                self._rts_error = self._rts_error or error
 
         callback = ffi.callback("void(modbus_t *, int)", turn)
         self._set(lib.modbus_rtu_set_custom_rts, callback)
         self._callback = callback  # kept alive
 
     def _set(self, function: Callable[[Any, Any], int], value: Any) -> None:
-        with self._lock, self._errors():
+        with self._lock, self._errors(), self._rts_errors():
             self._ensure_open()
             check(function(self._modbus, value))
+
+    @contextlib.contextmanager
+    def _rts_errors(self) -> Iterator[None]:
+        """Raise the error of the function for RTS, which makes the results of a call worthless."""
+        self._rts_error = None
+        try:
+            yield
+        finally:
+            error, self._rts_error = self._rts_error, None
+            if error is not None:
+                self._spoil()
+                self._drop()
+                if not isinstance(error, Exception):
+                    raise error
+                reason = f"the function of set_custom_rts failed: {error!r}"
+                raise ModbusConnectionError(reason, errno=errno.EIO) from error
+
+    def _transact(self, request: Request[Any], action: Callable[[], Any]) -> Any:
+        if self._callback is None:
+            return super()._transact(request, action)
+        with self._lock, self._errors(request), self._rts_errors():
+            return super()._transact(request, action)
+
+    def _read(self, kind: Any, function: Any, cells: Any, address: int, count: int) -> list[int]:
+        if self._callback is None:
+            return super()._read(kind, function, cells, address, count)
+        with self._lock, self._errors(), self._rts_errors():
+            return super()._read(kind, function, cells, address, count)
+
+    def _answer(self, request: bytes, action: Any) -> int:
+        with self._lock, self._errors(), self._rts_errors():
+            return super()._answer(request, action)
 
     # --- the port ---------------------------------------------------------------------------------
 

@@ -143,7 +143,6 @@ class NamedValues:
 
         Raises:
             KeyError: there is no such point.
-            ValueError: its cells hold no value of its type.
         """
         point = known_point(self.points, name)
         with self.mapping.lock:

@@ -17,6 +17,9 @@ a value is never cut. A device that cannot read one piece refuses the whole requ
    take the time that a gateway waits for a silent device; all that was refused is holes then.
 6. Another failure, such as silence or a busy device, says nothing about pieces. It ends the
    search of that run.
+7. Requests of which nothing is answered end with the first that is not, because each of the others
+   would take as long. The next ones begin with another request: the device may be silent about some
+   of them only.
 
 Holes are known by their cells, so that all plans of a unit share them.
 """
@@ -94,6 +97,11 @@ def _span(block: Block) -> Span:
     return block[0].span._replace(stop=max(each.span.stop for each in block))
 
 
+def _halves(block: Block) -> tuple[Block, Block]:
+    middle = len(block) // 2
+    return block[:middle], block[middle:]
+
+
 def _request(block: Block) -> pdu.Request[list[Any]]:
     table, start, stop = _span(block)
     return TABLES[table].read(start, stop - start)
@@ -141,10 +149,14 @@ class PastRefusal(NamedTuple):
 
 @dataclass(slots=True)
 class Holes:
-    """The refusals of one unit, as one client knows them: pieces, and where requests begin."""
+    """
+    The refusals of one unit, as one client knows them: pieces, and where requests begin; and which
+    request of a plan is sent first.
+    """
 
     refused: dict[Span, PastRefusal] = field(default_factory=dict)
     cuts: dict[tuple[Any, ...], PastRefusal] = field(default_factory=dict)
+    first: int = 0
 
     def __bool__(self) -> bool:
         return bool(self.refused or self.cuts)
@@ -181,6 +193,7 @@ class _PlanRun:
 
     def tolerant(self) -> _PlanSteps[list[Any]]:
         """Read all pieces but the holes, and search for others."""
+        self._forget_old_cuts()
         left_out = self._leave_out()
         asked = self._portions()
         oldest = min(left_out, key=lambda piece: left_out[piece].at, default=None)
@@ -200,18 +213,34 @@ class _PlanRun:
         return [self._answer(block) for block in self._blocks]
 
     def strict(self) -> _PlanSteps[list[Any]]:
-        """Read everything; the last answer is the first error, with the names of its piece."""
-        answers: list[Any] = []
-        outcomes = yield [_request(block) for block in self._blocks]
-        for block, outcome in zip(self._blocks, outcomes, strict=False):
-            if is_refusal(outcome):
-                outcome = yield from self._first_refused(block, outcome)
-            answers.append(outcome)
-            if isinstance(outcome, ModbusError):
+        """Read everything; or return the first error, with the names of a piece refused alone."""
+        self._forget_old_cuts()
+        # Each with the refusal of the longer block that it is a part of.
+        asked: list[tuple[Block, ModbusError | None]]
+        asked = [(block, None) for block in self._portions()]
+        halved: list[tuple[Block, Block, ModbusError]] = []
+        refused: set[Span] = set()
+        while asked:
+            outcomes = yield [_request(block) for block, _ in asked]
+            count = self._keep_answers(asked, outcomes)
+            if count == len(asked):
                 break
-            if any(piece.span in self._holes.refused for piece in block):
-                self._holes.forget()
-        return answers
+            (block, reason), outcome, rest = asked[count], outcomes[count], asked[count + 1 :]
+            if not is_refusal(outcome):
+                return [reason or outcome]
+            if len(block) == 1:
+                return [self._named(block[0])]
+            if known := [piece for piece in block if piece.span in self._holes.refused][:1]:
+                asked = [(known, outcome), (block, reason), *rest]
+                continue
+            first, second = _halves(block)
+            halved.append((first, second, outcome))
+            refused.add(_span(block))
+            asked = [(first, outcome), (second, outcome), *rest]
+        for first, second, error in halved:
+            if refused.isdisjoint((_span(first), _span(second))):
+                self._add_cut(second, error)
+        return [self._answer(block) for block in self._blocks]
 
     def news(self) -> Iterator[str]:
         """Yield a sentence about all holes that were found side by side."""
@@ -223,11 +252,14 @@ class _PlanRun:
                     told = ", ".join(names[:3]) + ", ..." * (len(names) > 3)
                     yield f"{told}, {_span(pieces)}: {_reason_of(self._read[pieces[0].span])}"
 
-    def _leave_out(self) -> dict[BlockPiece, PastRefusal]:
-        """Forget old cuts; leave known holes out, and return them."""
-        cuts, known = self._holes.cuts, self._holes.refused.copy()
+    def _forget_old_cuts(self) -> None:
+        cuts = self._holes.cuts
         for at in [at for at, cut in cuts.copy().items() if cut.is_due(*self._time)]:
             cuts.pop(at, None)
+
+    def _leave_out(self) -> dict[BlockPiece, PastRefusal]:
+        """Leave known holes out, and return them."""
+        known = self._holes.refused.copy()
         found = {piece: known[piece.span] for piece in self._pieces if piece.span in known}
         self._read = {piece.span: alike(hole.error) for piece, hole in found.items()}
         return found
@@ -251,12 +283,26 @@ class _PlanRun:
         """Read some pieces; return those blocks that are refused."""
         outcomes = (yield [_request(block) for block in asked]) if asked else []
         for block, outcome in zip(asked, outcomes, strict=True):
-            is_error, first = isinstance(outcome, ModbusError), block[0].span.start
-            self._is_answered |= not is_error
-            for span, _ in block:
-                cells = slice(span.start - first, span.stop - first)
-                self._read[span] = outcome if is_error else outcome[cells]
+            self._keep(block, outcome)
         return [block for block, each in zip(asked, outcomes, strict=True) if is_refusal(each)]
+
+    def _keep(self, block: Block, outcome: Any) -> None:
+        """Keep the cells of each piece of a block, or why they were not read."""
+        is_error, first = isinstance(outcome, ModbusError), block[0].span.start
+        self._is_answered |= not is_error
+        for span, _ in block:
+            cells = slice(span.start - first, span.stop - first)
+            self._read[span] = outcome if is_error else outcome[cells]
+
+    def _keep_answers(self, asked: Sequence[tuple[Block, object]], outcomes: Sequence[Any]) -> int:
+        """Keep outcomes up to the first failure; return the number of those before it."""
+        for at, ((block, _), outcome) in enumerate(zip(asked, outcomes, strict=False)):
+            self._keep(block, outcome)
+            if isinstance(outcome, ModbusError):
+                return at
+            if any(piece.span in self._holes.refused for piece in block):
+                self._holes.forget()
+        return len(asked)
 
     def _has_failed(self, block: Block) -> bool:
         """Return True if what was sent for a block failed, but was not refused."""
@@ -278,33 +324,13 @@ class _PlanRun:
                     return
                 is_second = True
                 continue
-            error, middle = self._read[block[0].span], len(block) // 2
-            halves = block[:middle], block[middle:]
+            error, halves = self._read[block[0].span], _halves(block)
             again = yield from self._send(halves)
             if any(map(self._has_failed, halves)):
                 return
             if not again:
-                self._holes.cuts[block[middle].span[:2]] = PastRefusal(error, *self._time)
+                self._add_cut(halves[1], error)
             refused = [*again, *refused]
-
-    def _first_refused(self, block: Block, error: ModbusError) -> _PlanSteps[ModbusError]:
-        """Return the refusal of the first piece that is refused alone; `error` if there is none."""
-        known = [piece for piece in block if piece.span in self._holes.refused][:1]
-        if known and len(block) > 1:
-            if (yield from self._send([known])):
-                return self._named(known[0])
-            if self._has_failed(known):
-                return error
-            self._holes.forget()
-        self._read[block[0].span] = error
-        is_refused = True
-        while len(block) > 1 or not is_refused:
-            half = block[: max(len(block) // 2, 1)]
-            is_refused = bool((yield from self._send([half])))
-            if not is_refused and (len(block) == 1 or self._has_failed(half)):
-                return error
-            block = half if is_refused else block[len(half) :]
-        return self._named(block[0])
 
     def _named(self, piece: BlockPiece) -> ModbusError:
         """Return the refusal of a piece that was refused alone, with the names of its items."""
@@ -317,6 +343,10 @@ class _PlanRun:
         if piece.span not in self._holes.refused:
             self._found.add(piece.span)
         self._holes.refused[piece.span] = PastRefusal(self._read[piece.span], *self._time)
+
+    def _add_cut(self, block: Block, error: ModbusError) -> None:
+        """Note that requests begin with a block."""
+        self._holes.cuts[block[0].span[:2]] = PastRefusal(error, *self._time)
 
     def _answer(self, block: Block) -> Any:
         """Return the answer to the request of a block, as `Plan.results` takes it."""
@@ -347,8 +377,9 @@ def reading(
     """
     Read the blocks of a plan: yield requests, take their outcomes, and return the answers.
 
-    `now` is in seconds of any steady clock. A strict reading asks for everything until one request
-    fails: the last answer is its error, with the names of the first piece that is refused alone.
+    `now` is in seconds of any steady clock. A strict reading asks for everything, and halves what
+    is refused, until a piece is refused alone or a request fails in another way: its only answer is
+    that error, with the names of the piece.
     `tell` is called with a sentence about each hole that was found, or holes side by side.
     """
     run = _PlanRun(blocks, holes, now, connects)

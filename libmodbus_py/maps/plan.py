@@ -7,6 +7,7 @@ It does no I/O. The clients run a plan (``read_many``); a program with its own t
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -27,12 +28,14 @@ from ..protocol.tables import (
     joined,
     touches,
 )
+from ..protocol.value_types import cells_of
 from ..protocol.values import Order, TypeName, ValueType, value_type
 from .holes import Block, BlockPiece, Holes, PartialAnswer, Span, Unreadable
+from .meaning import no_value
 
 # fmt: off
 __all__ = [
-    "Item", "Items", "Key", "Named", "Plan", "PlanOptions",
+    "Borders", "Item", "Items", "Key", "Named", "Plan", "PlanOptions",
     "Read", "Strict", "Tolerant", "Values", "planned", "unreadable_of",
 ]
 # fmt: on
@@ -126,6 +129,7 @@ Item: TypeAlias = (
 Named = Mapping[Key, Item]
 Items: TypeAlias = Iterable[Item] | Mapping[Any, Item]
 Forbidden = Iterable[tuple[Table, range]]
+Borders = Iterable[tuple[Table, int]]
 Values = list[Any]
 
 
@@ -200,6 +204,8 @@ class Plan:
             such as ("holding_registers", range(40, 50)).
         max_registers: the most registers that one request may ask for, 1..125.
         max_bits: the most coils or discrete inputs that one request may ask for, 1..2000.
+        borders: pairs (table, address) of cells before which a request must end, because the
+            device refuses requests for cells on both sides, such as ("holding_registers", 100).
 
     Attributes:
         requests: request objects of `libmodbus_py.pdu`, table by table, in the order of
@@ -207,7 +213,8 @@ class Plan:
 
     Raises:
         TypeError, ValueError: an argument is of the wrong type or range, an item touches a
-            forbidden range, or a value is longer than `max_registers`. The message names the item.
+            forbidden range, a value is longer than `max_registers`, or crosses a border. The
+            message names the item.
     """
 
     requests: tuple[pdu.Request[list[Any]], ...]
@@ -220,9 +227,11 @@ class Plan:
         forbidden: Forbidden = (),
         max_registers: int = 125,
         max_bits: int = 2000,
+        borders: Borders = (),
     ) -> None:
         self._gap = integer("gap", gap, 0, 2000)
         self._forbidden = _checked_forbidden(forbidden)
+        self._borders = _checked_borders(borders)
         registers = integer("max_registers", max_registers, 1, 125)
         bits = integer("max_bits", max_bits, 1, 2000)
         self._reads = _checked_items(items)
@@ -245,11 +254,11 @@ class Plan:
         Returns:
             A list with the values of each item, which are always a list, in the order of the items;
             a dict by name if the items have names. An item that was part of a failed
-            request has the ModbusError instead.
+            request has the ModbusError instead. None stands for data that is no value, such as
+            a bcd16 with the digit F; an item without any value has a `NoValue` instead.
 
         Raises:
-            ValueError: the answers do not fit the requests, or registers hold no value of
-                their type, such as a bcd16 with the digit F.
+            ValueError: the answers do not fit the requests.
         """
         given = self._checked_answers(list(answers))
         found = {name: self._values(name, given) for name in self._reads}
@@ -280,10 +289,14 @@ class Plan:
         return self._decoded(name, cells)
 
     def _decoded(self, name: Any, cells: list[Any]) -> Any:
-        try:
-            return self._reads[name].decode(cells)
-        except ValueError as error:
-            raise ValueError(f"items[{name!r}]: {error}") from None
+        kind = self._reads[name].kind
+        if kind is None:
+            return cells
+        values = kind.values_in(cells_of(cells))
+        errors = [value for value in values if isinstance(value, ValueError)]
+        if len(errors) == len(values):
+            return no_value(f"items[{name!r}]", kind, errors[0])
+        return [None if isinstance(value, ValueError) else value for value in values]
 
     def _checked_answers(self, answers: list[Any]) -> list[Any]:
         if len(answers) != len(self.requests):
@@ -307,12 +320,15 @@ class Plan:
             for closed in self._forbidden[read.table]:
                 if touches([closed], read.address, len(read.cells)):
                     raise ValueError(f"items[{name!r}]: {read} touches the forbidden {closed}")
+            for border in self._borders[read.table]:
+                if border in read.cells and (border - read.address) % read.size:
+                    raise ValueError(f"items[{name!r}]: {read} has a value across {border}")
 
     def _merge(self, table: str, limit: int) -> None:
         """Cover a table with the fewest requests, each from the lowest cell that is in none yet."""
         items = [(name, read) for name, read in self._reads.items() if read.table == table]
         pieces = [
-            _Rest(each.address, each.cells.stop, at, _size_together(each, limit))
+            _Rest(each.address, each.cells.stop, at, self._size_together(each, limit))
             for at, (_, each) in enumerate(items)
         ]
         windows: list[_Window] = []
@@ -322,7 +338,8 @@ class Plan:
             if not windows or not self._fits(table, windows[-1], start, start + step, limit):
                 windows.append(_Window(start, start))
             window = windows[-1]
-            reached = min(stop, start + (window.start + limit - start) // step * step)
+            end = min(window.start + limit, self._next_border(table, start))
+            reached = min(stop, start + (end - start) // step * step)
             window.stop = max(window.stop, reached)
             number = len(self._requests) + len(windows) - 1
             part = _Part(number, start - window.start, reached - window.start)
@@ -335,10 +352,22 @@ class Plan:
     def _fits(self, table: str, window: _Window, start: int, stop: int, limit: int) -> bool:
         between = start - window.stop
         return (
-            stop <= window.start + limit
+            stop <= min(window.start + limit, self._next_border(table, window.start))
             and between <= self._gap
             and not (between > 0 and touches(self._forbidden[table], window.stop, between))
         )
+
+    def _next_border(self, table: str, start: int) -> int:
+        """Return the first address behind `start` before which a request must end."""
+        borders = self._borders[table]
+        at = bisect_right(borders, start)
+        return borders[at] if at < len(borders) else TABLE_SIZE
+
+    def _size_together(self, read: Read, limit: int) -> int:
+        """Return how many cells must be in one request: all of them, or those of one value."""
+        count, stop = len(read.cells), read.cells.stop
+        is_whole = count <= limit and stop <= self._next_border(read.table, read.address)
+        return count if is_whole else read.size
 
 
 def planned(items: Plan | Items, options: PlanOptions) -> Plan:
@@ -362,11 +391,6 @@ def unreadable_of(plan: Plan, holes: Holes, device: str) -> list[Unreadable]:
         for name, read in plan._reads.items()
         if name in found
     ]
-
-
-def _size_together(read: Read, limit: int) -> int:
-    """Return how many cells must be in one request: all of them, or those of one value."""
-    return len(read.cells) if len(read.cells) <= limit else read.size
 
 
 def _checked_items(items: object) -> dict[Any, Read]:
@@ -399,3 +423,13 @@ def _checked_forbidden(forbidden: object) -> dict[str, tuple[range, ...]]:
         with inside("forbidden", at):
             closed[checked_table(pair[0])] += checked_ranges("the range", pair[1])
     return {table: joined(ranges) for table, ranges in closed.items()}
+
+
+def _checked_borders(borders: Borders) -> dict[str, list[int]]:
+    begins: dict[str, set[int]] = {table: set() for table in TABLES}
+    for at, pair in enumerate(borders):
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            raise WrongType(("borders", at), f"must be a pair (table, address), not {pair!r}")
+        with inside("borders", at):
+            begins[checked_table(pair[0])].add(integer("address", pair[1], 0, TABLE_SIZE - 1))
+    return {table: sorted(addresses) for table, addresses in begins.items()}

@@ -55,8 +55,10 @@ class Point:
         scale_from: the name of a point of the same map whose value is another factor:
             value = raw * scale * factor + offset.
         scale_as: what that point holds: "exponent" for a power of ten, -30..30, or "factor".
-        states: names of whole numbers, such as {0: "off", 1: "on"}. The value is the name;
-            a number without a name stays a number.
+        states: names of numbers, such as {0: "off", 1: "on", "2..9": "fault", "else": "?"}; of
+            ranges, which may be open, as in "10..", and of all other numbers. The value is the
+            name; a number without a name stays a number. Several numbers may have one name, which
+            cannot be written then.
         bits: names of bits, such as {0: "door", "4..7": "mode"}; bit 0 is the lowest. The value
             is a dict with True or False for one bit, and a number for several bits.
         bit: the bit that is the value, True or False; or several bits, such as "4..7", whose
@@ -69,7 +71,14 @@ class Point:
         interval: the seconds between two reads of the point in `watch`, ``read --watch`` and
             fleets, 0.01..86400, in place of the interval of the other points; None for that
             one. The point is read at the first poll after the interval, never earlier.
+        border: True if no request may ask for cells before the point together with its own,
+            because the device refuses that.
         group: the name of a group of points that can be selected together, up to 100 characters.
+        rewrite: the seconds after which a fleet writes the last value that it wrote again, and
+            again, 0.01..86400, for devices that need it; None for never.
+        initial: the value with which a simulated device begins, as `encode` takes it.
+        write_function: the functions that write the point: "single" for 5 and 6, "multiple" for 15
+            and 16; None for those of the client, or of the device of a fleet.
 
     Attributes:
         read: the `Read` of all cells, for a `Plan`.
@@ -101,13 +110,17 @@ class Point:
     never_falls: bool = False
     scale_from: str | None = None
     scale_as: Literal["exponent", "factor"] = "exponent"
-    states: Mapping[int, str] | None = field(default=None, hash=False)
+    states: Mapping[Any, str] | None = field(default=None, hash=False)
     bits: Mapping[int | str, str] | None = field(default=None, hash=False)
     bit: int | str | None = None
     byte: Literal["high", "low"] | None = None
     time_zone: str = "UTC"
     interval: float | None = None
+    border: bool = False
     group: str = ""
+    rewrite: float | None = None
+    initial: Any = None
+    write_function: Literal["single", "multiple"] | None = None
     read: Read = field(init=False, repr=False, compare=False)
     meaning: Meaning = field(init=False, repr=False, compare=False)
     _scaling: Scaling | None = field(init=False, repr=False, compare=False)
@@ -190,13 +203,13 @@ class Point:
 
         Returns:
             The scaled value: an int, a float, True or False, a string, a datetime, a list of
-            bits, the name of a state, or a dict of named bits; None if there is no value or
+            bits, the name of a state, or a dict of named bits; None if the cells hold no value or
             `source` is not a scale, for which `judge` returns the reason. If `count` is not 1, a
             list of such values.
 
         Raises:
-            TypeError, ValueError: the number of cells is wrong, or they hold no value of this
-                type; the message names the point.
+            TypeError, ValueError: the cells are wrong in number or type; the message names the
+                point.
         """
         return self.judge(cells, source=source).value
 

@@ -12,10 +12,12 @@ from typing import Any
 from ..protocol.checks import integer, seconds, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue, placed
 from ..protocol.pdu.request import store
-from ..protocol.tables import TABLES, checked_table
+from ..protocol.plain import shortest
+from ..protocol.tables import TABLES, checked_table, checked_write_function
 from ..protocol.values import ValueType
 from .meaning import Meaning, Part, Scaling, number, part_of
 from .plan import Read
+from .states import NumberSpan, States, check_spans, state_key
 
 # fmt: off
 __all__ = [
@@ -38,6 +40,12 @@ SCALES = ("exponent", "factor")
 
 BYTES = {"high": "8..15", "low": "0..7"}
 """Byte of a register -> its bits."""
+
+HAVE_NO_VALUE = ("bcd", "sbcd", "mod10k", "umod10k")
+"""Types of numbers for which some data is no value, such as 0xFFFF."""
+
+BYTE_TYPES = ("int8", "uint8")
+"""Types that are the low byte of a register, if nothing else is said."""
 
 TEXTS = {
     "name": (1, MAX_NAME),
@@ -90,12 +98,25 @@ def check_point(point: Point) -> None:
         store(read, kind=_local(read.kind, point))
     if point.interval is not None:
         seconds("interval", point.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+    if point.rewrite is not None:
+        seconds("rewrite", point.rewrite, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+    if point.write_function is not None:
+        checked_write_function(point.write_function, ("single", "multiple"))
+    if not isinstance(point.border, bool):
+        raise WrongType("border", f"must be true or false, not {point.border!r}")
     store(point, access=_access(point), meaning=_meaning(point, read.kind))
+    if point.rewrite is not None and point.access == "read":
+        raise WrongValue("rewrite", "must be left out where access is read")
     for name in ("scale", "offset"):
         number(name, getattr(point, name))
     is_scaled = (point.scale, point.offset) != (1, 0)
     store(point, _scaling=Scaling(point.scale, point.offset) if is_scaled else None)
     _check_bounds(point, "minimum", "maximum")
+    if point.initial is not None and point.scale_from is None:
+        try:
+            point.cells_for([point.initial] if point.count == 1 else point.initial)
+        except (TypeError, ValueError) as error:
+            raise placed(error, ()).renamed(("initial",)) from None
 
 
 def _check_string(name: str | Path, value: object) -> None:
@@ -154,7 +175,7 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
     """Return the meaning of the raw values; store the arguments that say what it is."""
     missing = _listed(point.missing)
     part = _part(point, kind)
-    states = _names("states", point.states, lambda path, key: _state(path, key, kind, part, point))
+    states = _states(point, kind, part)
     bits = _bits(point, kind)
     if states and bits:
         raise WrongValue("states", "cannot be given together with bits")
@@ -167,7 +188,7 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
         missing=_missing(point, missing, kind, part),
         span=None if low is None and high is None else span,
         part=part,
-        states=states,
+        states=States(states) if states else None,
         bits=bits,
     )
     _check_numbers(point, meaning)
@@ -175,7 +196,10 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
         point,
         missing=missing,
         bit=None if point.bit is None or part is None else part.key,
-        states=states or None,
+        states={
+            key.key if isinstance(key, NumberSpan) else key: name for key, name in states.items()
+        }
+        or None,
         bits={part.key: name for name, part in bits.items()} or None,
     )
     return meaning
@@ -185,7 +209,9 @@ def _part(point: Point, kind: ValueType | None) -> Part | None:
     """Return the bits that are the raw value; None if all are."""
     given = [name for name in NEED_BITS if getattr(point, name) is not None]
     if not given:
-        return None
+        if kind is None or kind.name not in BYTE_TYPES:
+            return None
+        return part_of("byte", BYTES["low"], 16, is_signed=kind.name.startswith("int"))
     if len(given) > 1:
         raise WrongValue(given[1], f"cannot be given together with {given[0]}")
     name = given[0]
@@ -203,7 +229,9 @@ def _part(point: Point, kind: ValueType | None) -> Part | None:
     return part_of("byte", BYTES[point.byte], width, is_signed=is_signed)
 
 
-def _names(name: str, given: object, key_of: Callable[[Path, Any], Any]) -> dict[Any, str]:
+def _names(
+    name: str, given: object, key_of: Callable[[Path, Any], Any], *, are_unique: bool = True
+) -> dict[Any, str]:
     """Return the names that an argument gives to numbers or bits; the keys of files are text."""
     if given is None:
         return {}
@@ -218,26 +246,28 @@ def _names(name: str, given: object, key_of: Callable[[Path, Any], Any]) -> dict
         made = key_of(path, key)
         if made in found:
             raise WrongValue(path, "is given twice")
-        if text in found.values():
+        if are_unique and text in found.values():
             raise WrongValue(path, f"must have a name of its own; {text!r} occurs twice")
         found[made] = text
     return found
 
 
-def _state(path: Path, key: Any, kind: ValueType | None, part: Part | None, point: Point) -> int:
-    """Return the number of a state."""
-    if isinstance(key, str):
-        try:
-            key = int(key[:40], 0)
-        except ValueError:
-            raise WrongValue.about(path, "the key must be a number") from None
-    if part is not None:
-        return integer(path, key, *part.limits)
-    if kind is None:
-        return integer(path, key, 0, 1)
-    if kind.limits is None or isinstance(kind.limits[0], float):
-        raise WrongValue("states", f"must be left out for {point.type_name}: no whole numbers")
-    return integer(path, key, int(kind.limits[0]), int(kind.limits[1]))
+def _states(point: Point, kind: ValueType | None, part: Part | None) -> dict[Any, str]:
+    """Return names by number, by `NumberSpan`, and by `ELSE`."""
+    if point.states is None:
+        return {}
+    limits = (0, 1) if kind is None else kind.limits if part is None else part.limits
+    if limits is None:
+        raise WrongValue("states", f"must be left out for {point.type_name}, which has no numbers")
+    floats = kind if part is None and isinstance(limits[0], float) else None
+    names = _names(
+        "states",
+        point.states,
+        lambda path, key: state_key(path, key, limits, floats),
+        are_unique=False,
+    )
+    check_spans(names)
+    return names
 
 
 def _bits(point: Point, kind: ValueType | None) -> dict[str, Part]:
@@ -318,19 +348,24 @@ def _missing(
 def _raws(
     path: Path, point: Point, kind: ValueType, part: Part | None, given: object
 ) -> Iterable[Any]:
+    # Manuals name the bits of a negative number, such as 0x8000.
     if part is not None:
-        return [integer(path, given, *part.limits)]
+        bits = integer(path, given, part.limits[0], (1 << part.width) - 1)
+        return [part.of(bits << part.shift)]
     if kind.is_text:
         raise WrongValue(path, 'must be "sunspec" for strings')
-    size = 1 << 16 * kind.registers
+    most = (1 << 16 * kind.registers) - 1
     if kind.limits is None or point.bits is not None:
-        return _raws_of_bits(point, kind, integer(path, given, 0, size - 1))
+        return _raws_of_bits(point, kind, integer(path, given, 0, most))
+    low, high = kind.limits
     if kind.name.startswith("int"):
-        # Manuals name the bits of a negative number, such as 0x8000.
-        value = integer(path, given, -size // 2, size - 1)
-        return [value if value <= kind.limits[1] else value - size]
+        value = integer(path, given, int(low), 2 * int(high) + 1)
+        return [value if value <= high else value - 2 * (int(high) + 1)]
+    if kind.name.startswith(HAVE_NO_VALUE) and isinstance(given, int) and given > high:
+        return _raws_of_bits(point, kind, integer(path, given, int(low), most))
     try:
-        return [kind.decode(kind.encode(given))]
+        raw = kind.decode(kind.encode(given))
+        return [shortest(raw, kind.name) if isinstance(raw, float) else raw]
     except (TypeError, ValueError) as error:
         raise placed(error, ()).renamed(path) from None
 
@@ -341,4 +376,4 @@ def _raws_of_bits(point: Point, kind: ValueType, bits: int) -> list[Any]:
     try:
         return [kind.decode(kind.cells_of_number(bits))]
     except ValueError:
-        return []  # registers that hold no time have no value anyway
+        return [bits]  # registers that hold no time, or no digits

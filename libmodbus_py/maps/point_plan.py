@@ -11,13 +11,14 @@ from typing import Any, Literal, NamedTuple, Unpack
 
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongValue
+from ..protocol.tables import Table
 from ..protocol.values import ValueType
 from .holes import PartialAnswer
 from .meaning import Meaning, NoValue, scaling_by
-from .plan import Plan, PlanOptions
+from .plan import Borders, Plan, PlanOptions
 from .point import Point
 
-__all__ = ["PointPlan", "scale_mistakes", "sources_of"]
+__all__ = ["PointPlan", "borders_of", "scale_mistakes", "sources_of"]
 
 
 def scale_mistakes(points: Mapping[str, Point]) -> Iterator[tuple[str, WrongValue]]:
@@ -66,6 +67,11 @@ def sources_of(points: Iterable[Point], known: Mapping[str, Point]) -> dict[str,
     return found
 
 
+def borders_of(points: Iterable[Point]) -> list[tuple[Table, int]]:
+    """Return where points begin before which a request must end, as `Plan` takes it."""
+    return [(point.table, point.address) for point in points if point.border]
+
+
 FORMS = {"uint16": "H", "int16": "h"}
 """Type -> form of `struct`, if a register is the number."""
 
@@ -109,6 +115,7 @@ class PointPlan(Plan):
         self,
         points: Iterable[Point],
         sources: Mapping[str, Point] | None = None,
+        borders: Borders = (),
         **options: Unpack[PlanOptions],
     ) -> None:
         self._points = {point.name: point for point in points}
@@ -124,7 +131,8 @@ class PointPlan(Plan):
                 raise WrongValue.about("sources", f"{source}, which scales {name}, is missing")
             scale = _Scale(source, point.scale_as, point.scale, point.offset)
             scale_of[name] = self._numbers.setdefault(scale, len(self._numbers))
-        super().__init__({name: point.read for name, point in self._all.items()}, **options)
+        reads = {name: point.read for name, point in self._all.items()}
+        super().__init__(reads, borders=borders, **options)
         self._quick = list(self._quick_ones(scale_of))
         are_quick = {each.name for each in self._quick}
         self._slow = [name for name in self._points if name not in are_quick]
@@ -165,7 +173,7 @@ class PointPlan(Plan):
         """
         Return the values by name, as `Plan.results` does; None for no value.
 
-        With `return_exceptions` a ValueError or `NoValue` tells why there is none.
+        With `return_exceptions` a `NoValue` tells why there is none.
         """
         given = self._checked_answers(list(answers))
         data = self._data(given)
@@ -196,33 +204,22 @@ class PointPlan(Plan):
             if isinstance(answer, PartialAnswer):  # its lost cells count as zeros until here
                 slow += [name for name in answer.lost if name in found]
         for name in slow:
-            found[name] = self._slowly(name, given, scales, return_exceptions)
+            value = self._value(name, given, scales)
+            is_none = isinstance(value, NoValue) and not return_exceptions
+            found[name] = None if is_none else value
         return found
 
-    def _slowly(
-        self, name: str, answers: list[Any], scales: _Scales, return_exceptions: bool
-    ) -> Any:
-        try:
-            value = self._value(name, answers, scales)
-        except ValueError as error:
-            if not return_exceptions:
-                raise
-            return error
-        return None if isinstance(value, NoValue) and not return_exceptions else value
-
     def _value(self, name: str, answers: list[Any], scales: _Scales) -> Any:
-        """Return a value, a `NoValue`, or the error of the request; or raise ValueError."""
+        """Return a value, a `NoValue`, or the error of the request."""
         point, cells = self._all[name], self._values(name, answers)
         source = scales.values.get(point.scale_from or "")
         for each in (cells, source):
-            if isinstance(each, ModbusError):
+            if isinstance(each, ModbusError) and not isinstance(each, NoValue):
                 return each
         try:
             found = point.meaning.values_in(cells, point.scaling_for(source))
         except NoValue as none:
             return none
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
         if point.count == 1:
             return found[0]
         return [None if isinstance(each, NoValue) else each for each in found]
@@ -230,10 +227,7 @@ class PointPlan(Plan):
     def _scales(self, answers: list[Any]) -> _Scales:
         scales = _Scales({}, {})
         for name in self._sources:
-            try:
-                scales.values[name] = self._value(name, answers, scales)
-            except ValueError:
-                scales.values[name] = None
+            scales.values[name] = self._value(name, answers, scales)
             for scale, number in self._numbers.items():
                 value = scales.values[name]
                 if scale.source == name and isinstance(value, int | float):

@@ -33,7 +33,7 @@ def typed_value(point: Point, text: str) -> Any:
     one that a float cannot hold becomes an int or a Decimal.
     """
     if point.states is not None:
-        return _state(point.states, text.strip())
+        return _state(point, point.states, text.strip())
     if point.bits is not None:
         return _named_bits(text)
     kind, part = point.read.kind, point.meaning.part
@@ -62,11 +62,12 @@ def typed_values(point: Point, text: str) -> Any:
     return [typed_value(point, word.strip()) for word in text.split(",")]
 
 
-def _state(states: Mapping[int, str], text: str) -> str | int:
+def _state(point: Point, states: Mapping[Any, str], text: str) -> Any:
     if text in states.values():
         return text
+    kind = None if point.meaning.part is not None else point.read.kind
     try:
-        return number_of("value", text)
+        return number_of("value", text) if kind is None else value_of(text, kind)
     except ValueError:
         allowed = ", ".join(states.values())
         raise ValueError(f"value must be one of {allowed}, or a number, not {text!r}") from None

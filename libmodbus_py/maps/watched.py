@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..protocol.errors import ModbusError
 from .holes import is_refusal
+from .meaning import NoValue
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -194,7 +195,8 @@ class WatchedPoints:
 
 def _is_lost(value: object) -> bool:
     """Return True if there is an error in place of a value that the next poll may have."""
-    return isinstance(value, ModbusError) and not is_refusal(value)
+    is_answer = is_refusal(value) or isinstance(value, NoValue)
+    return isinstance(value, ModbusError) and not is_answer
 
 
 # --- what clients watch ---------------------------------------------------------------------

@@ -7,6 +7,7 @@ The schemes are those of `SCHEMES` in `schemes`, among them::
     udp://HOST:PORT    rtu+udp://HOST:PORT
     tls://HOST:PORT?cert=own.pem&key=own.key&ca=authority.pem
     unix:///run/modbus.sock
+    listen+tcp://0.0.0.0:PORT    listen+rtu+tcp://0.0.0.0:PORT    the device connects to it
     rtu:///dev/ttyUSB0?baudrate=19200&parity=E&data_bits=8&stop_bits=1
     ascii:///dev/ttyUSB0?baudrate=9600&parity=E&data_bits=7&stop_bits=1
 
@@ -29,7 +30,7 @@ from dataclasses import dataclass, field
 from os.path import abspath, expanduser
 from typing import TYPE_CHECKING, Any
 
-from ..protocol.mistakes import close_option
+from ..protocol.mistakes import close_option, close_to
 from ..protocol.scan import pause_between_frames
 from .hosts import host_and_port, split_host_and_port
 from .options import ASCII_DEFAULTS, CLIENT_OPTIONS, SERIAL_DEFAULTS, Option, character_bits
@@ -44,6 +45,19 @@ __all__ = ["Endpoint", "parse", "parse_to_listen", "url_of"]
 
 # A password has no use here, but a URL may contain one, which must not be logged.
 PASSWORD = "(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)"
+
+# Schemes of other programs without their signs -> the one that is meant here. They stand in URLs
+# of pyserial, simonvetter/modbus, Telegraf, NewLife.Modbus, the W3C's Modbus binding, and others.
+OTHER_SCHEMES: dict[str, Scheme] = {
+    **dict.fromkeys(("modbus", "modbustcp", "mbtcp", "mbap"), "tcp"),
+    **dict.fromkeys(("socket", "serialtcp", "tcprtu", "rtutcp", "rtuovertcp"), "rtu+tcp"),
+    **dict.fromkeys(("tcpascii", "asciitcp", "asciiovertcp"), "ascii+tcp"),
+    **dict.fromkeys(("modbusudp", "mbudp"), "udp"),
+    **dict.fromkeys(("udprtu", "rtuudp", "rtuoverudp"), "rtu+udp"),
+    **dict.fromkeys(("tcptls", "modbustls", "modbuss", "mbaps"), "tls"),
+    **dict.fromkeys(("serial", "file", "tty", "modbusrtu", "rtuserial"), "rtu"),
+    "modbusascii": "ascii",
+}
 
 
 @dataclass(frozen=True)
@@ -83,6 +97,10 @@ class Endpoint:
     @property
     def is_secure(self) -> bool:
         return TRANSPORTS[self.transport].is_secure
+
+    @property
+    def is_listening(self) -> bool:
+        return TRANSPORTS[self.transport].is_listening
 
     @property
     def has_transactions(self) -> bool:
@@ -125,8 +143,13 @@ class Endpoint:
         return self._shown({} if self.is_secure else self.options)
 
     def _shown(self, options: dict[str, Any]) -> str:
-        address = _quoted(self.path) if self.has_path else self.address
-        texts = {name: "none" if each is None else str(each) for name, each in options.items()}
+        at = host_and_port(_zoned(self.host), self.port)
+        address = _quoted(self.path) if self.has_path else at
+        texts = {
+            name: "none" if value is None else str(value)
+            for name, value in options.items()
+            if not callable(value)  # no URL can name a function
+        }
         query = "&".join(f"{name}={_quoted(text, '/')}" for name, text in texts.items())
         return f"{self.scheme}://{address}{'?' if query else ''}{query}"
 
@@ -136,6 +159,11 @@ def _quoted(text: str, safe: str = "/:@+,=~") -> str:
     from urllib.parse import quote
 
     return quote(text, safe, errors="surrogateescape")
+
+
+def _zoned(host: str) -> str:
+    """Return a host as URLs contain it: with %25 before the zone of an IPv6 address (RFC 6874)."""
+    return host.replace("%", "%25", 1)
 
 
 def _one_spelling(host: str) -> str:
@@ -163,7 +191,7 @@ def parse(url: str) -> Endpoint:
     if re.search(r"[\x00-\x1f\x7f]", url):  # of which Python leaves some out
         raise ValueError(f"{url!r}: a URL has no control characters")
     if parts.scheme not in SCHEMES:
-        raise ValueError(f"{url!r}: the scheme must be one of {', '.join(SCHEMES)}")
+        raise ValueError(f"{url!r}: {_wrong_scheme(url.partition('://')[0].lower())}")
     if parts.fragment or parts.username is not None:
         raise ValueError(f"{url!r}: neither user nor fragment have a meaning here")
     scheme: Scheme = parts.scheme
@@ -175,6 +203,17 @@ def parse(url: str) -> Endpoint:
     if parts.netloc or not path.strip("/"):
         raise ValueError(f"{url!r}: a path is missing, as in {shape_of(scheme)}")
     return Endpoint(scheme, "", 0, path, options, others)
+
+
+def _wrong_scheme(scheme: str) -> str:
+    if scheme == "rfc2217":
+        return (
+            "RFC 2217 is not supported; set the line in the serial device server, let it pass raw "
+            "bytes (its mode is called raw, socket or TCP server), and use rtu+tcp://"
+        )
+    meant = OTHER_SCHEMES.get(re.sub("[^a-z]", "", scheme))
+    close = f"; did you mean {meant}://?" if meant else close_to(scheme, SCHEMES)
+    return f"the scheme must be one of {', '.join(SCHEMES)}{close}"
 
 
 def url_of(text: str) -> str:
@@ -194,13 +233,15 @@ def url_of(text: str) -> str:
         raise ValueError(
             f"{shown!r}: must be a URL, such as tcp://192.0.2.10, a host or a path of a serial port"
         ) from None
-    at = host_and_port(host, DEFAULT_PORT if port is None else port)
+    at = host_and_port(_zoned(host), DEFAULT_PORT if port is None else port)
     return f"tcp://{at}{mark}{query}"
 
 
 def parse_to_listen(url: str) -> Endpoint:
     """Return the endpoint of a URL at which to listen, as `parse`."""
     endpoint = parse(url)
+    if endpoint.is_listening:
+        raise ValueError(f"{url!r}: this is for clients, whose device connects; servers: tcp://")
     if endpoint.client_options:
         names = ", ".join(endpoint.client_options)
         raise ValueError(f"{url!r}: {names} is for clients, not for an endpoint that listens")
@@ -219,6 +260,8 @@ def _host_and_port(url: str, scheme: Scheme, parts: SplitResult) -> tuple[str, i
     if ":" in host and not parts.netloc.startswith("["):
         raise ValueError(f"{url!r}: an IPv6 address needs brackets, as in {scheme}://[::1]:502")
     name, percent, zone = host.partition("%")
+    if zone.startswith("25") and zone != "25":  # RFC 6874; bare signs are common, too
+        zone = zone[2:]
     host = f"{name.lower()}{percent}{zone}"  # a zone is the name of an interface, as it is written
     return host, TRANSPORTS[SCHEMES[scheme][1]].port if port is None else port
 

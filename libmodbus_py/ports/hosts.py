@@ -19,8 +19,8 @@ from ..system import call_in_children
 
 __all__ = [
     "EVERYWHERE", "Make", "Resolve", "ask", "bind_all", "host_and_port",
-    "host_of_peer", "is_loopback", "is_this_machine", "listen_on", "numeric", "reason",
-    "split_host_and_port", "start_thread", "tcp_listener",
+    "host_of_peer", "is_loopback", "is_this_machine", "listen_on", "numeric", "own_address",
+    "reason", "split_host_and_port", "start_thread", "tcp_listener",
 ]  # fmt: skip
 
 LOCALHOST = ("localhost", "ip6-localhost")
@@ -62,6 +62,20 @@ def split_host_and_port(text: str) -> tuple[str, int | None]:
     if port is not None and int(port) > 65535:
         raise ValueError(f"the port must be in 0..65535, not {port}")
     return found["address"] or found["bare"] or found["name"], None if port is None else int(port)
+
+
+def own_address(name: str, text: object) -> tuple[socket.AddressFamily, tuple[str, int]]:
+    """Return an address to connect from, with port 0 for any; raise an error that names `name`."""
+    if not isinstance(text, str):
+        raise TypeError(f"{name} must be a string, not {type(text).__name__}")
+    host, port = split_host_and_port(text)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        socket.inet_pton(family, host.partition("%")[0])
+    except OSError:
+        wanted = "an address of this machine, such as 192.0.2.5 or 192.0.2.5:40000"
+        raise ValueError(f"{name} must be {wanted}, not {text!r}") from None
+    return family, (host, port or 0)
 
 
 def host_of_peer(peer: str) -> str:

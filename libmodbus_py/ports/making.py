@@ -43,6 +43,10 @@ def port_class(transport: Transport) -> Any:
             from .serial import SerialPort
 
             return SerialPort
+        case "listen":
+            from .listening import ListeningPort
+
+            return ListeningPort
 
 
 def make_port(endpoint: Endpoint, settings: ConnectionOptions) -> Port:
@@ -58,5 +62,9 @@ def make_port(endpoint: Endpoint, settings: ConnectionOptions) -> Port:
     """
     if settings["security"] is not None and not endpoint.is_secure:
         raise ValueError(f"security is for tls:// only, not for {endpoint.scheme}://")
+    if settings["source"] is not None and (endpoint.has_path or endpoint.is_listening):
+        raise ValueError(f"source is for hosts, not for {endpoint.scheme}://")
+    if settings["greeting"] is not None and not endpoint.is_listening:
+        raise ValueError(f"greeting is for listen+tcp://, not for {endpoint.scheme}://")
     port: Port = port_class(endpoint.transport).of(endpoint, settings)
     return port

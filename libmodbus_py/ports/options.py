@@ -7,11 +7,12 @@ The rows of what only clients know are in `client.options`.
 """
 
 # Annotations are values here, so `annotations` of `__future__` is not imported.
+import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypedDict
 
-from ..protocol.checks import DURATION, duration_of, integer, seconds
+from ..protocol.checks import DURATION, checked_callback, duration_of, integer, seconds
 
 if TYPE_CHECKING:
     from ..security.security import GivenContext, Security
@@ -120,6 +121,27 @@ def _parity(_name: str, value: object) -> None:
     parity_of(value)
 
 
+def _flag(name: str, value: object) -> None:
+    if not isinstance(value, bool):
+        raise TypeError(f"{name} must be True or False, not {value!r}")
+
+
+RS485_MODES = ("kernel", "rts-up", "rts-down")
+
+GPIO_LINE = re.compile("gpio:(/.+)/([^/]+)")
+"""The chip and the number or name of a line, as in "gpio:/dev/gpiochip0/17"."""
+
+
+def _rs485(name: str, value: object) -> None:
+    if not isinstance(value, str):
+        checked_callback(name, value)
+    elif value not in RS485_MODES and not GPIO_LINE.fullmatch(value):
+        raise ValueError(
+            f'{name} must be "kernel", "rts-up", "rts-down", a function, or a line such as '
+            f'"gpio:/dev/gpiochip0/17", not {value!r}'
+        )
+
+
 def _echo(name: str, value: object) -> None:
     if not isinstance(value, bool | None):
         raise TypeError(f"{name} must be True, False or None, not {value!r}")
@@ -130,6 +152,18 @@ def _delimiter(name: str, value: object) -> None:
 
     if not is_delimiter(integer(name, value, 0, 0xFF)):
         raise ValueError(f"{name} must be an ASCII code with no other use, not {value}")
+
+
+def _source(name: str, value: object) -> None:
+    from .hosts import own_address  # programs that only parse options need no sockets
+
+    own_address(name, value)
+
+
+def _greeting(name: str, value: object) -> None:
+    from .greeting import greeting_of
+
+    greeting_of(name, value)
 
 
 def _security(name: str, value: object) -> None:
@@ -146,7 +180,7 @@ def _security(name: str, value: object) -> None:
 MAX_IN_FLIGHT = 256
 
 Parity = Literal["N", "E", "O", "none", "even", "odd"]
-Rs485 = Literal["kernel", "rts-up", "rts-down"]
+Rs485 = str | Callable[[bool], object]
 
 
 class ConnectionOptions(TypedDict, total=False):
@@ -214,11 +248,22 @@ class ConnectionOptions(TypedDict, total=False):
             durations(),
         ),
     ]
+    broadcast: Annotated[
+        bool,
+        Option(
+            "unit 0 of a serial line is a broadcast. False if a device answers as unit 0, as some "
+            "do that are alone on the line.",
+            SWITCH,
+            True,
+            _flag,
+        ),
+    ]
     request_spacing: Annotated[
         float,
         Option(
             "the least seconds between the starts of two requests. For devices that need a pause; "
-            "it does not count towards `timeout`.",
+            "it does not count towards `timeout`. A slow answer shortens the pause behind it; on "
+            "lines, `silence` counts from the end of the answer.",
             SECONDS,
             0.0,
             durations(),
@@ -244,6 +289,18 @@ class ConnectionOptions(TypedDict, total=False):
             integers(1, 1_000_000),
         ),
     ]
+    idle_close: Annotated[
+        float | None,
+        Option(
+            "seconds without a response after which the connection is closed, 0.1..86400, or None. "
+            "The next request makes a new one. For devices that close idle connections, or have "
+            "one for all clients. A blocking client closes it in `watch`, else before its next "
+            "request.",
+            SECONDS_OR_NONE,
+            None,
+            optional(durations(0.1)),
+        ),
+    ]
     max_pause: Annotated[
         float,
         Option(
@@ -264,14 +321,58 @@ class ConnectionOptions(TypedDict, total=False):
             optional(durations(1, 32_767)),
         ),
     ]
+    source: Annotated[
+        str | None,
+        Option(
+            "the address of this machine to connect from, maybe with a port, as 192.0.2.5:40000. "
+            "For TCP, TLS and UDP. A TCP connection from a port of its own ends with a reset, so "
+            "that the port is free for the next one.",
+            _text("ADDRESS"),
+            check=optional(_source),
+        ),
+    ]
+    greeting: Annotated[
+        str | None,
+        Option(
+            "what a device that connects to the client sends besides frames, such as 20 bytes. "
+            "Several items have commas between them: the number of bytes that it sends first, "
+            "texts, and bytes such as 0x0d0a. For listen+tcp:// and listen+rtu+tcp://.",
+            _text("ITEMS"),
+            check=optional(_greeting),
+        ),
+    ]
     accept_unit: Annotated[
         Literal["same", "any"],
         Option(
             'the units whose responses are accepted: "same", the one addressed, or "any". Some '
-            "TCP devices answer every request as unit 255.",
+            "TCP devices answer every request as unit 255. On a line only with one device.",
             _text("WHICH"),
             "same",
             one_of("same", "any"),
+        ),
+    ]
+    ids: Annotated[
+        Literal["check", "ignore"],
+        Option(
+            'the transaction ids of responses: "check", or "ignore" to accept any. For devices '
+            "that answer with wrong ones. Only with one request in flight; after a request without "
+            "an answer a new connection is made, so that a late answer is not taken for another.",
+            _text("WHICH"),
+            "check",
+            one_of("check", "ignore"),
+        ),
+    ]
+    write_function: Annotated[
+        Literal["auto", "single", "multiple"],
+        Option(
+            'the functions that write values: "single" for 5 and 6, "multiple" for 15 and 16, or '
+            '"auto". Of `write_map` and `write_value`, for devices that lack functions. With '
+            '"single", each coil and register has a request of its own, so that the device sees a '
+            'value of two registers in two halves. "auto" writes single coils and registers of '
+            "maps with 5 and 6, and several with 15 and 16.",
+            _text("WHICH"),
+            "auto",
+            one_of("auto", "single", "multiple"),
         ),
     ]
     delimiter: Annotated[
@@ -305,9 +406,9 @@ class SerialSettings(TypedDict, total=False):
     rs485: Annotated[
         Rs485 | None,
         Option(
-            "direction control of an RS-485 transceiver: kernel, rts-up or rts-down",
+            "what switches an RS-485 transceiver: kernel, rts-up, rts-down, gpio:CHIP/LINE",
             _text("MODE"),
-            check=optional(one_of("kernel", "rts-up", "rts-down")),
+            check=optional(_rs485),
         ),
     ]
     rts_delay: Annotated[
@@ -325,7 +426,7 @@ class SerialSettings(TypedDict, total=False):
     silence: Annotated[
         float | None,
         Option(
-            "seconds of silence between frames; unless given, 3.5 characters",
+            "seconds of silence before a request; unless given, 3.5 characters on serial lines",
             SECONDS,
             check=optional(durations(0, 1)),
         ),

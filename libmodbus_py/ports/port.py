@@ -9,6 +9,7 @@ import select
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..protocol.errors import ModbusConnectionError, ModbusError
@@ -61,6 +62,7 @@ class Port(ABC):
     silence: Silence
     resume_at: float | None = None  # when `go_on` should be called (time.monotonic)
     has_unsent = False  # whether `go_on` should be called once the port takes bytes again
+    has_input: Callable[[], object]  # true if there are bytes, or the end of the connection
 
     @abstractmethod
     def opening(self, deadline: float) -> Steps[None]:
@@ -75,14 +77,11 @@ class Port(ABC):
         """The client's own certificate in DER; None without TLS."""
         return None
 
-    def has_input(self) -> bool:
-        """Return True if something can be read: bytes, or the end of the connection."""
-        return bool(self._poll.poll(0))
-
     def _watch(self, descriptor: int) -> None:
         self.descriptor = descriptor
         self._poll = select.poll()
         self._poll.register(descriptor, select.POLLIN)
+        self.has_input = partial(self._poll.poll, 0)
 
     @abstractmethod
     def receive(self) -> list[bytes]:
@@ -104,6 +103,10 @@ class Port(ABC):
     @abstractmethod
     def close(self) -> None:
         """Restore the settings of the line and close the port; may be called repeatedly."""
+
+    def shut(self) -> None:
+        """Close the port for good: a client that listens gives up its address."""
+        self.close()
 
     @abstractmethod
     def abandon(self) -> None:

@@ -21,9 +21,12 @@ __all__ = [
 DEFAULT_PORT = 502
 """The port of Modbus/TCP."""
 
-Scheme = Literal["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "unix", "rtu", "ascii"]
+Scheme = Literal[
+    "tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "unix", "rtu", "ascii",
+    "listen+tcp", "listen+rtu+tcp",
+]  # fmt: skip
 
-Transport = Literal["tcp", "udp", "tls", "unix", "serial"]
+Transport = Literal["tcp", "udp", "tls", "unix", "serial", "listen"]
 
 SCHEMES: dict[Scheme, tuple[Framing, Transport]] = {
     "tcp": ("tcp", "tcp"),
@@ -35,6 +38,8 @@ SCHEMES: dict[Scheme, tuple[Framing, Transport]] = {
     "unix": ("tcp", "unix"),
     "rtu": ("rtu", "serial"),
     "ascii": ("ascii", "serial"),
+    "listen+tcp": ("tcp", "listen"),
+    "listen+rtu+tcp": ("rtu", "listen"),
 }
 """Scheme -> framing and transport."""
 
@@ -53,6 +58,7 @@ class TransportRules(NamedTuple):
     is_serial: bool = False
     is_datagram: bool = False  # each ADU is a datagram, without a connection
     is_secure: bool = False  # client and server show each other certificates
+    is_listening: bool = False  # the client waits there for its device, which connects
 
     @property
     def has_path(self) -> bool:
@@ -66,14 +72,15 @@ TRANSPORTS: dict[Transport, TransportRules] = {
     "tls": TransportRules(SECURITY_OPTIONS, 802, is_secure=True),
     "unix": TransportRules(port=0, example="/run/modbus.sock"),
     "serial": TransportRules(SERIAL_OPTIONS, 0, "/dev/ttyUSB0", is_serial=True),
+    "listen": TransportRules(is_listening=True),
 }
 
 
 def options_of(scheme: Scheme) -> Mapping[str, Option]:
     """Return the options that URLs of a scheme may contain, besides those of clients."""
     framing, transport = SCHEMES[scheme]
-    if transport == "tcp" and framing != "tcp":  # a line behind a converter
-        return {"echo": SERIAL_OPTIONS["echo"]}
+    if transport in ("tcp", "listen") and framing != "tcp":  # a line behind a converter
+        return {name: SERIAL_OPTIONS[name] for name in ("echo", "silence")}
     return TRANSPORTS[transport].options
 
 

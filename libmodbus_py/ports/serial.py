@@ -1,6 +1,5 @@
 """
-Serial ports: for clients and servers, opened and configured by libmodbus; and to listen at, where
-nothing is locked, and nothing is ever written.
+Serial ports for clients and servers, opened and configured by libmodbus.
 """
 
 from __future__ import annotations
@@ -10,27 +9,34 @@ import errno
 import fcntl
 import os
 import select
-import struct
 import termios
 from collections.abc import Iterator
 from operator import index
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, Unpack
 
 from ..binding.library import check, ffi, lib, make
-from ..protocol.checks import log_warning
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.mistakes import unknown_option
 from ..protocol.scan import pause_between_frames
-from ..system import set_odd_baudrate
-from .options import SERIAL_OPTIONS, SerialSettings, character_bits, parity_of
+from .direction import Switch, switch_of
+from .options import (
+    SERIAL_DEFAULTS,
+    SERIAL_OPTIONS,
+    Rs485,
+    SerialSettings,
+    character_bits,
+    parity_of,
+)
 from .port import RECEIVED_BYTES, Port, Silence, lost
+from .serial_settings import check_settings, set_odd_baudrate
 from .waiting import Steps, of_system
 
 if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .options import ConnectionOptions
+    from .serial_devices import OpenDevice
 
-__all__ = ["ReadOnlySerialPort", "SerialPort"]
+__all__ = ["SerialPort", "users_of"]
 
 # st_rdev of the ports that this process has open: the lock does not show which process has it.
 _open_here: set[int] = set()
@@ -52,10 +58,6 @@ class SerialPort(Port):
         3500000, 4000000,
     ))
     # fmt: on
-    rts_modes: ClassVar[dict[str, int]] = {
-        "rts-up": lib.MODBUS_RTU_RTS_UP,
-        "rts-down": lib.MODBUS_RTU_RTS_DOWN,
-    }
 
     @classmethod
     def of(cls, endpoint: Endpoint, _settings: ConnectionOptions) -> Self:
@@ -74,7 +76,8 @@ class SerialPort(Port):
             row.check(name, usual[name])
         self.device = device
         self.parity: Literal["N", "E", "O"] = parity_of(usual["parity"])
-        self.rs485: str | None = usual["rs485"]
+        self.rs485: Rs485 | None = usual["rs485"]
+        self._switch = switch_of(self.rs485)
         self.baudrate: int = index(usual["baudrate"])
         self.data_bits: int = index(usual["data_bits"])
         self.stop_bits: int = index(usual["stop_bits"])
@@ -87,7 +90,7 @@ class SerialPort(Port):
         self.silence: Silence = Silence(
             specified if silence is None else float(silence),
             self.character,
-            self.rts_delay if self.rs485 in self.rts_modes else 0.0,
+            self.rts_delay if self._switch is not None else 0.0,
         )
         self._sending: Iterator[float] = iter(())
         self._guards: list[int] = []
@@ -119,6 +122,8 @@ class SerialPort(Port):
             self._configure()
         except (OSError, termios.error) as error:
             self.close()
+            if isinstance(error, ModbusConnectionError):
+                raise
             if isinstance(error, OSError):
                 of_system(error)
             number, reason = error.args[:2]
@@ -143,13 +148,17 @@ class SerialPort(Port):
         self._watch(lib.modbus_get_socket(self.context))
         if self.baudrate not in self.baudrates:
             set_odd_baudrate(self.descriptor, self.baudrate)
+        self._check_settings(self.descriptor)
         if self.rs485 == "kernel":
             if lib.modbus_rtu_set_serial_mode(self.context, lib.MODBUS_RTU_RS485) == -1:
                 raise OSError(ffi.errno, "the driver has no RS-485 mode")
-        elif self.rs485 is not None:
-            lib.modbus_rtu_set_rts(self.context, self.rts_modes[self.rs485])
-            lib.modbus_rtu_set_rts_delay(self.context, round(self.rts_delay * 1_000_000))
+        elif self._switch is not None:
+            self._switch.open(self.descriptor)
         self.discard_input()
+
+    def _check_settings(self, descriptor: int) -> None:
+        wanted = {name: getattr(self, name) for name in SERIAL_DEFAULTS}
+        check_settings(descriptor, self.device, wanted)
 
     def _connect(self) -> bool:
         ffi.errno = 0
@@ -166,16 +175,27 @@ class SerialPort(Port):
 
     def _take_port(self) -> None:
         """Lock the port, because libmodbus would change the settings of another program."""
+        if self._is_open_here():  # asked first, because opening a port raises its RTS
+            itself = "this program itself; one client (with for_unit) or context reaches all units"
+            raise OSError(errno.EBUSY, f"in use by {itself}")
         guard = self._open_guard(os.O_RDWR)
-        number = os.fstat(guard).st_rdev
         try:
             fcntl.flock(guard, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            itself = "this program itself; for_unit() gives another unit on the same line"
-            user = itself if number in _open_here else "another program"
-            raise OSError(errno.EBUSY, f"in use by {user}") from None
-        self._number = number
-        _open_here.add(number)
+            raise self._in_use() from None
+        self._number = os.fstat(guard).st_rdev
+        _open_here.add(self._number)
+
+    def _is_open_here(self) -> bool:
+        try:
+            return os.stat(self.device).st_rdev in _open_here
+        except OSError:
+            return False
+
+    def _in_use(self) -> OSError:
+        users = [user.program for user in users_of(self.device) if user.process != os.getpid()]
+        names = ", ".join(dict.fromkeys(users)) or "another program"
+        return OSError(errno.EBUSY, f"in use by {names}")
 
     def _open_guard(self, mode: int) -> int:
         """Return a descriptor of the port that the program waits for nothing to get."""
@@ -188,27 +208,40 @@ class SerialPort(Port):
             raise OSError(
                 error.errno, f"{error.strerror}; is this user in the group dialout?"
             ) from None
+        except OSError as error:
+            if error.errno == errno.EBUSY:  # another program has set TIOCEXCL
+                raise self._in_use() from None
+            raise
         (guard,) = self._guards
         try:
             termios.tcgetattr(guard)  # before the settings of a file that is no port are changed
         except termios.error as error:
-            if error.args[0] in (errno.ENOTTY, errno.EINVAL):
-                raise OSError(error.args[0], "not a serial port") from None
+            number = error.args[0]
+            if number in (errno.ENOTTY, errno.EINVAL):
+                raise OSError(number, "not a serial port") from None
+            if number == errno.EIO and _lacks_hardware(self.device):
+                raise OSError(number, "the system has no hardware for this port") from None
             raise
         return guard
 
     def close(self) -> None:
         """Close the port. A process that inherited it does not change its parent's settings."""
-        self._sending = iter(())  # RTS goes back while the port is still open
+        self._sending = iter(())
         self.resume_at = None
         if self._process != os.getpid():
             self.abandon()
-        else:
+            return
+        try:
+            if self._switch is not None:
+                self._switch.close()  # while the port is still open
+        finally:
             self.descriptor: int = -1
             lib.modbus_close(self.context)  # restores the settings, too
             self._release()
 
     def abandon(self) -> None:
+        if self._switch is not None:
+            self._switch.abandon()
         self.descriptor = -1
         descriptor = lib.modbus_get_socket(self.context)
         if descriptor >= 0:
@@ -245,25 +278,23 @@ class SerialPort(Port):
 
     def send(self, adus: list[bytes], now: float) -> None:
         data = b"".join(adus)
-        self._sending = self._steps(data)
-        self.go_on(now)
+        if self._switch is None:
+            self._write(data)
+        else:
+            self._sending = self._steps(data, self._switch)
+            self.go_on(now)
 
     def go_on(self, now: float) -> None:
         pause = next(self._sending, None)
         self.resume_at = None if pause is None else now + pause
 
-    def _steps(self, data: bytes) -> Iterator[float]:
+    def _steps(self, data: bytes, switch: Switch) -> Iterator[float]:
         """Send a frame, and yield the seconds to wait before each next step."""
-        if self.rs485 not in self.rts_modes:
-            self._write(data)
-            return
-        self._set_rts(self.rs485 == "rts-up")
-        try:
-            yield self.rts_delay
-            self._write(data)
-            yield len(data) * self.character + self.rts_delay
-        finally:
-            self._set_rts(self.rs485 != "rts-up")
+        switch.turn(True)
+        yield self.rts_delay
+        self._write(data)
+        yield len(data) * self.character + self.rts_delay
+        switch.turn(False)
 
     def _write(self, data: bytes) -> None:
         """Write a frame; if the port takes only a part, the answer will be missing."""
@@ -274,82 +305,16 @@ class SerialPort(Port):
         except OSError as error:
             raise lost(error) from error
 
-    def _set_rts(self, on: bool) -> None:
-        """Set RTS as libmodbus does, ignoring errors: a port without RTS needs no turning."""
-        request = termios.TIOCMBIS if on else termios.TIOCMBIC
-        # A ValueError is a port that was abandoned meanwhile, by a forked child.
-        try:
-            fcntl.ioctl(self.descriptor, request, struct.pack("i", termios.TIOCM_RTS))
-        except OSError as error:
-            of_system(error)
-        except ValueError:
-            pass
+
+def _lacks_hardware(device: str) -> bool:
+    from .serial_devices import lacks_hardware  # which clients do not need
+
+    return lacks_hardware(device)
 
 
-class ReadOnlySerialPort(SerialPort):
-    """A serial port to listen at, with the settings of another program that has it open, if any."""
-
-    _restored: list[Any] | None = None
-
-    def _take_port(self) -> None:
-        self._open_guard(os.O_RDONLY)
-
-    def _configure(self) -> None:
-        (descriptor,) = self._guards
-        before = termios.tcgetattr(descriptor)
-        self._process = os.getpid()
-        if (other := _other_user(self.device, descriptor)) is None:
-            self._restored = before
-            self._set(descriptor)
-            termios.tcflush(descriptor, termios.TCIFLUSH)
-        else:
-            text = "%s is open in %s, too: its settings stay, and it loses what is read here"
-            log_warning(__name__, text, self.device, other)
-        self._watch(descriptor)
-        if other is None and self.rs485 in self.rts_modes:
-            # Opening a port sets RTS, which may make the transceiver send.
-            self._set_rts(self.rs485 != "rts-up")
-
-    def _set(self, descriptor: int) -> None:
-        parities = {"N": 0, "E": termios.PARENB, "O": termios.PARENB | termios.PARODD}
-        speed = getattr(termios, f"B{self.baudrate}", None)
-        settings = termios.tcgetattr(descriptor)
-        control = termios.CREAD | termios.CLOCAL | getattr(termios, f"CS{self.data_bits}")
-        control |= parities[self.parity] | (termios.CSTOPB if self.stop_bits == 2 else 0)
-        settings[0] = termios.INPCK if self.parity != "N" else termios.IGNPAR
-        settings[1], settings[2], settings[3] = 0, control, 0
-        settings[4] = settings[5] = termios.B9600 if speed is None else speed
-        settings[6][termios.VMIN], settings[6][termios.VTIME] = 0, 0
-        try:
-            termios.tcsetattr(descriptor, termios.TCSANOW, settings)
-        except termios.error:  # nothing changed, and something is lacking: see SerialPort
-            self._change_something()
-            termios.tcsetattr(descriptor, termios.TCSANOW, settings)
-        if speed is None:
-            set_odd_baudrate(descriptor, self.baudrate)
-
-    def send(self, adus: list[bytes], now: float) -> None:
-        raise RuntimeError("this port is only read")
-
-    def close(self) -> None:
-        if self._guards and self._restored is not None and self._process == os.getpid():
-            with contextlib.suppress(termios.error, OSError):
-                termios.tcsetattr(self._guards[0], termios.TCSANOW, self._restored)
-        self._restored = None
-        self.abandon()
-
-    def abandon(self) -> None:
-        # libmodbus holds nothing here, and its context may be gone during garbage collection.
-        self.descriptor = -1
-        self._release()
-
-
-def _other_user(device: str, descriptor: int) -> str | None:
-    """Return another program that has the port open, as far as this user may know."""
+def users_of(device: str) -> list[OpenDevice]:
+    """Return the programs that have a port open, as far as this user may know."""
     from .serial_devices import open_devices  # which clients do not need
 
-    path, own = os.path.realpath(device), os.getpid()
-    for user in open_devices()[0]:
-        if user.path == path and (user.process, user.descriptor) != (own, descriptor):
-            return "this program" if user.process == own else user.program
-    return None
+    path = os.path.realpath(device)
+    return [user for user in open_devices()[0] if user.path == path]

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["SerialDevice", "open_devices", "serial_devices"]
+__all__ = ["SerialDevice", "highest_rate", "lacks_hardware", "open_devices", "serial_devices"]
 
-# Ports that a kernel lists although no hardware stands behind them have this type (PORT_UNKNOWN).
+# Types of linux/serial_core.h: PORT_UNKNOWN, of ports that a kernel lists although no hardware
+# stands behind them; and PORT_16550A, which divides its clock by 16 and a whole number.
 NO_HARDWARE = "0"
+PLAIN_UART = "4"
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ def serial_devices(root: str = "/") -> list[SerialDevice]:
     stable = {_target(link): f"/dev/serial/by-id/{link.name}" for link in links}
     found = []
     for place in sorted((base / "sys/class/tty").glob("*"), key=_in_order):
-        if not (place / "device").exists() or _text(place / "type") == NO_HARDWARE:
+        if not (place / "device").exists() or lacks_hardware(place.name, root):
             continue
         path = f"/dev/{place.name}"
         node = base / "dev" / place.name
@@ -52,6 +54,22 @@ def serial_devices(root: str = "/") -> list[SerialDevice]:
             )
         )
     return found
+
+
+def lacks_hardware(path: str, root: str = "/") -> bool:
+    """Return True for a port that the kernel lists without hardware, so that no call succeeds."""
+    return _text(_class(path, root) / "type") == NO_HARDWARE
+
+
+def highest_rate(path: str, root: str = "/") -> int:
+    """Return the highest baud rate of a 16550A; 0 for other hardware, of which it is not known."""
+    place = _class(path, root)
+    clock = _text(place / "uartclk")
+    return int(clock) // 16 if clock.isdigit() and _text(place / "type") == PLAIN_UART else 0
+
+
+def _class(path: str, root: str) -> Path:
+    return Path(root) / "sys/class/tty" / Path(os.path.realpath(path)).name
 
 
 def _in_order(place: Path) -> tuple[str, int]:

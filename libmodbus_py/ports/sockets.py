@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..protocol.checks import integer
 from ..protocol.errors import MAX_RECEIVED, ModbusConnectionError
-from .hosts import Resolve, host_and_port
+from .hosts import Resolve, host_and_port, own_address
 from .port import RECEIVED_BYTES, Port, Silence, lost
 from .waiting import WRITE, Ready, Steps, of_system, timed_out
 
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from .options import ConnectionOptions
 
 __all__ = ["StreamPort", "TcpPort", "UdpPort", "keep_alive", "refuse_own"]
+
+# Value of SO_LINGER: the end of the connection is a reset.
+RESET = struct.pack("ii", 1, 0)
 
 # Datagrams taken in one turn.
 DATAGRAMS = 64
@@ -41,6 +44,7 @@ class SocketPort(Port):
 
     def __init__(self, name: str) -> None:
         self.silence: Silence = Silence()
+        self.resume_at: float | None = None  # all is sent at once: read often, never set
         self._name = name
 
     def __str__(self) -> str:
@@ -84,6 +88,7 @@ class SocketPort(Port):
         made = self._connecting = socket.socket(family, kind, protocol)
         try:
             made.setblocking(False)
+            self._bind(made)
             number = made.connect_ex(address)
             if number == errno.EINPROGRESS:
                 if not (yield Ready(made.fileno(), WRITE, deadline)):
@@ -96,6 +101,9 @@ class SocketPort(Port):
             made.close()
             raise
         return made
+
+    def _bind(self, made: socket.socket) -> None:
+        """Bind a socket to the address that it is to connect from, if there is one."""
 
     def _cannot_connect(self, error: OSError) -> ModbusConnectionError:
         reason = os.strerror(error.errno) if error.errno else error
@@ -143,7 +151,7 @@ def refuse_own(made: socket.socket) -> None:
         return
     if is_own:
         if made.type == socket.SOCK_STREAM:  # reset: an orderly end keeps the port for a minute
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
         raise OSError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
 
 
@@ -195,9 +203,9 @@ class StreamPort(SocketPort):
 
 
 class HostPort(SocketPort):
-    """A socket that is connected to one host and port."""
+    """A socket that is connected to one host and port, from any address of this machine or one."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, source: str | None = None) -> None:
         if not isinstance(host, str):
             raise TypeError(f"host must be a string, not {type(host).__name__}")
         if not host.strip() or "\0" in host:
@@ -205,6 +213,23 @@ class HostPort(SocketPort):
         self.host = host
         self.port: int = integer("port", port, 1, 65535)
         super().__init__(host_and_port(host, port))
+        self._source = None if source is None else own_address("source", source)
+
+    def _bind(self, made: socket.socket) -> None:
+        if self._source is None:
+            return
+        _, address = self._source
+        if self.kind == socket.SOCK_STREAM and address[1]:
+            # Reset at its end: after an orderly one, its port could not connect for a minute.
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.bind(address)
+
+    def _cannot_connect(self, error: OSError) -> ModbusConnectionError:
+        cannot = super()._cannot_connect(error)
+        if self._source is not None:
+            cannot.args = (f"{cannot.args[0]} (from {host_and_port(*self._source[1])})",)
+        return cannot
 
     def _addresses(self, deadline: float) -> Steps[list[Any]]:
         try:
@@ -216,6 +241,10 @@ class HostPort(SocketPort):
                 f"cannot resolve host {self.host!r}: {reason}",
                 errno=errno.ETIMEDOUT if late else error.errno,
             ) from error
+        if self._source is not None:
+            found = [address for address in found if address[0] == self._source[0]]
+            if not found:
+                raise self._cannot_connect(OSError(errno.EAFNOSUPPORT, ""))
         return found
 
 
@@ -225,10 +254,14 @@ class TcpPort(HostPort, StreamPort):
     @classmethod
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
         """Return the port of a client for an endpoint."""
-        return cls(endpoint.host, endpoint.port, settings["keepalive"])
+        port = cls(endpoint.host, endpoint.port, settings["keepalive"], settings["source"])
+        port.silence = Silence(endpoint.options.get("silence") or 0.0)  # of a line behind it
+        return port
 
-    def __init__(self, host: str, port: int, keepalive: float | None) -> None:
-        super().__init__(host, port)
+    def __init__(
+        self, host: str, port: int, keepalive: float | None, source: str | None = None
+    ) -> None:
+        super().__init__(host, port, source)
         self._keepalive = keepalive
 
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
@@ -253,9 +286,9 @@ class UdpPort(HostPort):
     kind = socket.SOCK_DGRAM
 
     @classmethod
-    def of(cls, endpoint: Endpoint, _settings: ConnectionOptions) -> Self:
+    def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
         """Return the port of a client for an endpoint."""
-        return cls(endpoint.host, endpoint.port)
+        return cls(endpoint.host, endpoint.port, settings["source"])
 
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
         yield from super()._preparing(made, deadline)

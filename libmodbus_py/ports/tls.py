@@ -81,12 +81,19 @@ class TlsPort(TcpPort):
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
         """Return the port of a client for an endpoint."""
         security = security_of(endpoint, settings["security"])
-        return cls(endpoint.host, endpoint.port, settings["keepalive"], security)
+        keepalive, source = settings["keepalive"], settings["source"]
+        return cls(endpoint.host, endpoint.port, keepalive, source, security=security)
 
     def __init__(
-        self, host: str, port: int, keepalive: float | None, security: ClientSecurity
+        self,
+        host: str,
+        port: int,
+        keepalive: float | None,
+        source: str | None = None,
+        *,
+        security: ClientSecurity,
     ) -> None:
-        super().__init__(host, port, keepalive)
+        super().__init__(host, port, keepalive, source)
         self._security = security
         self._session: ssl.SSLSession | None = None  # which the next connection resumes (R-42)
         self._begin(None)
@@ -177,12 +184,16 @@ class TlsPort(TcpPort):
             error.args = (f"{error.args[0]}; it may have refused our certificate",)
         return error
 
-    def has_input(self) -> bool:
+    def _watch(self, descriptor: int) -> None:
+        super()._watch(descriptor)
+        self._has_bytes, self.has_input = self.has_input, self._has_plaintext
+
+    def _has_plaintext(self) -> bool:
         # A connection that ends here, before a request, is made again, as if the server had closed
         # it: the server may have a new certificate by now.
         self._check_certificate(time.monotonic())
         # Tickets are none; there may be an answer behind them, or the end.
-        while not self._received and self._failure is None and super().has_input():
+        while not self._received and self._failure is None and self._has_bytes():
             self._read()
         return bool(self._received) or self._failure is not None
 

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
+from operator import contains
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from ..protocol.checks import finished, log_failure
@@ -93,7 +94,10 @@ class Trace:
         self._callback = callback
         self._peer = peer
         self._later = later  # makes a call with a name later; None for at once
-        self.is_on: Callable[[], bool] = _is_logged if callback is None else lambda: True
+        # True if a log handler may want frames: without logging imported, there is none.
+        self.is_on: Callable[[], bool] = (
+            partial(contains, sys.modules, "logging") if callback is None else lambda: True
+        )
 
     def tell(
         self,
@@ -102,6 +106,10 @@ class Trace:
         unit: int | None = None,
         function: int | None = None,
     ) -> None:
+        if self._callback is None and not _is_logged():
+            assert _wire is not None
+            self.is_on = partial(_wire.isEnabledFor, 10)
+            return
         traced = Traced(time.time(), self._endpoint, direction, adu, unit, function, self._peer)
         if self._later is None:
             self._publish(traced)

@@ -98,14 +98,15 @@ class Waker:
 
     def is_ready(self, seconds: float) -> bool:
         """Wait until there is something to read; return False if the time is over first."""
-        if seconds > LONGEST:
+        if not 0 < seconds <= LONGEST:
             return self._watched in self._polled(self._poll, seconds)
-        # As `_polled` and `milliseconds`, without three calls for each request.
-        ready = self._poll.poll(-int(-seconds * 1000 // 1) if seconds > 0 else 0)
-        for descriptor, _ in ready:
-            if descriptor == self.descriptor:
-                raise Woken
-        return bool(ready)
+        # As `_polled`, without three calls for each request; poll rounds up.
+        ready = self._poll.poll(seconds * 1000)
+        if not ready:
+            return False
+        if ready[0][0] == self.descriptor:
+            raise Woken
+        return True
 
     def wait(self, descriptor: int, events: int, deadline: float) -> bool:
         """As `is_ready`, for any descriptor (-1 for none), until a time (time.monotonic)."""

@@ -17,7 +17,8 @@ Bottom up:
     echo       the local echo of a line among received bytes
     tables     the four tables: what they contain, how much of it a request may carry, and ranges
     values     numbers, text, bits and times in registers
-               (value_types: what they have in common; times: the forms of dates and times)
+               (value_types: what they have in common; number_types: numbers and bits; times: the
+               forms of dates and times)
     plain      values as text: as people read and type them, as JSON can contain them, for terminals
     json_text  the encoders of JSON
 """

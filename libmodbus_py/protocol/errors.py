@@ -13,6 +13,7 @@ The exceptions, grouped by cause.
       InvalidResponse                a frame that is not a valid response to the request
       ModbusTimeoutError             no response in time; also a TimeoutError
       ModbusConnectionError          no connection; also a ConnectionError
+      NoValue                        the registers that were read hold no value; also a ValueError
 
 A server refuses a request by raising the same `ExceptionResponse` classes.
 """
@@ -72,14 +73,22 @@ class ModbusError(Exception):
 
     answers_another: bool = False
     names: tuple[Any, ...] = ()
+    unit: int | None = None
+    function: int | None = None
+    asked: str = ""
+    endpoint: str = ""
+    sent: bytes = b""
+    _received: bytes = b""
 
     def __init__(self, reason: str = "", **transaction: Unpack[_Transaction]) -> None:
+        if not isinstance(reason, str):
+            raise TypeError(f"reason must be a string, not {type(reason).__name__}")
         super().__init__(reason)
-        self.unit: int | None = transaction.get("unit")
-        self.function: int | None = transaction.get("function")
-        self.asked: str = transaction.get("asked", "")
-        self.endpoint: str = transaction.get("endpoint", "")
-        self.sent: bytes = transaction.get("sent", b"")
+        self.unit = transaction.get("unit")
+        self.function = transaction.get("function")
+        self.asked = transaction.get("asked", "")
+        self.endpoint = transaction.get("endpoint", "")
+        self.sent = transaction.get("sent", b"")
         self.received = transaction.get("received", b"")
 
     @property
@@ -130,9 +139,14 @@ class ExceptionResponse(ModbusError):
     def __init__(
         self, reason: str = "", *, code: int | None = None, **transaction: Unpack[_Transaction]
     ) -> None:
+        if isinstance(reason, int):
+            raise TypeError(
+                f"reason must be a string; code {reason} is ExceptionResponse.of({reason})"
+            )
         if code is not None:
             self.code = code
-        super().__init__(reason or f"{self.meaning} (exception {self.code})", **transaction)
+        default = f"{self.meaning} (exception {self.code})"
+        super().__init__(default if reason == "" else reason, **transaction)
 
     @staticmethod
     def of(code: int, **transaction: Unpack[_Transaction]) -> ExceptionResponse:

@@ -30,10 +30,12 @@ EXTRAS: dict[str, Extra] = {
     "homeassistant": Extra("modbus-connection>=4.12,<5", ""),
     "mqtt": Extra("aiomqtt>=2.3", "python3-asyncio-mqtt"),  # Debian 12 has an older one
     "influx": Extra("httpx>=0.23", "python3-httpx"),
+    "gpio": Extra("gpiod>=2", "python3-libgpiod"),  # Debian 12 has an older one
     "completion": Extra("argcomplete>=3.3", "python3-argcomplete"),
     "pytest": Extra("pytest>=7", "python3-pytest"),
     "nats": Extra("nats-py>=2.16", ""),
     "sunspec": Extra("pysunspec2>=1.3", ""),
+    "spreadsheets": Extra("openpyxl>=3.0", "python3-openpyxl"),
 }
 """Extra of pyproject.toml -> the package that it needs."""
 

@@ -64,10 +64,10 @@ class Framer(ABC):
     has_broadcast = True
     # Seconds without a byte after which `silence` should be called; None for never.
     quiet: float | None = None
-    # False once the stream cannot be understood any more and must be closed.
-    in_step = True
 
     def __init__(self) -> None:
+        # False once the stream cannot be understood any more and must be closed.
+        self.in_step: bool = True
         self.rest: bytearray = bytearray()
         self._found: list[Frame | FrameError] = []
         self._held: FrameError | None = None

@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "Overheard", "RtuFramer", "TcpFramer",
-    "UdpFramer", "crc16", "cut", "delimiter_after", "is_delimiter", "is_one_frame", "lrc",
-    "make_framer", "pdu_of", "split", "transaction_of",
+    "HEADER", "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "Overheard", "RtuFramer",
+    "TcpFramer", "UdpFramer", "crc16", "cut", "delimiter_after", "is_delimiter", "is_one_frame",
+    "lrc", "make_framer", "pdu_of", "split", "transaction_of",
 ]
 # fmt: on
 
@@ -47,13 +47,14 @@ TRANSACTION, UNIT, FUNCTION = slice(0, 2), 6, 7
 """The positions of transaction id, unit and function code in a frame with an MBAP header."""
 
 _HEADER = struct.Struct(">HHH")
-_PREFIX = struct.Struct(">HHHB")
+HEADER = struct.Struct(">HHHB")  # with the unit
+MAX_FRAME = HEADER.size + MAX_PDU
 _CRC = struct.Struct("<H")
 
 
 def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
     """Return a PDU with an MBAP header; nothing is checked."""
-    return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
+    return HEADER.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
 
 def rtu(_transaction: int, unit: int, pdu: bytes) -> bytes:
@@ -92,7 +93,7 @@ def cut(data: bytes | bytearray, start: int, found: list[Frame | FrameError], mo
             error = FrameError(f"header with protocol {protocol}, not 0", received=received)
             add_error(found, error)
         else:
-            unit, pdu = data[start + 6], bytes(data[start + 7 : end])
+            unit, pdu = data[start + UNIT], bytes(data[start + FUNCTION : end])
             # As Frame(unit, pdu, transaction), in half the time: bulk reads do little else.
             found.append(tuple.__new__(Frame, (unit, pdu, transaction)))
         start = end
@@ -104,7 +105,7 @@ def is_one_frame(data: bytes) -> bool:
     """Return True if the bytes are one whole frame with an MBAP header, and nothing else."""
     size = len(data)
     return (
-        8 <= size <= _PREFIX.size + MAX_PDU
+        8 <= size <= HEADER.size + MAX_PDU
         and size == _HEADER.size + (data[4] << 8 | data[5])
         and not (data[2] or data[3])
     )
@@ -125,32 +126,52 @@ class TcpFramer(Framer):
 
     A frame with a protocol other than 0 is an error. After a length outside 2..254 the start of
     the next frame is unknown, so that every later call raises a FrameError.
+
+    Args:
+        role: "client" if it receives responses: an exception is then taken without the byte that
+            some devices count too much in its header, if nothing more has come.
     """
 
     has_broadcast = False
-    max_size = MAX_PDU + 7
+    max_size = MAX_FRAME
+
+    def __init__(self, role: Role = "server") -> None:
+        super().__init__()
+        self._is_client = role == "client"
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, transaction = checked_frame(frame)
-        return _PREFIX.pack(transaction, 0, 1 + len(pdu), unit) + pdu
+        return HEADER.pack(transaction, 0, 1 + len(pdu), unit) + pdu
+
+    def whole(self, data: bytes) -> tuple[int, bytes, int] | None:
+        """
+        Return what a `Frame` holds if a chunk is one whole frame, as most are; None if it is not.
+
+        This takes a quarter of the time of `scan`.
+        """
+        size = len(data)
+        if FUNCTION < size <= MAX_FRAME and not self.rest and self.in_step:
+            transaction, protocol, length, unit = HEADER.unpack_from(data)
+            if length == size - UNIT and not protocol:
+                return unit, data[FUNCTION:], transaction
+        return None
 
     def scan(self, data: bytes) -> list[Frame | FrameError]:
-        if len(data) > FUNCTION and not self.rest and self.in_step:
-            transaction, protocol, length, unit = _PREFIX.unpack_from(data)
-            if not protocol and len(data) == _HEADER.size + length <= self.max_size:
-                # One whole frame, as most are: a quarter of the time.
-                return [tuple.__new__(Frame, (unit, data[FUNCTION:], transaction))]
-        return super().scan(data)
+        frame = self.whole(data)
+        return super().scan(data) if frame is None else [tuple.__new__(Frame, frame)]
 
     def _scan(self) -> None:
         if not self.in_step:
             self._reject("stream out of step", len(self.rest))
             return
         try:
-            del self.rest[: cut(self.rest, 0, self._found, len(self.rest))]
+            del self.rest[: cut(bytes(self.rest), 0, self._found, len(self.rest))]
         except FrameError as error:
             self.in_step = False
             add_error(self._found, error)
+            self.rest.clear()
+        if self._is_client and _is_short_exception(self.rest):
+            self._found.append(_frame(self.rest))
             self.rest.clear()
 
     def _scan_silence(self) -> None:
@@ -173,7 +194,19 @@ class UdpFramer(TcpFramer):
             if cut(datagram, 0, found, 1) == len(datagram):
                 self._found += found
                 return
+        if self._is_client and _is_short_exception(datagram):
+            self._found.append(_frame(datagram))
+            return
         self._found.append(FrameError("a datagram that is not one frame", received=datagram))
+
+
+def _is_short_exception(data: bytes | bytearray) -> bool:
+    """Return True for an exception, which has 3 bytes behind the length, with a length of 4."""
+    return len(data) == 9 and data[2:6] == b"\0\0\0\4" and data[FUNCTION] >= 0x80
+
+
+def _frame(data: bytes | bytearray) -> Frame:
+    return Frame(data[UNIT], bytes(data[FUNCTION:]), int.from_bytes(data[TRANSACTION]))
 
 
 class RtuFramer(Framer):
@@ -203,6 +236,7 @@ class RtuFramer(Framer):
         super().__init__()
         self.quiet = pause + ALLOWANCE
         self._cutter = RtuCutter(role, own)
+        self.find_response: Callable[..., bytes | None] = self._cutter.find_response
         self._usual = "request" if role == "server" else "response"
         self._in_run = False  # True if the bytes before the buffer were no frame
 
@@ -386,10 +420,10 @@ class AsciiFramer(Framer):
             del self.rest[:count]
 
 
-_FRAMERS: dict[str, Callable[[], Framer]] = {
+_FRAMERS: dict[str, Callable[[Role], Framer]] = {
     "tcp": TcpFramer,
     "udp": UdpFramer,
-    "ascii": AsciiFramer,
+    "ascii": lambda role: AsciiFramer(),
 }
 
 
@@ -411,7 +445,7 @@ def make_framer(
         return RtuFramer(role, pause, own)
     if framing not in _FRAMERS:
         raise ValueError(f'framing must be "tcp", "rtu", "ascii" or "udp", not {framing!r}')
-    return _FRAMERS[framing]()
+    return _FRAMERS[framing](role)
 
 
 _PDUS: dict[str, Callable[[bytes], bytes]] = {

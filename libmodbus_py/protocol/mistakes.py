@@ -121,6 +121,7 @@ OTHER_SPELLINGS = {
     **dict.fromkeys(("multiplier", "factor", "gain"), "scale"),
     **dict.fromkeys(("poll_interval", "period", "scan_interval"), "interval"),
     **dict.fromkeys(("host", "uri", "endpoint"), "url"),
+    **dict.fromkeys(("source_address", "local_address", "bind"), "source"),
 }
 """Names of arguments in other packages -> their names here, for errors."""
 

@@ -19,7 +19,6 @@ from .value_types import ValueType
 
 __all__ = ["TIMES", "checked_time_zone", "in_time_zone", "pack_time", "unpack_time"]
 
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 CENTURY = 2000
 """The year from which dates in bytes count; CP56Time2a and others have no century."""
 
@@ -42,14 +41,15 @@ def _checked_time(name: str | Path, value: object) -> datetime:
         raise WrongValue(name, "must be a year in 1..9999") from None
 
 
-def _since_1970(bits: int, step: timedelta) -> TimeForm:
-    signed = bits > 32  # 32 bits are unsigned: they last until 2106
+def _since(year: int, bits: int, step: timedelta) -> TimeForm:
+    epoch = datetime(year, 1, 1, tzinfo=UTC)
+    signed = bits > 32  # 32 bits are unsigned: those since 1970 last until 2106
 
     def to_bytes(time: datetime) -> bytes:
-        return ((time - EPOCH) // step).to_bytes(bits // 8, "big", signed=signed)
+        return ((time - epoch) // step).to_bytes(bits // 8, "big", signed=signed)
 
     def from_bytes(data: bytes) -> datetime:
-        return EPOCH + int.from_bytes(data, "big", signed=signed) * step
+        return epoch + int.from_bytes(data, "big", signed=signed) * step
 
     return TimeForm(to_bytes, from_bytes)
 
@@ -107,15 +107,32 @@ def _digits_from(data: bytes) -> datetime:
     return _bytes_from(bytes(int(text[at : at + 2]) for at in range(0, 12, 2)))
 
 
+def _weekday_to(time: datetime) -> bytes:
+    """Return year; month and day of the week, 1 for Monday; day and hour; minute and second."""
+    fields = time.month, time.isoweekday(), time.day, time.hour, time.minute, time.second
+    return pack(">H6B", _short_year(time.year, 99), *fields)
+
+
+def _weekday_from(data: bytes) -> datetime:
+    year, month, _, *others = unpack(">H6B", data)
+    return _bytes_from(bytes((year, month, *others)))
+
+
 TIMES: dict[str, TimeForm] = {
-    "unix32": _since_1970(32, timedelta(seconds=1)),
-    "unix64": _since_1970(64, timedelta(seconds=1)),
-    "ms64": _since_1970(64, timedelta(milliseconds=1)),
+    "unix32": _since(1970, 32, timedelta(seconds=1)),
+    "unix64": _since(1970, 64, timedelta(seconds=1)),
+    "ms64": _since(1970, 64, timedelta(milliseconds=1)),
+    "y2k32": _since(CENTURY, 32, timedelta(seconds=1)),
     "iec870": TimeForm(_iec870_to, _iec870_from),
     "date48": TimeForm(
         lambda time: bytes((_short_year(time.year, 255), *_fields(time))), _bytes_from
     ),
     "bcddate48": TimeForm(_digits_to, _digits_from),
+    "date64": TimeForm(_weekday_to, _weekday_from),
+    "shortdate96": TimeForm(
+        lambda time: pack(">6H", _short_year(time.year, 99), *_fields(time)),
+        lambda data: _bytes_from(bytes(unpack(">6H", data))),
+    ),
     "date96": TimeForm(
         lambda time: pack(">6H", time.year, *_fields(time)),
         lambda data: datetime(*unpack(">6H", data), tzinfo=UTC),  # type: ignore[misc]

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import reprlib
 import struct
-from collections.abc import Callable, Iterable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,11 @@ from .checks import are_registers, integer
 from .mistakes import Path, WrongType, WrongValue
 from .words import ORDER_WORDS, close_word, order_named
 
-__all__ = ["ORDERS", "ValueType", "cells_of", "checked_order", "items_of"]
+# fmt: off
+__all__ = [
+    "ORDERS", "WIDE_ORDERS", "WIDE_REGISTERS", "ValueType", "cells_of", "checked_order", "items_of",
+]
+# fmt: on
 
 ORDERS: dict[str, tuple[bool, bool]] = {
     "ABCD": (False, False),
@@ -24,10 +28,20 @@ ORDERS: dict[str, tuple[bool, bool]] = {
 }
 """Order -> (registers reversed, bytes of each swapped)."""
 
+WIDE_ORDERS = ("EFGHABCD", "CDABGHEF", "FEHGBADC", "DCBAHGFE")
+"""Orders of 64 bits only. Like those above, each undoes itself."""
+
+WIDE_REGISTERS = 4
+"""The registers of 64 bits."""
+
 # The same orders written out: name and registers.
 _SPELLINGS = {
     "AB": ("ABCD", 1),
     "BA": ("BADC", 1),
+    "ABCDEF": ("ABCD", 3),
+    "EFCDAB": ("CDAB", 3),
+    "BADCFE": ("BADC", 3),
+    "FEDCBA": ("DCBA", 3),
     "ABCDEFGH": ("ABCD", 4),
     "GHEFCDAB": ("CDAB", 4),
     "BADCFEHG": ("BADC", 4),
@@ -40,12 +54,14 @@ def checked_order(order: object, kind: ValueType) -> str:
     if not isinstance(order, str):
         raise WrongType("order", f"must be one of {', '.join(ORDERS)}, not {type(order).__name__}")
     name, width = _SPELLINGS.get(order.upper(), (order.upper(), None))
+    if name in WIDE_ORDERS and kind.registers == WIDE_REGISTERS and not kind.is_text:
+        return name
     name = name if name in ORDERS else order_named(order) or name
-    if name not in ORDERS:
+    if name not in ORDERS and name not in WIDE_ORDERS:
         close = close_word(name, ORDERS, ORDER_WORDS)
         wanted = f"must be one of {', '.join(ORDERS)}"
         raise WrongValue("order", f"{wanted}, not {reprlib.repr(order)}{close}")
-    if width not in (None, 1 if kind.is_text else kind.registers):
+    if name in WIDE_ORDERS or width not in (None, 1 if kind.is_text else kind.registers):
         wanted = f"one of {', '.join(ORDERS)}"
         raise WrongValue("order", f"of {kind.name} must be {wanted}, not {order!r}")
     return name
@@ -64,7 +80,7 @@ class ValueType:
         registers: the number of registers of one value, 1..125.
         pack: returns the bytes of a value in the order ABCD; takes its name for errors, and it.
         unpack: returns the value of bytes in the order ABCD; raises ValueError.
-        order: ABCD, CDAB, BADC or DCBA.
+        order: ABCD, CDAB, BADC or DCBA, or one of `WIDE_ORDERS`.
         limits: the lowest and the highest number; None if values are not numbers.
         is_text: True if the registers are in reading order, whatever the order.
         is_time: True if values are datetimes, with a time zone.
@@ -146,15 +162,23 @@ class ValueType:
         return list(struct.unpack(f">{self.registers}H", data))
 
     def _from_registers(self, cells: list[int]) -> list[Any]:
+        values = self.values_in(cells)
+        for number, value in enumerate(values):
+            if isinstance(value, ValueError):
+                at, end = number * self.registers, (number + 1) * self.registers
+                raise ValueError(f"registers[{at}:{end}] hold no {self.name}: {value}")
+        return values
+
+    def values_in(self, cells: Sequence[int]) -> list[Any]:
+        """Return the values of registers; a ValueError stands for data that is no value."""
         data = struct.pack(f">{len(cells)}H", *cells)
-        found = []
-        for at in range(0, len(cells), self.registers):
-            end = at + self.registers
+        values: list[Any] = []
+        for at in range(0, len(data), 2 * self.registers):
             try:
-                found.append(self.from_bytes(data[2 * at : 2 * end]))
+                values.append(self.from_bytes(data[at : at + 2 * self.registers]))
             except ValueError as error:
-                raise ValueError(f"registers[{at}:{end}] hold no {self.name}: {error}") from None
-        return found
+                values.append(error)
+        return values
 
     def from_bytes(self, data: bytes) -> Any:
         """Return the value of the bytes of its registers; raise a ValueError if there is none."""
@@ -178,6 +202,8 @@ class ValueType:
         """Return bytes in this order, or back: each order undoes itself."""
         if self.order == "ABCD":
             return data
+        if self.order in WIDE_ORDERS:
+            return bytes(data[ord(letter) - ord("A")] for letter in self.order)
         words, swap = ORDERS[self.order]
         if words := words and not self.is_text:
             data = data[::-1]  # which swaps the bytes of each, too

@@ -5,29 +5,43 @@ Modbus carries 16-bit registers, high byte first. Everything else is a conventio
 device; this module knows the usual ones. Types are named by strings:
 
 * int16, uint16, int32, uint32, int64, uint64;
+* int8, uint8: the low byte of a register, the high one in the order BADC; int24, uint24: the last
+  three bytes of two registers; int48, uint48: three registers. What is in front of 8 or 24 bits is
+  ignored when it is read, and written as the sign;
+* signmag16, signmag32: a bit for the sign in front of the amount, in place of two's complement;
+* mod10k32, mod10k48, mod10k64: modulo 10000, which is four decimal digits in each register and the
+  rest in the first one; of negative numbers, all registers are negative. umod10k32, umod10k48,
+  umod10k64: the same without a sign;
 * float16, float32, float64 (IEEE 754);
-* bcd16, bcd32, bcd64: decimal digits, four in each register;
+* bcd16, bcd32, bcd64: decimal digits, four in each register; sbcd16, sbcd32: the same with a sign
+  in place of the first digit, 0 or, for minus, F; 8 is taken for minus, too;
 * bits16, bits32, bits64: lists of True and False, lowest bit first;
 * unix32, unix64: seconds since 1970; ms64: milliseconds; unsigned with 32 bits, signed with 64;
+  y2k32: seconds since 2000, unsigned;
 * iec870: CP56Time2a of IEC 60870-5-4 in the four registers of Schneider's devices;
 * date48: six bytes, year (since 2000), month, day, hour, minute, second; bcddate48: the same in
-  decimal digits; date96: six registers, with the full year;
+  decimal digits; date64: four registers, year (since 2000), month and day of the week, day and
+  hour, minute and second, in two bytes each; date96: six registers, with the full year;
+  shortdate96: the same with the year since 2000;
 * eui48: a MAC address as text, such as "0D:D7:4C:C6:44:8E", behind a register of padding;
-* string:N: N bytes of text, 1..250, two in each register; if N is odd, the last
-  byte of the last register is written as 0 and ignored when read.
+* string:N: N bytes of text, 1..250, two in each register, up to the first NUL; if N is odd, the
+  last byte of the last register is written as 0 and ignored when read.
 
 An order tells how the bytes A (most significant), B, C, D of a value are arranged in the
-registers. Four letters name the order for all widths; for 16 and 64 bits it may also be
+registers. Four letters name the order for all widths; for 16, 48 and 64 bits it may also be
 written out:
 
-==== == ======== ================ ========================
-name 16 64 bits  meaning          registers of 0x12345678
-==== == ======== ================ ========================
-ABCD AB ABCDEFGH big-endian       1234 5678
-CDAB AB GHEFCDAB words swapped    5678 1234
-BADC BA BADCFEHG bytes swapped    3412 7856
-DCBA BA HGFEDCBA little-endian    7856 3412
-==== == ======== ================ ========================
+==== == ====== ======== ================ ========================
+name 16 48     64 bits  meaning          registers of 0x12345678
+==== == ====== ======== ================ ========================
+ABCD AB ABCDEF ABCDEFGH big-endian       1234 5678
+CDAB AB EFCDAB GHEFCDAB words swapped    5678 1234
+BADC BA BADCFE BADCFEHG bytes swapped    3412 7856
+DCBA BA FEDCBA HGFEDCBA little-endian    7856 3412
+==== == ====== ======== ================ ========================
+
+Values of 64 bits have four more: EFGHABCD (the halves swapped), CDABGHEF (the words of each half
+swapped), and the same with the bytes of each word swapped, FEHGBADC and DCBAHGFE.
 
 Text is always in reading order: its registers are never reversed, only the bytes of
 each are swapped (BADC, DCBA).
@@ -39,17 +53,16 @@ from __future__ import annotations
 
 import re
 import reprlib
-import struct
-import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from encodings import normalize_encoding
 from encodings.aliases import aliases
-from typing import TYPE_CHECKING, Any, NamedTuple, SupportsFloat, SupportsIndex
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .checks import integer, shown
-from .mistakes import Path, WrongType, WrongValue, item
-from .value_types import ORDERS, ValueType, cells_of, checked_order, items_of
+from .checks import integer
+from .mistakes import Path, WrongType, WrongValue
+from .number_types import NUMBERS
+from .value_types import ORDERS, WIDE_ORDERS, WIDE_REGISTERS, ValueType, cells_of, checked_order
 from .words import (
     MAX_STRING_BYTES,
     TYPE_WORDS,
@@ -74,78 +87,14 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "ENCODINGS", "ORDERS", "BitsType", "Interpretation", "Layout", "NumberType", "Order",
-    "Reference", "StringType", "TextOptions", "TextType", "TimeType", "TypeName", "ValueType",
-    "parse_reference", "readings", "string_type", "value_type",
+    "ENCODINGS", "ORDERS", "WIDE_ORDERS", "BitsType", "Interpretation", "Layout", "NumberType",
+    "Order", "Reference", "StringType", "TextOptions", "TextType", "TimeType", "TypeName",
+    "ValueType", "parse_reference", "readings", "string_type", "value_type",
 ]
 # fmt: on
 
 
-# --- types of numbers, bits, times and text -------------------------------------------------
-
-
-def _integers(bits: int, signed: bool) -> ValueType:
-    low, high = (-1 << bits - 1, (1 << bits - 1) - 1) if signed else (0, (1 << bits) - 1)
-
-    def pack(name: str | Path, value: object) -> bytes:
-        return integer(name, value, low, high).to_bytes(bits // 8, "big", signed=signed)
-
-    def unpack(data: bytes) -> int:
-        return int.from_bytes(data, "big", signed=signed)
-
-    name = f"{'' if signed else 'u'}int{bits}"
-    return ValueType(name, bits // 16, pack, unpack, (low, high))
-
-
-def _floats(bits: int, code: str, largest: float) -> ValueType:
-    form = struct.Struct(f">{code}")
-
-    def pack(name: str | Path, value: object) -> bytes:
-        if isinstance(value, bool) or not isinstance(value, SupportsFloat | SupportsIndex):
-            raise WrongType(name, f"must be a number, not {type(value).__name__}")
-        try:
-            return form.pack(float(value))
-        except OverflowError:
-            span = f"-{largest:.8g}..{largest:.8g}, infinite or nan"
-            raise WrongValue(name, f"must be in {span}, not {shown(value)}") from None
-
-    def unpack(data: bytes) -> float:
-        value: float = form.unpack(data)[0]
-        return value
-
-    return ValueType(f"float{bits}", bits // 16, pack, unpack, (-largest, largest))
-
-
-def _decimals(bits: int) -> ValueType:
-    digits = bits // 4
-    high = 10**digits - 1
-
-    def pack(name: str | Path, value: object) -> bytes:
-        number = integer(name, value, 0, high)
-        return bytes.fromhex(f"{number:0{digits}}")
-
-    def unpack(data: bytes) -> int:
-        text = data.hex().upper()
-        if not text.isdecimal():
-            raise ValueError(f"{text} has digits other than 0..9")
-        return int(text)
-
-    return ValueType(f"bcd{bits}", bits // 16, pack, unpack, (0, high))
-
-
-def _flags(bits: int) -> ValueType:
-    def pack(name: str | Path, value: object) -> bytes:
-        flags = items_of(name, value)
-        if len(flags) != bits:
-            raise WrongValue(name, f"must hold {bits} bits, lowest first, not {len(flags)}")
-        number = sum(_bit(item(name, at), flag) << at for at, flag in enumerate(flags))
-        return number.to_bytes(bits // 8, "big")
-
-    def unpack(data: bytes) -> list[bool]:
-        number = int.from_bytes(data, "big")
-        return [bool(number >> at & 1) for at in range(bits)]
-
-    return ValueType(f"bits{bits}", bits // 16, pack, unpack)
+# --- types of times and text ------------------------------------------------------------------
 
 
 def _moments(type_name: str, registers: int) -> ValueType:
@@ -161,10 +110,6 @@ def _moments(type_name: str, registers: int) -> ValueType:
         return unpack_time(TIMES[type_name], data)
 
     return ValueType(type_name, registers, pack, unpack, is_time=True)
-
-
-def _bit(name: str | Path, flag: object) -> int:
-    return int(flag) if isinstance(flag, bool) else integer(name, flag, 0, 1)
 
 
 # fmt: off
@@ -188,10 +133,13 @@ a module.
 
 def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
     registers = (size + 1) // 2
+    nul = _fill_of("\0", encoding)
 
     def pack(name: str | Path, value: object) -> bytes:
         if not isinstance(value, str):
             raise WrongType(name, f"must be a string, not {type(value).__name__}")
+        if "\0" in value:
+            raise WrongValue(name, f"must be without NUL, which ends it: {reprlib.repr(value)}")
         data = _encoded(name, value, encoding)
         room = size - len(data)
         if room < 0:
@@ -203,12 +151,21 @@ def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
         return (data + fill * (room // len(fill))).ljust(2 * registers, b"\0")
 
     def unpack(data: bytes) -> str:
+        text = _up_to(nul, data[:size])
         try:
-            return data[:size].decode(encoding).rstrip(padding)
+            return text.decode(encoding).rstrip(padding)
         except UnicodeError:
-            raise ValueError(f"{data[:size].hex(' ').upper()} is no {encoding}") from None
+            raise ValueError(f"{text.hex(' ').upper()} is no {encoding}") from None
 
     return ValueType(f"string:{size}", registers, pack, unpack, is_text=True)
+
+
+def _up_to(nul: bytes, data: bytes) -> bytes:
+    """Return the characters before the first NUL, which has as many bytes as they have."""
+    if len(nul) == 1:
+        return data.partition(nul)[0]
+    ends = (at for at in range(0, len(data), len(nul)) if data.startswith(nul, at))
+    return data[: next(ends, None)]
 
 
 def _known_encoding(encoding: str) -> bool:
@@ -256,20 +213,15 @@ def _unpack_mac(data: bytes) -> str:
 
 
 TIME_REGISTERS = {
-    "unix32": 2, "unix64": 4, "ms64": 4, "iec870": 4, "date48": 3, "bcddate48": 3, "date96": 6,
+    "unix32": 2, "unix64": 4, "ms64": 4, "y2k32": 2, "iec870": 4, "date48": 3, "bcddate48": 3,
+    "date64": 4, "date96": 6, "shortdate96": 6,
 }  # fmt: skip
 """Types of times -> their registers; `times` has their forms."""
 
 TYPES: dict[str, ValueType] = {
-    made.name: made
-    for made in (
-        *(_integers(bits, signed=True) for bits in (16, 32, 64)),
-        *(_integers(bits, signed=False) for bits in (16, 32, 64)),
-        _floats(16, "e", 65504.0),
-        _floats(32, "f", (2 - 2**-23) * 2.0**127),
-        _floats(64, "d", sys.float_info.max),
-        *(_decimals(bits) for bits in (16, 32, 64)),
-        *(_flags(bits) for bits in (16, 32, 64)),
+    kind.name: kind
+    for kind in (
+        *NUMBERS,
         *(_moments(name, registers) for name, registers in TIME_REGISTERS.items()),
         ValueType("eui48", 4, _pack_mac, _unpack_mac),
     )
@@ -333,16 +285,20 @@ class Interpretation(NamedTuple):
     value: Any
 
 
+_USUAL = re.compile("(u?int|float|bcd|bits)(16|32|48|64)")
+
+
 def readings(registers: Iterable[int]) -> list[Interpretation]:
     """
     Return all interpretations of registers as one value.
 
     This helps when a manual is wrong: one of the interpretations is the value that the device
     displays. If several orders of a type lead to the same value, only the first one is returned
-    (ABCD, CDAB, BADC, DCBA).
+    (ABCD, CDAB, BADC, DCBA, then those of 64 bits only). Types that few devices have are left out,
+    such as mod10k32.
 
     Args:
-        registers: 1..125 registers, 0..65535 each. For 1, 2 and 4 registers the result contains
+        registers: 1..125 registers, 0..65535 each. For 1..4 registers the result contains
             numbers, bits and text; for other counts ASCII text only, or nothing.
 
     Raises:
@@ -351,14 +307,17 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
     cells = cells_of(registers)
     count = integer("the number of registers", len(cells), 1, 125)
     fitting = [kind for kind in TYPES.values() if kind.registers == count]
-    names = [kind.name for kind in fitting if kind.limits or kind.name.startswith("bits")]
+    names = [kind.name for kind in fitting if _USUAL.fullmatch(kind.name)]
+    orders = [*ORDERS, *(WIDE_ORDERS if count == WIDE_REGISTERS else ())]
     found: dict[tuple[str, str], Interpretation] = {}
     for name in [*names, f"string:{2 * count}"]:
-        for order in ORDERS:
+        for order in orders if name in TYPES else ORDERS:
             try:
                 value = value_type(name, order=order).decode(cells)
             except ValueError:
                 continue
+            if value == "" and any(cells):
+                continue  # numbers with a 0 in front, rather than text
             # By repr, because a nan is not equal to itself.
             found.setdefault((name, repr(value)), Interpretation(name, order, value))
     return list(found.values())

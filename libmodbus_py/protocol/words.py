@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from typing import Literal, NamedTuple, NewType, TypeAlias, TypedDict
+from typing import Literal, NamedTuple, NewType, TypeAlias, TypedDict, get_args
 
 from .checks import integer
 from .mistakes import WrongValue, close_to
@@ -21,16 +21,20 @@ from .mistakes import WrongValue, close_to
 __all__ = [
     "MAX_STRING_BYTES", "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "BitsType",
     "FloatType", "IntegerType", "Layout", "NumberType", "Order", "Reference", "StringType",
-    "TextOptions", "TextType", "TimeType", "TypeName", "by_word", "close_word", "order_named",
+    "TextOptions", "TextType", "TimeType", "TypeName", "close_word", "order_named",
     "parse_reference", "plain", "string_type", "table_named", "type_named",
 ]
 # fmt: on
 
-Order = Literal["ABCD", "CDAB", "BADC", "DCBA"]
-"""The orders of bytes, by the names that hold for every width."""
+Order = Literal[
+    "ABCD", "CDAB", "BADC", "DCBA", "EFGHABCD", "CDABGHEF", "FEHGBADC", "DCBAHGFE",
+]  # fmt: skip
+"""The orders of bytes: the names that hold for every width, and those of 64 bits only."""
 # fmt: off
 IntegerType = Literal[
-    "int16", "int32", "int64", "uint16", "uint32", "uint64", "bcd16", "bcd32", "bcd64",
+    "int8", "int16", "int24", "int32", "int48", "int64", "uint8", "uint16", "uint24", "uint32",
+    "uint48", "uint64", "signmag16", "signmag32", "mod10k32", "mod10k48", "mod10k64", "umod10k32",
+    "umod10k48", "umod10k64", "bcd16", "bcd32", "bcd64", "sbcd16", "sbcd32",
 ]
 """Types whose values are whole numbers."""
 FloatType = Literal["float16", "float32", "float64"]
@@ -39,7 +43,10 @@ NumberType = Literal[IntegerType, FloatType]
 """Types whose values are numbers."""
 BitsType = Literal["bits16", "bits32", "bits64"]
 """Types whose values are lists of True and False."""
-TimeType = Literal["unix32", "unix64", "ms64", "iec870", "date48", "bcddate48", "date96"]
+TimeType = Literal[
+    "unix32", "unix64", "ms64", "y2k32", "iec870", "date48", "bcddate48", "date64", "date96",
+    "shortdate96",
+]
 """Types whose values are datetimes."""
 StringType = NewType("StringType", str)
 """The name of a type of strings of any length, as `string_type` returns it."""
@@ -132,10 +139,18 @@ TYPE_WORDS = by_word(
         "bits16": "bitfield16, bitmap16, bitmask16",
         "bits32": "bitfield32, bitmap32, bitmask32",
         "bits64": "bitfield64, bitmap64, bitmask64",
+        "int8": "i8, s8, sint8, signed8",
+        "uint8": "u8, unsigned8",
+        "int24": "i24, s24, sint24, signed24",
+        "uint24": "u24, unsigned24",
+        "int48": "i48, s48, sint48, signed48",
+        "uint48": "u48, unsigned48",
         "eui48": "mac, mac address",
         "bool": "boolean, bit",
-        **dict.fromkeys(("bcd16", "bcd32", "bcd64", "unix32", "unix64", "ms64", "iec870"), ""),
-        **dict.fromkeys(("date48", "bcddate48", "date96"), ""),
+        **dict.fromkeys(("bcd16", "bcd32", "bcd64", "sbcd16", "sbcd32"), ""),
+        **dict.fromkeys(("signmag16", "signmag32", "mod10k32", "mod10k48", "mod10k64"), ""),
+        **dict.fromkeys(("umod10k32", "umod10k48", "umod10k64"), ""),
+        **dict.fromkeys(get_args(TimeType), ""),
     }
 )
 """Word -> type; "bool" is that of tables of bits, which has no name here."""

@@ -5,7 +5,6 @@ A serial port of a server.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -57,7 +56,7 @@ class SerialServer:
         self._outage = Outage(logger, endpoint)
         self._retry: asyncio.TimerHandle | None = None
         self._unsent: deque[bytes] = deque()
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: asyncio.Handle | None = None
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
@@ -94,9 +93,12 @@ class SerialServer:
                 self._port.silence.heard(self._loop.time())
                 self._receive(data)
         except ModbusConnectionError as error:
-            self._outage.begin(error)
-            self._close()
-            self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
+            self._lose(error)
+
+    def _lose(self, error: ModbusConnectionError) -> None:
+        self._outage.begin(error)
+        self._close()
+        self._retry = self._loop.call_later(REOPEN_AFTER, self._reopen)
 
     def _receive(self, data: bytes = b"") -> None:
         try:
@@ -135,10 +137,13 @@ class SerialServer:
     def _send_unsent(self) -> None:
         """Send the first answer that waits; without a silence the next would run into it."""
         data = self._unsent.popleft()
-        # The next read fails if the port is gone.
         now = self._loop.time()
-        with contextlib.suppress(ModbusConnectionError):
+        try:
             self._port.send([data], now)
+        except ModbusConnectionError as error:
+            # Later, because a session may be in the midst of its requests.
+            self._timer = self._loop.call_soon(self._lose, error)
+            return
         silence = self._port.silence
         silence.sent(len(data), now)
         if isinstance(self._session, Framed):
@@ -146,9 +151,12 @@ class SerialServer:
         self._follow_port()
 
     def _go_on(self) -> None:
-        with contextlib.suppress(ModbusConnectionError):
+        try:
             self._port.go_on(self._loop.time())
-        self._follow_port()
+        except ModbusConnectionError as error:
+            self._lose(error)
+        else:
+            self._follow_port()
 
     def _follow_port(self) -> None:
         """Continue after the port's pause; others are served while the line is turned round."""

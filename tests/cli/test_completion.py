@@ -128,7 +128,7 @@ LINES = [
     ("read 192.0.2.10 --csv log.csv --map meter.csv vol", {"voltage"}),
     ("read 192.0.2.10 hr 0 -v hol", {"holding"}),
     ("read -u 3 192.0.2.10 hr 0 --type floa", {"float16", "float32", "float64"}),
-    ("read 192.0.2.10 hr 0 -u 3 --order CD", {"CDAB"}),
+    ("read 192.0.2.10 hr 0 -u 3 --order CD", {"CDAB", "CDABGHEF"}),
     ("read 192.0.2.10 hr 0 -v --map sdm12", {"sdm120"}),
     ("write 192.0.2.10 --map meter.csv voltage -5 -u 2 cur", {"current"}),
     ("write 192.0.2.10 --mask 0xF0 1 --map meter.csv vol", {"voltage"}),

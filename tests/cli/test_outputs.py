@@ -45,11 +45,11 @@ alarm,holding_registers,0,uint16,,,1
 flags,holding_registers,0,uint16,,3=hot; 2=cold,
 """
 
-COLUMNS = """Register;Parameter;Data Type;R/W;Factor;Vendor's
+COLUMNS = """Register;Parameter;Data Type;R/W;Multiplier;Vendor's
 40001;volts;U16;R;0.1;x
 40002;power;S32;RO;1;
 40003;setpoint;INT16;R/W;0.1;
-40010;serial;STR10;R;;
+40010;serial;string:10;R;;
 00001;run;bool;W;;
 """
 
@@ -105,6 +105,8 @@ def url(tmp_path: Path) -> Iterator[str]:
     files["columns"], files["bad"] = COLUMNS, "name,addr\n" + "a,x\n" * 30
     points = (f"p{at},holding_registers,{at},uint16\n" for at in range(4))
     files["points"] = f"name,table,address,type\n{''.join(points)}"
+    rows = (f"p{at},holding,{at},{'true' * (at == 2)}\n" for at in range(4))
+    files["borders"] = f"name,table,address,border\n{''.join(rows)}"
     files["refused"] = f"{files['points']}other,input_registers,0,uint16\n"
     for name, text in files.items():
         (tmp_path / f"{name}.csv").write_text(text)

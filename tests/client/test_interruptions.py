@@ -265,7 +265,7 @@ def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPa
     ):
         assert context.read_holding_registers(6, 1) == [6]
         driver = context._driver
-        Interrupted(monkeypatch, driver, "_step")
+        Interrupted(monkeypatch, driver, "_turn")
         Interrupted(monkeypatch, driver._connection, "interrupted")
         with pytest.raises(KeyboardInterrupt):
             context.read_holding_registers(7, 1)

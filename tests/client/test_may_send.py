@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import asyncio
 import errno
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from libmodbus_py import AsyncClient, Client, ModbusConnectionError
-from libmodbus_py.client.connection import Transactions
 from libmodbus_py.ports.port import Port
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.ports.sockets import StreamPort
@@ -106,32 +104,6 @@ def test_it_is_for_asyncio_alone() -> None:
         Client("tcp://127.0.0.1", may_send=Gate())  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="may_send must be a function"):
         AsyncClient("tcp://127.0.0.1", may_send=1)  # type: ignore[typeddict-item]
-
-
-@pytest.mark.parametrize("scheme", ["tcp", "udp"])
-def test_nothing_goes_once_the_frames_were_made(
-    scheme: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gate = Gate()
-    start: Callable[..., Any] = Transactions.start
-
-    def stopping(self: Transactions, *arguments: Any) -> Any:
-        if found := start(self, *arguments):
-            gate.shut()
-        return found
-
-    monkeypatch.setattr(Transactions, "start", stopping)
-
-    async def main(peer: Scripted) -> None:
-        traced: list[Traced] = []
-        plc = AsyncClient(peer.url, may_send=gate, timeout=10, trace=traced.append)
-        asking = [plc.read_holding_registers(address, 1) for address in range(3)]
-        assert all(map(refused, await asyncio.gather(*asking, return_exceptions=True)))
-        await plc.close()
-        assert peer.requests == []
-        assert traced == []
-
-    run_peer(good, main, f"{scheme}://10.0.0.1")
 
 
 @pytest.mark.parametrize("when", ["given", "traced"])

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
-    FrameError,
     IllegalDataAddress,
     InvalidResponse,
     ModbusConnectionError,
@@ -30,7 +29,9 @@ def test_all_that_are_due_leave_together() -> None:
     talk.come(*[tcp(each, "83 06") for each in talk.sent])
     talk.now = 0.1
     talk.connection.tick(talk.now)
-    assert len(talk.connection.start(talk.now)) == 3
+    talk.forget()
+    talk.start()
+    assert len(talk.sent) == 3
     assert not any(batch.is_done for batch in batches)
 
 
@@ -42,21 +43,6 @@ def test_they_are_spaced_as_all_requests_are() -> None:
     talk.come(*[tcp(each, "83 06") for each in talk.sent])
     talk.wait(2)
     assert [round(at, 3) for at in talk.times] == [0, 0.25, 0.5, 0.75, 1.0, 1.25]
-
-
-def test_one_that_cannot_be_sent_again_leaves_the_line_to_the_next_of_its_batch() -> None:
-    talk = Talk(LINE, timeout=1, retries=1)
-    batch = talk.ask(1, 2, go_on=True)
-    talk.wait(1)
-    while kinds(batch)[0] is not FrameError:
-        talk.come(b"\xff")
-        talk.wait(0.25)
-        assert talk.now < 9
-    talk.wait_for(2)
-    talk.come(value(2))
-    talk.wait(1)  # held, because the answer to the first one may still come
-    assert kinds(batch) == [FrameError, [2]]
-    assert talk.is_at_rest
 
 
 def values(talk: Talk) -> list[int]:
@@ -119,10 +105,10 @@ def test_no_write_is_sent_before_the_answer_to_the_read_before_it_is_decoded() -
     talk = Talk(busy_retries=1)
     batch = talk.ask(1, pdu.WriteRegister(1, 9))
     talk.connection.take([tcp(talk.sent[-1], "83 02")], talk.now)
-    assert talk.connection.start(talk.now) == []
+    assert not talk.connection.start(talk.now, talk.receive)
     talk.connection.settle(talk.now)
     assert kinds(batch)[0] is IllegalDataAddress
-    assert talk.connection.start(talk.now) == []
+    assert not talk.connection.start(talk.now, talk.receive)
     assert talk.is_at_rest
 
 

@@ -25,12 +25,12 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.client.sender import Sender
-from libmodbus_py.ports.schemes import SCHEMES
 from tests.simulation.scripted import Scripted
 from tests.support.clients import ALL, World, asking, read
 from tests.support.in_loops import run_client
 from tests.support.peers import Write, answering, dead, echo, ignore, peer_at, until
 from tests.support.reads import good
+from tests.support.urls import CONNECTING
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
@@ -208,7 +208,7 @@ def test_a_request_without_an_answer_is_not_waited_for(world: World) -> None:
         assert client.statistics.results[6, "silent"] == 1
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", CONNECTING)
 def test_a_shorter_timeout_of_another_thread_ends_the_wait(scheme: str) -> None:
     with (
         peer_at(scheme, ignore) as peer,

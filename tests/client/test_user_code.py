@@ -22,16 +22,15 @@ from libmodbus_py import (
     pdu,
 )
 from libmodbus_py.client.sender import Sender
-from libmodbus_py.ports.schemes import SCHEMES
 from tests.simulation.scripted import OnRequest, Scripted
 from tests.support.cases import each_case
 from tests.support.clients import ALL, KINDS, World, asking, making, read
 from tests.support.in_loops import run_client
 from tests.support.peers import FakeServer, Write, address_of, answer, has_header
 from tests.support.reads import good
-from tests.support.urls import rules_of
+from tests.support.urls import CONNECTING, rules_of
 
-each_scheme = pytest.mark.parametrize("scheme", SCHEMES)
+each_scheme = pytest.mark.parametrize("scheme", CONNECTING)
 
 
 class Mistake(Exception):

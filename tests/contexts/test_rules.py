@@ -29,6 +29,7 @@ from libmodbus_py import (
     TcpContext,
 )
 from libmodbus_py.low_level import lib, loaded_version
+from tests.support.cases import each_case
 from tests.support.contexts import context_at
 from tests.support.peers import OnRequest, TcpPeer, Write, answer, dead, ignore, peer_at, until
 from tests.support.reads import good, good_at
@@ -548,6 +549,42 @@ def test_a_broadcast_waits_for_no_answer_and_reads_are_refused() -> None:
                 ask()
         until(lambda: len(peer.requests) == 2)
         assert peer.requests[0].hex() == "000600010002581a"
+
+
+@pytest.mark.parametrize("failing", [True, False])
+@each_case(
+    "ask",
+    [
+        lambda line: line.read_holding_registers(7, 1),
+        lambda line: line.write_register(7, 1),
+        lambda line: line.diagnostics(0, 5),
+    ],
+)
+def test_what_custom_rts_raises_is_the_cause_of_the_error_of_the_call(
+    failing: bool, ask: Callable[[RtuContext], object]
+) -> None:
+    calls: list[bool] = []
+
+    def turn(is_sending: bool) -> None:
+        calls.append(is_sending)
+        if is_sending is failing and calls == [True, False][: len(calls)]:
+            raise LookupError("no line 17")
+
+    with (
+        peer_at("rtu", good_at("rtu")) as peer,
+        context_at(peer.url, timeout=0.1) as context,
+    ):
+        assert isinstance(context, RtuContext)
+        context.set_custom_rts(turn)
+        calls.append(False)  # nothing fails yet
+        context.rts = "up"
+        calls.clear()
+        with pytest.raises(ModbusConnectionError, match=r"LookupError\('no line 17'\)") as caught:
+            ask(context)
+        assert isinstance(caught.value.__cause__, LookupError)
+        assert calls == [True, False]  # the line receives again
+        assert context.read_holding_registers(7, 1) == [7]
+        assert calls == [True, False] * 2
 
 
 def test_custom_rts_is_called_before_and_after_a_frame() -> None:

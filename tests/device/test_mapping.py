@@ -328,7 +328,7 @@ class TestTypedValues:
         assert made.read_values(102, "float32", count=2, order="CDAB") == [2.0, 0.0]
         assert made.read_values(100, "float32", order="CDAB") == [1.0]
         made.write_values(100, (text for text in ("A", "BC")), "string:2", padding=" ")
-        assert made.read_values(100, "string:2", 3, padding=" ") == ["A", "BC", "\0\0"]
+        assert made.read_values(100, "string:2", 3, padding=" ") == ["A", "BC", ""]
         made.write_values(106, [], "int16")
 
     @each_register_table
@@ -351,7 +351,7 @@ class TestTypedValues:
         [
             (lambda made: made.write(0, 70000, "uint16"), ValueError, "^value must be in 0"),
             (lambda made: made.write(0, "1", "uint16"), TypeError, "^value must be an integer"),
-            (lambda made: made.write(0, 1, "uint8"), ValueError, "type must be one of"),
+            (lambda made: made.write(0, 1, "uint12"), ValueError, "type must be one of"),
             (lambda made: made.write(0, 1, "int16", order="X"), ValueError, "order must be"),
             (lambda made: made.write("0", 1, "int16"), TypeError, "address in <.* an integer"),
             (lambda made: made.write(0, "ABC", "string:2"), ValueError, "value must have"),

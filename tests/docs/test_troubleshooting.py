@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 
@@ -40,6 +41,7 @@ RTU: dict[str, Came] = {
     "this looks like ascii://": lambda request: ascii_frame(ANSWER),
     "unit 18 answered": lambda request: rtu("12 03 06 022B 0000 0064"),
     "function 4 was answered, not 3": lambda request: rtu("11 04 06 022B 0000 0064"),
+    "answered with a response of 5 bytes: 03 00 02 17 81": lambda request: rtu("11 03 0002 1781"),
     "answered with 4 bytes of data": lambda request: rtu("11 03 04 022B 0000"),
 }
 ASCII: dict[str, Came] = {"this looks like rtu://": lambda request: GOOD}
@@ -50,7 +52,7 @@ TCP: dict[str, Came | None] = {
     'unit 255 answered; accept_unit="any" would take it': (
         lambda request: mbap(request, bytes.fromhex("0306022B00000064"), unit=255)
     ),
-    ": id 77, not 1": (
+    ': id 77, not 1; ids="ignore" would take it': (
         lambda request: mbap(request, bytes.fromhex("0306022B00000064"), transaction=77)
     ),
 }
@@ -78,10 +80,12 @@ LINE: dict[str, Came] = {
 OTHERS = {
     "cannot open /dev/ttyUSB0: No such file or directory",
     "cannot open /dev/ttyUSB0: Permission denied; is this user in the group dialout?",
-    "cannot open /dev/ttyUSB0: in use by another program",
+    "cannot open /dev/ttyUSB0: in use by minicom (77)",
     "cannot open /dev/ttyUSB0: in use by this program itself; "
-    "for_unit() gives another unit on the same line",
+    "one client (with for_unit) or context reaches all units",
     "cannot open /dev/ttyUSB0: not a serial port",
+    "cannot open /dev/ttyS1: the system has no hardware for this port",
+    "cannot open /dev/ttyUSB0: baudrate 230400 refused: the port does 9600, and at most 115200",
     "Connection refused",
     "Connection timed out",
     "cannot resolve host 'no-such-host.invalid'",
@@ -153,7 +157,9 @@ def test_ports_that_cannot_be_opened(monkeypatch: pytest.MonkeyPatch) -> None:
             assert other.stdout is not None
             assert other.stdin is not None
             assert other.stdout.readline() == b"held\n"
-            assert ends_so(port(unit.path, 2), said(url))
+            name = Path(f"/proc/{other.pid}/comm").read_text("utf-8").strip()
+            text = port(unit.path, 2).replace("minicom (77)", f"{name} ({other.pid})")
+            assert ends_so(text, said(url))
             other.stdin.write(b"\n")
         with Client(url):
             assert ends_so(port(unit.path, 3), said(url))

@@ -61,6 +61,15 @@ class Polls:
     def ask(self, requests: list[Any]) -> list[Any]:
         return [self.device(each) for each in requests]
 
+    def ask_strictly(self, requests: list[Any]) -> list[Any]:
+        """Ask up to the first failure, as clients do; there are no outcomes behind it."""
+        outcomes = [None] * len(requests)
+        for at, request in enumerate(requests):
+            outcomes[at] = self.device(request)
+            if isinstance(outcomes[at], ModbusError):
+                break
+        return outcomes
+
     def steps(self, now: float = 0.0, *, is_strict: bool = False) -> Any:
         tell = self.news.append
         blocks, connects = self.plan.blocks, self.connects
@@ -69,7 +78,8 @@ class Polls:
     def answers(self, now: float = 0.0, *, is_strict: bool = False) -> tuple[int, list[Any]]:
         """Read the plan; return the number of requests, and the answers."""
         before = len(self.device.asked)
-        answers = carried_out(self.steps(now, is_strict=is_strict), self.ask)
+        ask = self.ask_strictly if is_strict else self.ask
+        answers = carried_out(self.steps(now, is_strict=is_strict), ask)
         return len(self.device.asked) - before, answers
 
     def strictly(self) -> tuple[int, list[Any]]:

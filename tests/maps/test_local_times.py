@@ -6,7 +6,7 @@ tests/protocol/test_times.py.
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, get_args
 from zoneinfo import ZoneInfo
 
 import pytest
@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 
 from libmodbus_py import Point
 from libmodbus_py.maps.meaning import Judged
+from libmodbus_py.protocol.words import TimeType
 from tests.support.cases import each_case
 
-TYPES = ["unix32", "unix64", "ms64", "iec870", "date48", "bcddate48", "date96"]
+TYPES = get_args(TimeType)
 
 BERLIN = "Europe/Berlin"
 

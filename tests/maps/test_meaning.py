@@ -5,12 +5,13 @@ What raw values mean: no value, states, named bits, parts of registers, and scal
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from libmodbus_py import NoValue, Point, RegisterMap
@@ -27,6 +28,7 @@ def point(name: str = "it", **keys: Any) -> Point:
 
 MISSING = Judged(None, "bad", "Missing")
 IMPLAUSIBLE = Judged(None, "bad", "Implausible")
+INVALID = Judged(None, "bad", "InvalidData")
 
 # "Not implemented" of each type as the SunSpec Device Information Model Specification has it.
 SUNSPEC = [
@@ -60,6 +62,11 @@ MEANT = [
     ({"missing": -32768, "type": "int16"}, [0x8000], MISSING),
     ({"missing": 0, "type": "uint32"}, [0, 0], MISSING),
     ({"missing": -9999.9, "type": "float32"}, [0xC61C, 0x3F9A], MISSING),
+    ({"type": "float32"}, [0x4366, 0x199A], Judged(230.1)),
+    ({"type": "float32", "order": "CDAB"}, [0x199A, 0x4366], Judged(230.1)),
+    ({"type": "float32", "scale": 0.1}, [0x4366, 0x199A], Judged(23.01)),
+    ({"type": "float32", "offset": -0.1}, [0x4366, 0x199A], Judged(230)),
+    ({"type": "float16"}, [0x5B31], Judged(230.1)),
     ({"missing": 0, "type": "unix32"}, [0, 0], MISSING),
     ({"missing": 3, "bit": "4..7"}, [0x3A], MISSING),
     ({"missing": 65535, "count": 2}, [65535, 7], Judged([None, 7], "good", "Missing")),
@@ -74,6 +81,19 @@ MEANT = [
     ({"states": {0: "off", 1: "on"}}, [2], Judged(2)),
     ({"states": {"-1": "none", "0x10": "much"}, "type": "int16"}, [0xFFFF], Judged("none")),
     ({"states": {0: "off", 1: "on"}, "missing": 255}, [255], MISSING),
+    ({"states": {0: "off", "1..5": "on", "else": "?"}}, [5], Judged("on")),
+    ({"states": {0: "off", "1..5": "on", "else": "?"}}, [6], Judged("?")),
+    ({"states": {0: "off", "1..5": "on", 3: "hot"}}, [3], Judged("hot")),
+    ({"states": {0: "off", "1..5": "on", 3: "hot"}}, [6], Judged(6)),
+    ({"states": {1: "on", 2: "on", "0x10..": "on"}}, [0xFFFF], Judged("on")),
+    ({"states": {"..-1": "below", "0..": "above"}, "type": "int16"}, [0xFFFF], Judged("below")),
+    ({"states": {1.5: "half", "2..2.5": "more"}, "type": "float32"}, [0x3FC0, 0], Judged("half")),
+    ({"states": {"0.1": "a", "0.2..": "b"}, "type": "float32"}, [0x3DCC, 0xCCCD], Judged("a")),
+    ({"states": {"0.1": "a", "..0.2": "b"}, "type": "float32"}, [0x3E4C, 0xCCCD], Judged("b")),
+    ({"states": {1: "a"}, "type": "float32", "order": "CDAB"}, [0, 0x3F80], Judged("a")),
+    ({"states": {"0": "a", "else": "b"}, "type": "float32"}, [0x7FC0, 0], MISSING),
+    ({"states": {0: "shut", "else": "open"}, "table": "coils"}, [True], Judged("open")),
+    ({"states": {"0..7": "low", "else": "high"}, "byte": "low"}, [0x1208], Judged("high")),
     ({"states": {0: "shut", 1: "open"}, "table": "coils"}, [True], Judged("open")),
     ({"states": {0: "shut", 1: "open"}, "bit": 3}, [8], Judged("open")),
     ({"bits": {0: "door", "4..7": "mode"}}, [0x51], Judged({"door": True, "mode": 5})),
@@ -88,7 +108,28 @@ MEANT = [
     ({"byte": "high"}, [0x1234], Judged(0x12)),
     ({"byte": "low"}, [0x1234], Judged(0x34)),
     ({"byte": "low", "type": "int16"}, [0x12FE], Judged(-2)),
+    ({"type": "int8"}, [0x12FE], Judged(-2)),
+    ({"type": "uint8", "order": "BADC"}, [0x12FE], Judged(0x12)),
+    ({"type": "uint8", "byte": "high", "scale": 0.5}, [0x1234], Judged(9)),
+    ({"type": "int8", "missing": 0x80}, [0x1280], MISSING),
+    ({"type": "int24", "missing": 0x80_0000}, [0x0080, 0], MISSING),
+    ({"type": "mod10k32", "missing": 0x8000_8000, "scale": 0.1}, [0x8000, 0x8000], MISSING),
+    ({"type": "sbcd16", "missing": 0xFFFF}, [0xFFFF], MISSING),
+    ({"type": "sbcd16", "missing": -1}, [0xF001], MISSING),
+    ({"type": "uint48", "bit": 47, "order": "CDAB"}, [0, 0, 0x8000], Judged(True)),
+    ({"type": "y2k32", "missing": 0}, [0, 0], MISSING),
     ({"type": "iec870"}, [0xFFFF] * 4, Judged(None, "bad", "InvalidTime")),
+    ({"type": "bcd16"}, [0x000F], INVALID),
+    ({"type": "bcd16", "scale": 0.1}, [0xFFFF], INVALID),
+    ({"type": "bcd16", "count": 2}, [0x12, 0xA0], Judged([12, None], "good", "InvalidData")),
+    ({"type": "bcd16", "missing": 0xFFFF}, [0xFFFF], MISSING),
+    ({"type": "bcd16", "missing": [0xFFFF, 9999]}, [0x9999], MISSING),
+    ({"type": "bcd16", "missing": [0xFFFF, 9999]}, [0x000F], INVALID),
+    ({"type": "bcd32", "missing": 0xFFFF_FFFF, "order": "CDAB"}, [0xFFFF, 0xFFFF], MISSING),
+    ({"type": "unix64", "missing": 1 << 63}, [0x8000, 0, 0, 0], MISSING),
+    ({"type": "string:4"}, [0x4180, 0], INVALID),
+    ({"type": "string:4"}, [0x4100, 0x80FF], Judged("A")),
+    ({"type": "string:4", "missing": "sunspec"}, [0x0041, 0xFF00], MISSING),
     ({"type": "unix32"}, [0, 60], Judged(datetime(1970, 1, 1, 0, 1, tzinfo=UTC))),
     ({"type": "int16", "scale_from": "sf"}, [5], Judged(None, "bad", "BadScale")),
 ]  # fmt: skip
@@ -99,6 +140,22 @@ def test_cells_mean_values(keys: dict[str, Any], cells: list[Any], judged: Judge
     made = point(**keys)
     assert made.judge(cells) == judged
     assert made.decode(cells) == judged.value
+
+
+@given(st.integers(0, 0xFFFF_FFFF))
+@example(0x7F7F_FFFF)  # the largest
+@example(1)
+def test_a_float_is_the_shortest_number_that_the_device_has_as_it(bits: int) -> None:
+    cells = [bits >> 16, bits & 0xFFFF]
+    value = point(type="float32").decode(cells)
+    exactly = struct.unpack(">f", bits.to_bytes(4, "big"))[0]
+    if value is None:
+        assert math.isnan(exactly)
+        return
+    assert point(type="float32").encode(value) == cells
+    shorter = (float(f"{exactly:.{digits}g}") for digits in range(1, len(repr(value))))
+    assert value in [exactly, *shorter]
+    assert len(repr(value)) <= len(repr(exactly))
 
 
 def test_a_plan_means_the_same_as_its_points() -> None:
@@ -233,7 +290,12 @@ WRONG = [
     ({"scale_as": "power", "scale_from": "a"}, "scale_as must be one of exponent, factor"),
     ({"states": {}}, "states must not be empty"),
     ({"states": ["off", "on"]}, "states must be a table of names, not list"),
-    ({"states": {0: "off", 1: "off"}}, "states.1 must have a name of its own; 'off' occurs twice"),
+    ({"states": {"5..1": "off"}}, "states.5..1 must have the lower number first"),
+    ({"states": {"1..5": "off", "5..6": "on"}}, "states.5..6 overlaps 1..5"),
+    ({"states": {"1..70000": "off"}}, "states.1..70000 must be in 0..65535, not 70000"),
+    ({"states": {"1..x": "off"}}, "states.1..x: the key must be a number, a range such as 1..5"),
+    ({"states": {"1.5": "off"}}, "states.1.5: the key must be a number"),
+    ({"states": {"nan": "off"}, "type": "float32"}, "states.nan must be in"),
     ({"states": {0: "off", "0x0": "on"}}, "states.0x0 is given twice"),
     ({"states": {"a": "off"}}, "states.a: the key must be a number"),
     ({"states": {70000: "off"}}, "states.70000 must be in 0..65535, not 70000"),
@@ -242,7 +304,7 @@ WRONG = [
     ({"states": {0: "a\nb"}}, "states.0 must be printable characters, without spaces around"),
     ({"states": {0: 5}}, "states.0 must be a string, not int"),
     ({"states": {0: "a"}, "scale": 2}, "scale must be 1 for a point with states"),
-    ({"states": {0: "a"}, "type": "float32"}, "states must be left out for float32"),
+    ({"states": {0: "a"}, "type": "string:2"}, "states must be left out for string:2, which has"),
     ({"states": {0: "a"}, "bits": {0: "b"}}, "states cannot be given together with bits"),
     ({"bits": {0: "a", 1: "a"}}, "bits.1 must have a name of its own; 'a' occurs twice"),
     ({"bits": {16: "a"}}, "bits.16 must be in 0..15, not 16"),
@@ -281,6 +343,9 @@ PARTS = RegisterMap(
         point("wide", address=2, type="uint32", bits={0: "a", 31: "z", "8..11": "n"}),
         point("state", address=4, states={0: "off", 1: "on"}),
         point("whole", address=0),
+        point("small", address=5, type="int8"),
+        point("many", address=6, states={1: "on", 2: "on", 0: "off", "3..9": "bad", "else": "?"}),
+        point("level", address=7, type="float32", states={"1.5": "half"}),
     ]
 )
 
@@ -296,6 +361,10 @@ WRITES = [
     ({"wide": {"a": False, "n": 5, "z": 1}}, [(22, 2, 0x7FFF, 0x8000), (22, 3, 0xF0FE, 0x0500)]),
     ({"state": "on"}, [(6, 4, 1)]),
     ({"state": 7}, [(6, 4, 7)]),
+    ({"small": -2}, [(22, 5, 0xFF00, 0xFE)]),
+    ({"many": "off"}, [(6, 6, 0)]),
+    ({"many": 2}, [(6, 6, 2)]),
+    ({"level": "half"}, [(16, 7, 2, 0x043F, 0xC000, 0)]),
 ]
 
 
@@ -318,6 +387,9 @@ WRONG_WRITES = [
     ({"wide": {"n": 16}}, "wide: value.n must be in 0..15, not 16"),
     ({"wide": 5}, "wide: value must be a dict of named bits, not int"),
     ({"state": "On"}, "state: value must be one of off, on, or a number, not 'On'"),
+    ({"many": "on"}, "many: value must be a number: 'on' is the name of 1, 2"),
+    ({"many": "bad"}, "many: value must be a number: 'bad' is the name of 3..9"),
+    ({"many": "?"}, "many: value must be one of on, off, or a number, not '?'"),
     ({"flag": True, "whole": 5}, "flag and whole share holding_registers 0: write one of them"),
 ]
 

@@ -17,6 +17,9 @@ from libmodbus_py import (
     IllegalDataAddress,
     InvalidResponse,
     ModbusTimeoutError,
+    NoValue,
+    Point,
+    RegisterMap,
     pdu,
     values,
 )
@@ -195,10 +198,23 @@ def test_answers_to_other_requests_are_refused(given: Any, named: str) -> None:
         Plan([("coils", 0), ("coils", 5, 2)]).results(given)
 
 
-def test_registers_that_are_no_such_value_name_the_item() -> None:
-    plan = Plan({"total": ("holding_registers", 0, 1, "bcd16")})
-    with pytest.raises(ValueError, match=r"items\['total'\]: registers\[0:1\] hold no bcd16"):
-        plan.results([[0x00FF]])
+def test_data_that_is_no_value_takes_no_other_along() -> None:
+    plan = Plan({
+        "total": ("holding_registers", 0, 1, "bcd16"),
+        "two": ("holding_registers", 1, 2, "bcd16"),
+        "name": ("holding_registers", 3, 1, "string:2"),
+        "clock": ("holding_registers", 4, 1, "date48"),
+    })  # fmt: skip
+    found = plan.results([[0x00FF, 0x0012, 0xA000, 0x80FF, 0, 0, 0]])
+    assert found["two"] == [12, None]
+    assert {name: (type(each), each.reason) for name, each in found.items() if name != "two"} == {
+        "total": (NoValue, "InvalidData"),
+        "name": (NoValue, "InvalidData"),
+        "clock": (NoValue, "InvalidTime"),
+    }
+    assert str(found["total"]) == "items['total'] has no value: 00FF has digits other than 0..9"
+    with pytest.raises(ValueError, match=r"registers\[0\] must be in 0\.\.65535, not 65536"):
+        plan.results([[0, 65536, 0, 0, 0, 0, 0]])
 
 
 def test_options_beside_a_plan_are_refused() -> None:
@@ -207,6 +223,56 @@ def test_options_beside_a_plan_are_refused() -> None:
     for options in ({"gap": 1}, {"forbidden": [("coils", range(5))]}):
         with pytest.raises(ValueError, match="given to the plan"):
             planned(plan, options)  # type: ignore[arg-type]
+
+
+# --- borders -----------------------------------------------------------------------------
+
+
+# Items, borders of holding registers, and the requests.
+BORDERED: list[Any] = [
+    ([(H, 0, 20)], [10], [(0, 10), (10, 10)]),
+    ([(H, 0, 5, "uint32")], [4], [(0, 4), (4, 6)]),
+    ([(H, 8), (H, 9), (H, 10), (H, 11)], [10], [(8, 2), (10, 2)]),
+    ([(H, 9), (H, 11)], [10], [(9, 1), (11, 1)]),
+    ([(H, 0, 200)], [100], [(0, 100), (100, 100)]),
+    ([(H, 0, 3)], [0, 3, 65535], [(0, 3)]),
+    ([("coils", 0, 20)], [10], [(0, 20)]),
+]
+
+
+@each_case(("items", "borders", "requests"), BORDERED)
+def test_no_request_crosses_a_border(
+    items: list[Any], borders: list[int], requests: list[tuple[int, int]]
+) -> None:
+    plan = Plan(items, gap=4, borders=[(H, at) for at in borders])
+    assert [(each.address, each.count) for each in plan.requests] == requests  # type: ignore[attr-defined]
+
+
+WRONG_BORDERS: list[Any] = [
+    ([(H, 9, 1, "uint32")], [(H, 10)], r"items\[0\]: Read.* has a value across 10"),
+    ([], [(H, 65536)], r"borders\[0\].address must be in 0\.\.65535, not 65536"),
+    ([], [("files", 5)], r"borders\[0\].table must be one of"),
+    ([], [5], r"borders\[0\] must be a pair \(table, address\), not 5"),
+]
+
+
+@each_case(("items", "borders", "message"), WRONG_BORDERS)
+def test_borders_that_cannot_be(items: Any, borders: Any, message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        Plan(items, borders=borders)
+
+
+def test_plans_of_a_map_keep_its_borders() -> None:
+    points = [Point(f"p{at}", H, at, border=at == 10) for at in range(20)]
+    map = RegisterMap(points)
+    for names, requests in (
+        (None, [(0, 10), (10, 10)]),
+        (["p8", "p9", "p11"], [(8, 2), (11, 1)]),  # without the point that begins the block
+    ):
+        plan = map.plan(names, gap=4)
+        assert [(each.address, each.count) for each in plan.requests] == requests  # type: ignore[attr-defined]
+    with pytest.raises(TypeError, match="border must be true or false, not 1"):
+        Point("a", H, 0, border=1)  # type: ignore[arg-type]
 
 
 # --- any items ---------------------------------------------------------------------------
@@ -235,19 +301,21 @@ def cells_of(read: Read) -> range:
     return range(read.address, read.address + read.count * SIZES[read.type])
 
 
-def fewest(reads: list[Read], limit: int, gap: int, closed: set[int]) -> int:
+def fewest(reads: list[Read], limit: int, gap: int, closed: set[int], borders: set[int]) -> int:
     """Try the ends of each request: what must stay together, and where one must begin."""
     wanted = {address for read in reads for address in cells_of(read)}
     together = []
     for read in reads:
         cells = cells_of(read)
-        step = len(cells) if len(cells) <= limit else SIZES[read.type]
+        is_whole = len(cells) <= limit and not borders & set(cells[1:])
+        step = len(cells) if is_whole else SIZES[read.type]
         together += [(at, at + step) for at in range(cells.start, cells.stop, step)]
 
     def allowed(start: int, stop: int) -> bool:
         edges = [start - 1, *sorted(wanted & set(range(start, stop))), stop]
         holes = max(second - first - 1 for first, second in pairwise(edges))
-        return holes <= gap and not closed & set(range(start, stop))
+        crossed = borders & set(range(start + 1, stop))
+        return holes <= gap and not closed & set(range(start, stop)) and not crossed
 
     count = 0
     while together:
@@ -268,8 +336,14 @@ def fewest(reads: list[Read], limit: int, gap: int, closed: set[int]) -> int:
     gap=st.integers(0, 6),
     limit=st.integers(4, 30),
     closed=st.sets(st.integers(0, 90), max_size=6),
+    borders=st.sets(st.integers(0, 90), max_size=3),
 )
-def test_plan_of_any_items(reads: list[Read], gap: int, limit: int, closed: set[int]) -> None:
+def test_plan_of_any_items(
+    reads: list[Read], gap: int, limit: int, closed: set[int], borders: set[int]
+) -> None:
+    borders -= {
+        at for read in reads for at in cells_of(read) if (at - read.address) % SIZES[read.type]
+    }
     asked = {
         table: {at for read in reads if read.table == table for at in cells_of(read)}
         for table in ("coils", "holding_registers")
@@ -281,6 +355,7 @@ def test_plan_of_any_items(reads: list[Read], gap: int, limit: int, closed: set[
         forbidden=[(table, range(at, at + 1)) for table, cells in hidden.items() for at in cells],
         max_registers=limit,
         max_bits=limit,
+        borders=[(table, at) for table in asked for at in borders],
     )
 
     for table, cells in asked.items():
@@ -289,17 +364,20 @@ def test_plan_of_any_items(reads: list[Read], gap: int, limit: int, closed: set[
         for span in requests:
             assert 1 <= len(span) <= limit
             assert not hidden[table] & set(span)
+            assert not borders & set(span[1:])
             assert {span[0], span[-1]} <= cells
             inside = [at for at in span if at in cells]
             assert all(second - first - 1 <= gap for first, second in pairwise(inside))
         own = [read for read in reads if read.table == table]
-        assert len(requests) == fewest(own, limit, gap, hidden[table])
-        assert len(requests) <= sum(-(-read.count // (limit // SIZES[read.type])) for read in own)
+        assert len(requests) == fewest(own, limit, gap, hidden[table], borders)
+        most = sum(-(-read.count // (limit // SIZES[read.type])) for read in own)
+        assert len(requests) <= most + len(borders) * len(own)
 
     for read, found in zip(reads, plan.results(answers(plan)), strict=True):
         registers = [cell(read.table, at) for at in cells_of(read)]
         assert repr(found) == repr(decoded(read, registers))
-        step = len(registers) if len(registers) <= limit else SIZES[read.type]
+        is_whole = len(registers) <= limit and not borders & set(cells_of(read)[1:])
+        step = len(registers) if is_whole else SIZES[read.type]
         for at in range(read.address, read.address + len(registers), step):
             together = range(at, at + step)
             assert any(

@@ -89,7 +89,7 @@ def test_a_run_that_is_left_leaves_what_was_learnt_whole() -> None:
 def test_a_strict_reading_names_what_was_refused() -> None:
     for hole in range(20):
         polls = Polls(singles(40), Registers([hole, 30]))
-        for most in (1 + 7, 2):
+        for most in (1 + 12, 2):
             count, answers = polls.strictly()
             (error,) = [each for each in answers if isinstance(each, ModbusError)]
             assert error.names == (hole,)
@@ -112,12 +112,46 @@ def test_a_known_hole_that_is_answered_is_not_named() -> None:
     assert polls.unreadable == [12]
 
 
-def test_no_item_is_named_if_each_is_answered_alone() -> None:
-    polls = Polls(singles(100), Registers(most=60))
-    _, answers = polls.strictly()
-    assert isinstance(answers[0], IllegalDataAddress)
-    assert answers[0].names == ()
-    assert not polls.holes
+def bordered(borders: set[int], then: Any = lambda device, answer: answer) -> Registers:
+    """Return a device that answers every register, and refuses reads across some addresses."""
+
+    def refuse(device: Registers, answer: Any) -> Any:
+        first, count = device.asked[-1]
+        crosses = any(first < border < first + count for border in borders)
+        return then(device, IllegalDataAddress() if crosses else answer)
+
+    return Registers(then=refuse)
+
+
+# The device, and the requests of the first and of later readings of its registers 0..99.
+BORDERS = [
+    (Registers(most=60), 3, 2),
+    (bordered({50}), 3, 2),
+    (bordered({20}), 15, 2),
+    (bordered({10, 30, 95}), 35, 4),
+]
+
+
+@each_case("is_strict", [False, True])
+@each_case(("device", "first", "later"), BORDERS)
+def test_all_is_read_across_borders(
+    device: Registers, first: int, later: int, is_strict: bool
+) -> None:
+    polls = Polls(singles(100), device)
+    for most in (first, later, later):
+        count, answers = polls.answers(is_strict=is_strict)
+        assert polls.plan.results(answers) == [[at] for at in range(100)]
+        assert count <= most
+    assert not polls.unreadable
+
+
+def test_a_register_refused_behind_a_border_is_named() -> None:
+    polls = Polls(singles(100), bordered({50}))
+    polls.device.missing = {70}
+    for most in (20, 2):
+        count, answers = polls.strictly()
+        assert answers[-1].names == (70,)
+        assert count <= most
 
 
 def test_a_refused_block_of_one_item_is_asked_for_once() -> None:

@@ -18,6 +18,8 @@ from libmodbus_py import (
     IllegalDataAddress,
     Mapping,
     ModbusConnectionError,
+    ModbusError,
+    NoValue,
     Point,
     RegisterMap,
     Server,
@@ -121,15 +123,21 @@ def test_values_are_written_and_neighbours_together(
         assert plc.read_map(METER, ["setpoint"]) == {"setpoint": 30.0}
 
 
+MULTIPLE, SINGLE = {"write_function": "multiple"}, {"write_function": "single"}
+
 WRITES = [
     ({"key": 1}, {}, [pdu.WriteRegister(120, 1)]),
-    ({"key": 1}, {"multiple": True}, [pdu.WriteRegisters(120, [1])]),
+    ({"key": 1}, MULTIPLE, [pdu.WriteRegisters(120, [1])]),
     ({"run": 1}, {}, [pdu.WriteCoil(7, True)]),
-    ({"run": False}, {"multiple": True}, [pdu.WriteCoils(7, [False])]),
+    ({"run": False}, MULTIPLE, [pdu.WriteCoils(7, [False])]),
+    ({"run": False}, SINGLE, [pdu.WriteCoil(7, False)]),
     ({"name": "ab", "setpoint": 5}, {}, [
         pdu.WriteRegister(100, 50), pdu.WriteRegisters(103, [0x6162, 0, 0]),
     ]),
     ({"energy": 0.001, "setpoint": 5}, {}, [pdu.WriteRegisters(100, [50, 1, 0])]),
+    ({"energy": 0.001, "setpoint": 5}, SINGLE, [
+        pdu.WriteRegister(100, 50), pdu.WriteRegister(101, 1), pdu.WriteRegister(102, 0),
+    ]),
 ]  # fmt: skip
 
 
@@ -217,16 +225,48 @@ def test_a_point_that_failed_has_its_error(connect: Connect) -> None:
         assert found["there"] == 7
         assert isinstance(found["missing"], IllegalDataAddress)
         assert found["beside"] == 8
-        assert isinstance(found["digits"], ValueError)
-        assert str(found["digits"]).startswith("digits: registers[0:1] hold no bcd16")
+        assert isinstance(found["digits"], NoValue)
+        assert str(found["digits"]) == "digits has no value: 000F has digits other than 0..9"
         with pytest.raises(IllegalDataAddress):
             plc.read_map(holes)
-        with pytest.raises(ValueError, match=r"^digits: "):
-            plc.read_map(holes, ["there", "digits"])
-        # A gap reads what nobody asked for, and loses what lies behind it.
-        with pytest.raises(IllegalDataAddress):
-            plc.read_map(holes, ["there", "beside"], gap=5)
-        assert plc.read_map(holes, ["there", "beside"]) == {"there": 7, "beside": 8}
+        assert plc.read_map(holes, ["there", "digits"]) == {"there": 7, "digits": None}
+        for gap in (0, 5):  # a gap reads what nobody asked for, and is refused
+            assert plc.read_map(holes, ["there", "beside"], gap=gap) == {"there": 7, "beside": 8}
+
+
+def test_data_that_is_no_value_takes_no_other_along(connect: Connect) -> None:
+    """solaredge_modbus issue 21: a text with a byte that is no ASCII, behind its end and in it."""
+    cells = [42, *[0x564E, 0x00FF, 0x0700], *[0x564E, 0xFF00, 0], 0xFFFF, 0xFFFF, 0x13, 0]
+    types = {"soc": "uint16", "name": "string:6", "bad": "string:6", "level": "bcd16"}
+    at = {"soc": 0, "name": 1, "bad": 4, "level": 7, "clock": 8}
+    points = RegisterMap(
+        [Point(name, H, at[name], type=types.get(name, "date48")) for name in at]  # type: ignore[arg-type]
+    )
+    good = {"soc": 42, "name": "VN"}
+    with serving(connect, Device(Mapping(holding_registers={0: cells}))) as plc:
+        assert plc.read_map(points) == {**good, "bad": None, "level": None, "clock": None}
+        found = plc.read_map(points, return_exceptions=True)
+        reasons = {name: each.reason for name, each in found.items() if name not in good}
+        assert reasons == {"bad": "InvalidData", "level": "InvalidData", "clock": "InvalidTime"}
+        for call, reason, text in (
+            (
+                lambda: plc.read_value(H, 4, "string:6"),
+                "InvalidData",
+                f"{H} 4 has no value: 56",
+            ),
+            (lambda: plc.read_values(H, 7, "bcd16", 3), "InvalidData", f"{H} 7 has no value: FFFF"),
+            (lambda: plc.read_value(H, 8, "date48"), "InvalidTime", f"{H} 8 has no value: FF FF"),
+            (lambda: plc.read_many([(H, 0), (H, 7, 1, "bcd16")]), "InvalidData", "items[1] has no"),
+        ):
+            with pytest.raises(NoValue) as caught:
+                call()
+            assert isinstance(caught.value, ModbusError)
+            assert caught.value.reason == reason
+            assert str(caught.value).startswith(text)
+        items = {"soc": (H, 0), "levels": (H, 7, 3, "bcd16"), "level": (H, 7, 1, "bcd16")}
+        several = plc.read_many(items, return_exceptions=True)
+        assert (several["soc"], several["levels"]) == ([42], [None, None, 13])
+        assert isinstance(several["level"], NoValue)
 
 
 def test_each_point_has_the_error_of_a_line_that_is_gone(connect: Connect) -> None:

@@ -83,7 +83,14 @@ CLIENT_QUERIES: list[tuple[str, Any]] = [
     ("keepalive=30", 30.0),
     ("keepalive=none", None),
     ("max_pause=1.5", 1.5),
+    ("source=192.0.2.5:40000", "192.0.2.5:40000"),
+    ("greeting=20%20bytes,0x0d0a", "20 bytes,0x0d0a"),
     ("accept_unit=any", "any"),
+    ("write_function=single", "single"),
+    ("broadcast=0", False),
+    ("ids=ignore", "ignore"),
+    ("idle_close=5", 5.0),
+    ("idle_close=none", None),
     ("delimiter=10", 10),
     ("delimiter=0x0D", 13),
 ]
@@ -199,6 +206,43 @@ def test_what_is_wrong_is_named_and_what_is_allowed(url: str, text: str) -> None
         parse(url)
 
 
+@each_case(
+    ("url", "meant"),
+    [
+        ("socket://192.0.2.10:4001", "rtu+tcp"),  # pyserial
+        ("serial-tcp://192.0.2.10:4001", "rtu+tcp"),
+        ("rtuovertcp://192.0.2.10:4001", "rtu+tcp"),  # simonvetter/modbus
+        ("tcp+rtu://192.0.2.10:4001", "rtu+tcp"),
+        ("rtu_over_tcp://192.0.2.10:4001", "rtu+tcp"),
+        ("ascii-over-tcp://192.0.2.10:4001", "ascii+tcp"),
+        ("rtuoverudp://192.0.2.10:4001", "rtu+udp"),
+        ("tcp+tls://192.0.2.10", "tls"),  # simonvetter/modbus
+        ("serial:///dev/ttyUSB0", "rtu"),
+        ("file:///dev/ttyUSB0", "rtu"),  # Telegraf
+        ("modbus+rtu:///dev/ttyUSB0", "rtu"),
+        ("modbus://192.0.2.10", "tcp"),
+        ("MODBUS+TCP://192.0.2.10:502/1/1", "tcp"),  # W3C
+        ("modbus-tcp://192.0.2.10", "tcp"),
+    ],
+)
+def test_a_scheme_of_another_program_is_answered_with_the_one_that_is_meant(
+    url: str, meant: str
+) -> None:
+    with pytest.raises(ValueError, match=f"; did you mean {re.escape(meant)}://[?]$"):
+        parse(url)
+
+
+def test_a_misspelt_scheme_is_answered_with_close_ones() -> None:
+    with pytest.raises(ValueError, match="; did you mean tcp"):
+        parse("tpc://192.0.2.10")
+
+
+def test_rfc_2217_is_refused_with_the_remedy() -> None:
+    text = "RFC 2217 is not supported; set the line in the serial device server.*use rtu\\+tcp://"
+    with pytest.raises(ValueError, match=text):
+        parse("rfc2217://192.0.2.10:4001")
+
+
 @each_case(("text", "parity"), [("none", "N"), ("Even", "E"), ("odd", "O"), ("e", "E")])
 def test_parity_is_a_letter_or_a_word(text: str, parity: str) -> None:
     assert parse(f"rtu:///dev/ttyS0?parity={text}").options == {"parity": parity}
@@ -238,11 +282,12 @@ NAMES = st.text(st.characters(codec="utf-8"), min_size=1) | st.binary(min_size=1
 NUMBERS, SECONDS = st.integers(0, 10**9), st.floats(0, 1e300)
 VALUES: dict[str, st.SearchStrategy[Any]] = {
     **dict.fromkeys(SECURITY_OPTIONS, NAMES),
-    **dict.fromkeys(("rs485", "accept_unit"), NAMES),
-    **dict.fromkeys(("echo",), st.booleans()),
+    **dict.fromkeys(("rs485", "accept_unit", "source", "greeting"), NAMES),
+    **dict.fromkeys(("write_function", "ids"), NAMES),
+    **dict.fromkeys(("echo", "broadcast"), st.booleans()),
     **dict.fromkeys(("rts_delay", "silence", "timeout", "turnaround"), SECONDS),
     **dict.fromkeys(("request_spacing", "connect_delay", "max_pause"), SECONDS),
-    "keepalive": st.none() | SECONDS,
+    **dict.fromkeys(("keepalive", "idle_close"), st.none() | SECONDS),
     "parity": st.sampled_from("NEO"),
 }
 
@@ -272,8 +317,16 @@ def test_every_endpoint_comes_back_from_its_url(endpoint: Endpoint) -> None:
 
 
 def test_the_zone_of_an_address_is_the_name_of_an_interface_as_it_is_written() -> None:
-    for text in ("FE80::A%enP8p1s0", "[FE80::A%enP8p1s0]:502", "tcp://[FE80::A%enP8p1s0]"):
+    for text in (
+        "FE80::A%enP8p1s0",
+        "[FE80::A%enP8p1s0]:502",
+        "tcp://[FE80::A%enP8p1s0]",
+        "tcp://[FE80::A%25enP8p1s0]",  # RFC 6874
+    ):
         assert parse(text).host == "fe80::a%enP8p1s0"
+        assert str(parse(text)) == "tcp://[fe80::a%25enP8p1s0]:502"
+    for text in ("fe80::1%25", "tcp://[fe80::1%25]", "tcp://[fe80::1%2525]"):
+        assert parse(text).host == "fe80::1%25"  # the 25th interface
     assert parse("tcp://[fe80::1%lo]").key != parse("tcp://[fe80::1%LO]").key
 
 

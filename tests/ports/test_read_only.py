@@ -13,7 +13,8 @@ import termios
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from libmodbus_py.ports.serial import ReadOnlySerialPort
+from libmodbus_py.ports import serial_settings
+from libmodbus_py.ports.serial_read_only import ReadOnlySerialPort
 
 
 def test_settings_are_made_and_put_back() -> None:
@@ -89,6 +90,21 @@ def test_a_port_that_has_the_settings_already_but_no_parity() -> None:
         assert termios.tcgetattr(port.descriptor)[4:6] == [termios.B38400] * 2
         port._restored = None  # as if the program had died
         port.close()
+    os.close(master)
+
+
+def test_a_setting_that_the_driver_keeps_otherwise_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    master, slave = pty.openpty()
+    path = os.ttyname(slave)
+    os.close(slave)
+    monkeypatch.setattr(serial_settings, "PSEUDO_TERMINALS", ())
+    with pytest.raises(ModbusConnectionError, match="parity E refused: the port has N"):
+        ReadOnlySerialPort(path, parity="E").open()
+    monkeypatch.setattr(serial_settings, "_baudrate_of", lambda descriptor: 9600)
+    with pytest.raises(ModbusConnectionError, match="baudrate 230400 refused: the port does 9600"):
+        ReadOnlySerialPort(path, parity="N", baudrate=230_400).open()
     os.close(master)
 
 

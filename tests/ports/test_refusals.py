@@ -21,8 +21,9 @@ import pytest
 
 from libmodbus_py import Client, Gateway, ModbusConnectionError, ModbusError, Route
 from libmodbus_py.listen import listen
-from libmodbus_py.ports import serial
-from libmodbus_py.ports.serial import ReadOnlySerialPort, SerialPort, set_odd_baudrate
+from libmodbus_py.ports import serial, serial_devices, serial_read_only, serial_settings
+from libmodbus_py.ports.serial import SerialPort
+from libmodbus_py.ports.serial_read_only import ReadOnlySerialPort
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support import certificates
@@ -146,40 +147,103 @@ class TestSettings:
         assert is_free(wire.client)
 
 
-class TestOddBaudrates:
-    """The system is asked for a rate that has no constant; what it does may be another one."""
+class TestSettingsOfTheDriver:
+    """tcsetattr returns 0 if a driver keeps another setting, as that of a 16550A does."""
 
-    TERMIOS2 = struct.Struct("4IB19B2I")
+    @pytest.fixture
+    def rate(self, monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+        """Make the system report a rate: pseudo-terminals keep any."""
+        termios2, ioctl = struct.Struct("4IB19B2I"), fcntl.ioctl
 
-    def _driver(self, does: int) -> Callable[[int, int, bytes], bytes]:
-        fields = [0] * 26
+        def report(rate: int) -> None:
+            def read(descriptor: int, request: int, data: Any) -> Any:
+                answer = ioctl(descriptor, request, data)
+                if request == 0x802C542A:
+                    answer = termios2.pack(*termios2.unpack(answer)[:-2], rate, rate)
+                return answer
 
-        def ioctl(descriptor: int, request: int, data: bytes) -> bytes:
-            if request == 0x802C542A:
-                return self.TERMIOS2.pack(*fields)
-            given = list(self.TERMIOS2.unpack(data))
-            assert given[2] & 0o010017 == 0o010000
-            fields[:] = given
-            fields[-2:] = does, does
-            return data
+            monkeypatch.setattr(fcntl, "ioctl", read)
 
-        return ioctl
+        return report
 
     @pytest.mark.parametrize(
-        ("does", "is_taken"),
-        [(25_000, True), (25_500, True), (24_500, True), (25_501, False), (24_499, False)],
+        ("asked", "actual", "is_taken"),
+        [
+            (25_000, 25_000, True),
+            (25_000, 25_500, True),
+            (25_000, 24_500, True),
+            (25_000, 25_501, False),
+            (25_000, 24_499, False),
+            (230_400, 9600, False),
+            (4_000_000, 115_200, False),
+            (921_600, 923_076, True),  # a CP2102
+        ],
     )
     def test_a_rate_within_2_percent_is_taken(
-        self, does: int, is_taken: bool, monkeypatch: pytest.MonkeyPatch
+        self,
+        asked: int,
+        actual: int,
+        is_taken: bool,
+        rate: Callable[[int], None],
+        wire: SerialWire,
     ) -> None:
-        monkeypatch.setattr(fcntl, "ioctl", self._driver(does))
+        rate(actual)
+        made = SerialPort(wire.client, baudrate=asked)
         if is_taken:
-            set_odd_baudrate(0, 25_000)
-            return
-        text = f"baudrate 25000 refused: the port does {does}"
-        with pytest.raises(OSError, match=text) as caught:
-            set_odd_baudrate(0, 25_000)
-        assert caught.value.errno == errno.EINVAL
+            made.open()
+            made.close()
+        else:
+            text = f"baudrate {asked} refused: the port does {actual}$"
+            with failing(errno.EINVAL, text):
+                made.open()
+
+    def test_the_highest_rate_of_a_plain_uart_is_told(
+        self, rate: Callable[[int], None], wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(serial_devices, "highest_rate", lambda path: 115_200)
+        rate(9600)
+        with failing(errno.EINVAL, "the port does 9600, and at most 115200$"):
+            SerialPort(wire.client, baudrate=230_400).open()
+
+    def test_a_system_that_tells_no_rate_is_believed(
+        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """As on processors whose termios2 differs."""
+        monkeypatch.setattr(serial_settings, "_baudrate_of", lambda descriptor: None)
+        made = SerialPort(wire.client, baudrate=230_400)
+        made.open()
+        assert made.descriptor >= 0
+        made.close()
+
+    @pytest.mark.parametrize(
+        ("settings", "text"),
+        [
+            ({"parity": "E"}, "parity E refused: the port has N"),
+            ({"parity": "O"}, "parity O refused: the port has N"),
+            ({"parity": "N", "data_bits": 7}, "data_bits 7 refused: the port has 8"),
+        ],
+    )
+    def test_a_size_or_parity_that_hardware_does_not_take_is_refused(
+        self, settings: Any, text: str, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Pseudo-terminals refuse both, and are believed, because they have no line."""
+        made = SerialPort(wire.client, **settings)
+        made.open()
+        made.close()
+        monkeypatch.setattr(serial_settings, "PSEUDO_TERMINALS", ())
+        with failing(errno.EINVAL, text):
+            made.open()
+
+    def test_a_stop_bit_that_hardware_does_not_take_is_refused(
+        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        made = SerialPort(wire.client, parity="N", stop_bits=2)
+        monkeypatch.setattr(serial_settings, "PSEUDO_TERMINALS", ())
+        made.open()
+        made.close()
+        monkeypatch.setattr(termios, "CSTOPB", 0)
+        with failing(errno.EINVAL, "stop_bits 2 refused: the port has 1"):
+            made.open()
 
     def test_a_port_that_refuses_says_which_rate(
         self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
@@ -191,6 +255,38 @@ class TestOddBaudrates:
         assert "baudrate 25000 refused: Invalid argument" in str(caught.value)
         assert caught.value.errno == errno.EINVAL
         assert is_free(wire.client)
+
+
+class TestOpening:
+    def test_a_port_without_hardware_says_so(
+        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    ) -> None:
+        """A ttyS of a kernel that lists more of them than there are: each call fails."""
+
+        def refuse(descriptor: int) -> None:
+            raise termios.error(errno.EIO, os.strerror(errno.EIO))
+
+        monkeypatch.setattr(termios, "tcgetattr", refuse)
+        with failing(errno.EIO, "Input/output error$"):
+            SerialPort(wire.client).open()
+        monkeypatch.setattr(serial_devices, "lacks_hardware", lambda path: path == wire.client)
+        with failing(errno.EIO, "the system has no hardware for this port"):
+            SerialPort(wire.client).open()
+
+    def test_an_exclusive_port_says_who_has_it(self, wire: SerialWire) -> None:
+        """What TIOCEXCL of another program does; not to root, who may run the tests."""
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(os, "open", raising(errno.EBUSY))
+            with failing(errno.EBUSY, "in use by another program"):
+                SerialPort(wire.client).open()
+
+    def test_a_port_that_is_open_here_is_not_opened_again(
+        self, port: SerialPort, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Opening a port raises its RTS, which makes a transceiver send."""
+        monkeypatch.setattr(os, "open", raising(errno.EDOM))
+        with failing(errno.EBUSY, "in use by this program itself"):
+            SerialPort(port.device).open()
 
 
 class TestBytes:
@@ -244,7 +340,7 @@ class TestReadOnly:
         made = ReadOnlySerialPort(wire.client)
         with monkeypatch.context() as patch:
             # The other end of the wire is held open by this process itself.
-            patch.setattr(serial, "_other_user", lambda *_: None)
+            patch.setattr(serial_read_only, "_other_user", lambda *_: None)
             patch.setattr(termios, "tcsetattr", refuse)
             with pytest.raises(ModbusConnectionError) as caught:
                 made.open()

@@ -47,7 +47,7 @@ def test_each_transport_has_a_port_an_endpoint_and_a_scheme() -> None:
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_each_scheme_has_a_port(scheme: Scheme, tmp_path: Path) -> None:
     rules = rules_of(scheme)
-    url = url_for(scheme, "h", line="/dev/null")
+    url = url_for(scheme, "127.0.0.1", line="/dev/null")
     security = {"security": Papers(tmp_path).client()} if rules.is_secure else {}
     client = Client(url, **security)
     if scheme in KNOWN:

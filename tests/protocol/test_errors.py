@@ -9,6 +9,8 @@ import pickle
 from collections.abc import Callable
 from typing import Any
 
+import pytest
+
 from libmodbus_py.protocol import errors
 from libmodbus_py.protocol.errors import (
     ExceptionResponse,
@@ -54,6 +56,15 @@ def test_hex_is_cut_and_counted() -> None:
     assert in_hex(bytes(33)) == " ".join(["00"] * 32) + " ... (33 bytes)"
     assert in_hex(b"") == ""
     assert len(repr(FrameError("x", received=bytes(10_000)))) < 200
+
+
+@each_case("kind", KINDS)
+@each_case("reason", [2, 0, True, b"refused", OSError("refused"), None])
+def test_a_reason_is_text(reason: Any, kind: type[ModbusError]) -> None:
+    with pytest.raises(TypeError, match=r"^reason must be a string") as caught:
+        kind(reason)
+    is_code = issubclass(kind, ExceptionResponse) and isinstance(reason, int)
+    assert (f"ExceptionResponse.of({reason})" in str(caught.value)) == is_code
 
 
 @each_case("kind", KINDS)

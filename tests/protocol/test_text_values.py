@@ -38,7 +38,6 @@ class TestText:
             ("A", "string:4", {"encoding": "utf-16-le", "padding": " "}, "4100 2000"),
             ("A", "string:4", {"encoding": "utf-16-le", "order": "BADC"}, "0041 0000"),
             ("\u6f22", "string:4", {"encoding": "shift-jis"}, "8ABF 0000"),
-            ("AB\0C", "string:6", {}, "4142 0043 0000"),
             ("ABC", "string:3", {"order": "BADC"}, "4241 0043"),
             ("ABC", "string:3", {"order": "DCBA"}, "4241 0043"),
             ("ABC", "string:3", {"order": "CDAB"}, "4142 4300"),
@@ -62,9 +61,32 @@ class TestText:
 
     def test_only_padding_at_the_end_is_cut(self) -> None:
         assert decode(words("2041 2042 2020"), "string:6", padding=" ") == " A B"
-        assert decode(words("4100 4200"), "string:4") == "A\0B"
         assert decode(words("4120 0000"), "string:4") == "A "
         assert decode(words("0000 0000"), "string:4") == ""
+
+    @each_case(
+        ("registers", "options", "value"),
+        [
+            ("4100 4200", {}, "A"),
+            ("564E 00FF 0700", {}, "VN"),
+            ("0041 4243", {}, ""),
+            ("4120 0042", {"padding": " "}, "A"),
+            ("4142 E400", {"encoding": "utf-8", "order": "BADC"}, "BA"),
+            ("0100 0041 0000 D800", {"encoding": "utf-16-be"}, "\u0100A"),
+            ("4100 0001 0000 00D8", {"encoding": "utf-16-le"}, "A\u0100"),
+            ("0000 0041 0000 0000 FFFF FFFF", {"encoding": "utf-32-be"}, "A"),
+        ],
+    )
+    def test_text_ends_at_its_first_nul(
+        self, registers: str, options: dict[str, str], value: str
+    ) -> None:
+        cells = words(registers)
+        assert decode(cells, f"string:{2 * len(cells)}", **options) == value
+
+    @each_case("value", ["A\0B", "\0", "A\0"])
+    def test_text_with_a_nul_is_refused(self, value: str) -> None:
+        with pytest.raises(ValueError, match=r"^value must be without NUL, which ends it: 'A?"):
+            encode(value, "string:8")
 
     @each_case(
         ("value", "name", "options", "named"),

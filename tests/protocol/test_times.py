@@ -5,14 +5,14 @@ Times in registers, by the published layouts, and back.
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta, timezone
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from libmodbus_py.protocol.times import checked_time_zone, in_time_zone
-from libmodbus_py.protocol.values import value_type
+from libmodbus_py.protocol.values import TimeType, value_type
 from tests.support.cases import each_case
 
 NOON = datetime(2026, 7, 1, 12, 30, 15, tzinfo=UTC)
@@ -97,7 +97,7 @@ STEPS = {"ms64": 1000, "iec870": 1000}
 
 
 @given(
-    st.sampled_from(["unix32", "unix64", "ms64", "iec870", "date48", "bcddate48", "date96"]),
+    st.sampled_from(get_args(TimeType)),
     st.datetimes(datetime(2000, 1, 1), datetime(2099, 12, 31), timezones=st.just(UTC)),
     st.sampled_from(["ABCD", "CDAB", "BADC", "DCBA"]),
 )

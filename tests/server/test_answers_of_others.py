@@ -37,7 +37,7 @@ TRAFFIC = [
 LINES = {
     scheme: (rtu if framing == "rtu" else ascii_frame, TRANSPORTS[transport])
     for scheme, (framing, transport) in SCHEMES.items()
-    if framing in ("rtu", "ascii")
+    if framing in ("rtu", "ascii") and not TRANSPORTS[transport].is_listening
 }
 """Scheme -> what makes its frames, and the rules of its transport."""
 

@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from libmodbus_py.ports.direction import Switch
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.ports.waiting import Waker
 from libmodbus_py.protocol.errors import ModbusConnectionError
@@ -94,6 +95,8 @@ class MemorySerialPort(SerialPort, Party):
         self._waker = waker
         self._inbox = b""
         self._is_lost = False
+        if isinstance(self.rs485, str):
+            self._switch = Switch(lambda is_sending: None)  # a line in memory has no RTS
 
     def waker(self) -> Waker:
         return self._waker()
@@ -132,6 +135,8 @@ class MemorySerialPort(SerialPort, Party):
 
     def close(self) -> None:
         self.resume_at = None
+        if self._switch is not None:
+            self._switch.close()
         self.abandon()
 
     def abandon(self) -> None:
@@ -144,9 +149,6 @@ class MemorySerialPort(SerialPort, Party):
         if self._is_lost:
             raise ModbusConnectionError(os.strerror(errno.EIO), errno=errno.EIO)
         self._line.write(self, data)
-
-    def _set_rts(self, on: bool) -> None:
-        pass
 
     def _follow(self) -> None:
         if self.descriptor >= 0:

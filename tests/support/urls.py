@@ -6,6 +6,9 @@ from __future__ import annotations
 
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS, TransportRules
 
+CONNECTING = [scheme for scheme, (_, kind) in SCHEMES.items() if not TRANSPORTS[kind].is_listening]
+"""The schemes of clients that connect, and of servers."""
+
 
 def rules_of(scheme: str) -> TransportRules:
     """Return the rules of the transport of a scheme."""

@@ -29,10 +29,14 @@ from libmodbus_py.listen import Separator, listen
 Client("tcp://192.0.2.10", timout=1.0)  # wrong
 Client("tcp://192.0.2.10", unit="17")  # wrong
 Client("tcp://192.0.2.10", accept_unit="all")  # wrong
+Client("tcp://192.0.2.10", write_function=16)  # wrong
+Client("tcp://192.0.2.10", ids="any")  # wrong
+Client("tcp://192.0.2.10", idle_close="5")  # wrong
+Client("tcp://192.0.2.10", broadcast=0)  # wrong
 Client("tcp://192.0.2.10", 502)  # wrong
 Client("tcp://192.0.2.10", trace="wire.log")  # wrong
 Client("rtu:///dev/ttyUSB0", parity="mark")  # wrong
-Client("rtu:///dev/ttyUSB0", rs485="rts")  # wrong
+Client("rtu:///dev/ttyUSB0", rs485=17)  # wrong
 Client("ascii:///dev/ttyUSB0", delimiter="\n")  # wrong
 Client("tcp://192.0.2.10", unti=3)  # wrong
 Client("tcp://192.0.2.10", timeout="1")  # wrong

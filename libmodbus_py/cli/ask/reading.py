@@ -19,7 +19,7 @@ from typing import Any, TextIO
 
 from ...client.blocking import Client
 from ...maps.holes import Holes, carried_out, reading
-from ...maps.plan import Plan
+from ...maps.plan import Borders, Plan
 from ...maps.watched import PointIntervals, Totals
 from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, ModbusError
@@ -47,14 +47,15 @@ RECORDS = 121
 class _ItemPlan(Plan):
     """A plan of items whose results are cells; `others` are the requests for files and queues."""
 
-    def __init__(self, items: Sequence[Item]) -> None:
+    def __init__(self, items: Sequence[Item], borders: Borders, max_registers: int) -> None:
         self._others = {
             at: _requests(item)
             for at, item in enumerate(items)
             if item.table in ("file", "fifo_queue")
         }
         self.others = [each for requests in self._others.values() for each in requests]
-        super().__init__({at: item.read for at, item in enumerate(items) if at not in self._others})
+        reads = {at: item.read for at, item in enumerate(items) if at not in self._others}
+        super().__init__(reads, borders=borders, max_registers=max_registers)
 
     def cells(self, answers: Sequence[Any], others: Sequence[Any]) -> dict[int, Any]:
         """Return the cells of each item by its index, or the error in place of them."""
@@ -97,7 +98,8 @@ class Reader:
         self.items: list[Item] = words.all_items(options.group or ())
         self.unit = unit
         self._sources = words.sources_of(self.items)
-        self._plan = _ItemPlan([*self._sources, *self.items])
+        self._limits: tuple[Borders, int] = words.borders(), options.max_registers
+        self._plan = _ItemPlan([*self._sources, *self.items], *self._limits)
         points = [item.point for item in self.items]
         own = [None if point is None else point.interval for point in points]
         self._pace = PointIntervals(own, options.watch or ONCE_S)
@@ -136,7 +138,7 @@ class Reader:
         """Read the items with some indexes, None for all, and the points that scale them."""
         indexes = tuple(range(len(self.items))) if due is None else due
         items = [*self._sources, *(self.items[at] for at in indexes)]
-        plan = self._plan if due is None else _ItemPlan(items)
+        plan = self._plan if due is None else _ItemPlan(items, *self._limits)
         status = Status(after=STATUS_AFTER_S)
         ask = partial(self._answers, context, status)
         try:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+from collections.abc import Iterable
 from typing import Any, get_args
 
 from ...protocol.checks import DURATION, duration_of
@@ -61,15 +62,30 @@ OF_READ = """
     read the points of a group of the map; may be repeated
 """
 
+
+def _families(names: Iterable[str]) -> str:
+    """Return names such as int8 and int16 as int8/16."""
+    families: dict[str, list[str]] = {}
+    for name in names:
+        family = name.rstrip("0123456789")
+        families.setdefault(family, []).append(name.removeprefix(family))
+    return ", ".join(family + "/".join(bits) for family, bits in families.items())
+
+
 OF_VALUES = f"""
 --type T
-    type: {", ".join((*get_args(NumberType), *get_args(BitsType)))}, string:N%s
+    type: {_families((*get_args(NumberType), *get_args(BitsType)))}, string:N%s
 --order O
     byte order: {", ".join(get_args(Order))}
 rare --encoding E
     encoding of text
 rare --padding C
     character that fills up text
+"""
+
+OF_REQUESTS = """
+rare --max-registers N
+    the most registers of one request, for devices that accept only short ones
 """
 
 OF_WATCH = """
@@ -105,6 +121,7 @@ def _add_read(command: argparse.ArgumentParser) -> None:
     command.description, command.epilog = READ, f"{READING}\n\n{arguments.URLS}"
     declare(command, f"{arguments.URL}{OF_READ}", what={"complete": names})
     _add_item_arguments(command, ", or all, which shows every interpretation")
+    declare(command, OF_REQUESTS, max_registers={"default": 125})
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
     declare(form, "--hex\n  print registers in hexadecimal")

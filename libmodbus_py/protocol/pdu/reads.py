@@ -22,7 +22,6 @@ from .request import (
     exactly,
     fixed,
     pack_bits,
-    store,
     unpack_bits,
 )
 
@@ -46,17 +45,17 @@ class _Read(Request[Values]):
     request_length: ClassVar[LengthRule] = fixed(5)
     response_length: ClassVar[LengthRule] = _COUNTED
 
-    def __post_init__(self) -> None:
-        address, number = self.address, self.count
-        if (
+    def __init__(self, address: int, count: int) -> None:
+        if not (
             type(address) is int
-            and type(number) is int
-            and 0 <= address <= TABLE_SIZE - number
-            and 1 <= number <= self.limit
-        ):
-            return  # the usual case, five times as fast as finding the mistake
-        count = integer("count", self.count, 1, self.limit)
-        store(self, address=checked_span("address", self.address, "count", count), count=count)
+            and type(count) is int
+            and 0 <= address <= TABLE_SIZE - count
+            and 1 <= count <= self.limit
+        ):  # not the usual case, which is five times as fast as finding the mistake
+            count = integer("count", count, 1, self.limit)
+            address = checked_span("address", address, "count", count)
+        _set_address(self, address)
+        _set_count(self, count)
 
     def encode(self) -> bytes:
         return _REQUEST.pack(self.function, self.address, self.count)
@@ -66,15 +65,20 @@ class _Read(Request[Values]):
         return cls(*struct.unpack(">HH", pdu[1:]))
 
     def decode_response(self, pdu: bytes) -> Values:
+        size = len(pdu)
         if (
-            len(pdu) > 2
-            and len(pdu) == 2 + pdu[1]
+            size > 2
+            and size == 2 + pdu[1]
             and pdu[0] == self.function
             and type(self).response_length is _COUNTED
         ):
             # The usual case, which the base would judge alike.
             return self._decode_response(pdu)
         return Request.decode_response(self, pdu)  # slots make another class: super() fails
+
+
+# What is frozen is set once, in half the time of object.__setattr__.
+_set_address, _set_count = (vars(_Read)[name].__set__ for name in ("address", "count"))
 
 
 class _ReadBits(_Read[list[bool]]):
@@ -101,7 +105,7 @@ class _ReadRegisters(_Read[list[int]]):
     def _decode_response(self, pdu: bytes) -> list[int]:
         if pdu[1] != 2 * self.count:
             raise self._invalid(f"{pdu[1]} bytes of data")
-        return list(REGISTERS[self.count].unpack_from(pdu, 2))
+        return [*REGISTERS[self.count].unpack_from(pdu, 2)]
 
 
 class ReadCoils(_ReadBits):

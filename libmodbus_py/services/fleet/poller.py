@@ -16,7 +16,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import math
-from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Generator, Iterable, Sequence
 from enum import Enum
 from functools import partial
 from itertools import count, repeat
@@ -311,13 +311,14 @@ class FleetLine(SharedLine[Poller]):
         poller.begin(planned, self.client.statistics.connects)
         self.ask(poller, self._loop.time())
 
-    async def write(self, poller: Poller, values: Mapping[str, Any]) -> None:
-        """Write values to points of a device, and poll it soon."""
+    async def poll_after(
+        self, writing: Awaitable[None], poller: Poller, names: Iterable[str]
+    ) -> None:
+        """Wait for a write to points of a device, and poll it soon."""
         poller.writes += 1
         try:
-            unit = self.sender_of(poller).client.for_unit(poller.unit)
-            await unit.write_map(poller.config.map, values)
-            poller.note_written(values)
+            await writing
+            poller.note_written(names)
         finally:
             poller.writes -= 1
             self._poll_soon(poller)

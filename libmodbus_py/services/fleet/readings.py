@@ -74,7 +74,7 @@ class Reading(NamedTuple):
 
 
 # Errors after which the device is not down, because it sent something.
-ANSWERS = (ExceptionResponse, FrameError, InvalidResponse)
+ANSWERS = (ExceptionResponse, FrameError, InvalidResponse, NoValue)
 
 
 def is_down(error: BaseException) -> bool:
@@ -86,9 +86,7 @@ def is_down(error: BaseException) -> bool:
 
 def reason_of(error: Exception) -> str:
     """Return the reason of a reading in place of whose value there is an error; users know it."""
-    if isinstance(error, NoValue):
-        return error.reason
-    return "ValueError" if isinstance(error, ValueError) else type(error).__name__
+    return error.reason if isinstance(error, NoValue) else type(error).__name__
 
 
 def classified(value: Any) -> tuple[Any, Quality, str]:

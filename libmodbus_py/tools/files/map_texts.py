@@ -11,15 +11,19 @@ import textwrap
 import unicodedata
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
-from typing import Any
+from typing import Any, get_args
 
 from ...files.csv_text import csv_rows
 from ...files.texts import shown_key
 from ...maps.map_file import PADDINGS
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap, attribute_names, spelled
+from ...protocol.words import IntegerType
 
 __all__ = ["MARK", "class_name", "class_text", "csv_text", "toml_text"]
+
+WHOLE = frozenset(get_args(IntegerType))
+"""Types whose values are integers, if they are not scaled."""
 
 WORD_OF = {character: word for word, character in PADDINGS.items()}
 
@@ -47,6 +51,8 @@ def _cell(value: Any) -> Any:
         return _shown(value)
     if isinstance(value, str) and value in WORD_OF:
         return WORD_OF[value]
+    if isinstance(value, list):
+        return json.dumps(value)
     if isinstance(value, tuple):
         return "; ".join(map(str, value))
     if not isinstance(value, Mapping):
@@ -77,8 +83,6 @@ def _shown(value: Any) -> str:
 
 MARK = "written by libmodbus-py map class"
 """In the first lines of such a file: only those are overwritten."""
-
-WHOLE = {f"{kind}{bits}" for kind in ("int", "uint", "bcd") for bits in (16, 32, 64)}
 
 # The methods are in a class of their own, so that no attribute hides the names that they use.
 FILE = '''\
@@ -231,7 +235,7 @@ def _kind(point: Point) -> str:
 
 def _kind_of_one(point: Point) -> str:
     if point.states is not None:
-        return "str | int"
+        return "str | float" if str(point.type).startswith("float") else "str | int"
     if point.bits is not None:
         return "dict[str, int]"
     if point.read.kind is None or (point.bit is not None and ".." not in str(point.bit)):

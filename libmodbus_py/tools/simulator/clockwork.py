@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...device.mapping import Mapping
+from ...maps.meaning import NoValue
 from ...maps.point import Point
 from ...protocol.checks import integer, number, seconds
 from ...protocol.errors import ServerDeviceFailure
@@ -143,10 +144,11 @@ class Clockwork:
         """Return one value of a point, nan for none, or raise ServerDeviceFailure."""
         self._refresh(each, index, now)
         cells = getattr(self._mapping, each.table)[each.slice_of(index)]
-        try:
-            (found,) = each.point.values_in(list(map(int, cells)))
-        except ValueError as error:
-            raise ServerDeviceFailure(str(error)) from None
+        numbers = list(map(int, cells))
+        (raw,) = each.point.meaning.raws_in(numbers)
+        if isinstance(raw, NoValue):
+            raise ServerDeviceFailure(str(raw))
+        (found,) = each.point.values_in(numbers)
         return math.nan if found is None else found
 
     def _refresh(self, each: SimulatedPoint, index: int, now: float) -> None:

@@ -23,6 +23,9 @@ POINTS = RegisterMap(
     ]
 )
 
+PAUSE = 1.0
+"""Simulated seconds, after which a poll that follows a write is over."""
+
 
 class Memory:
     """A device with a few registers, which takes `delay` for each answer."""
@@ -69,13 +72,13 @@ async def test_a_written_value_is_reported_at_once() -> None:
     memory = Memory()
     async with polled(memory) as (fleet, readings):
         await fleet.write("a", {"setpoint": 21})
-        await asyncio.sleep(0.5)
+        await asyncio.sleep(PAUSE)
         assert reported(readings) == [("setpoint", 21)]
         assert memory.reads == [(0, 1)]
         # Also one that differs by less than the band, or not at all; and one that is rarely read.
         await fleet.write("a", {"setpoint": 21})
         await fleet.write("a", {"limit": 7})
-        await asyncio.sleep(0.5)
+        await asyncio.sleep(PAUSE)
         assert sorted(reported(readings)[1:]) == [("limit", 7), ("setpoint", 21)]
         assert memory.reads[1:] == [(0, 2)]
 
@@ -86,7 +89,7 @@ async def test_the_poll_after_a_write_moves_no_other_poll() -> None:
     async with polled(memory, interval=10) as (fleet, _):
         planned = fleet.devices["a"].at
         await fleet.write("a", {"setpoint": 1})
-        await asyncio.sleep(0.5)
+        await asyncio.sleep(PAUSE)
         assert fleet.devices["a"].at == planned
         assert (fleet.statistics.polls, fleet.statistics.skipped) == (2, 0)
 
@@ -120,7 +123,7 @@ async def test_many_writes_in_a_row_cost_one_poll(
     memory = Memory(delay)
     async with polled(memory) as (fleet, readings):
         await write(fleet)
-        await asyncio.sleep(5)
+        await asyncio.sleep(PAUSE)
         assert reported(readings) == [("setpoint", 29)]
         assert len(memory.reads) == 1
 
@@ -135,7 +138,7 @@ async def test_a_poll_under_way_during_a_write_is_followed_by_another() -> None:
         memory.delay = 0.001
         await fleet.write("a", {"setpoint": 5})
         await until(lambda: readings)
-        await asyncio.sleep(1)
+        await asyncio.sleep(PAUSE)
         assert reported(readings)[-1] == ("setpoint", 5)
         assert len(memory.reads) == 2
 
@@ -149,7 +152,7 @@ async def test_writes_that_fail_are_followed_by_no_poll() -> None:
             await fleet.write("a", {"setpoint": 5})
         with pytest.raises(ValueError, match="setpoint"):
             await fleet.write("a", {"setpoint": 70_000})
-        await asyncio.sleep(1)
+        await asyncio.sleep(PAUSE)
         assert not memory.reads
 
 
@@ -159,7 +162,7 @@ async def test_a_device_that_was_removed_after_a_write_is_not_polled() -> None:
     async with polled(memory) as (fleet, _):
         await fleet.write("a", {"setpoint": 5})
         fleet.replace([])
-        await asyncio.sleep(1)
+        await asyncio.sleep(PAUSE)
         assert not memory.reads
 
 
@@ -169,5 +172,5 @@ async def test_a_point_that_cannot_be_read_leads_to_a_poll_of_the_others() -> No
     async with polled(memory) as (fleet, readings):
         memory.cells[0] = 9
         await fleet.write("a", {"start": 1})
-        await asyncio.sleep(1)
+        await asyncio.sleep(PAUSE)
         assert reported(readings) == [("setpoint", 9)]

@@ -18,6 +18,7 @@ from libmodbus_py import (
     InvalidResponse,
     ModbusConnectionError,
     ModbusTimeoutError,
+    NoValue,
     Point,
     RegisterMap,
 )
@@ -136,7 +137,7 @@ def test_a_point_of_its_own_interval_is_reported_at_least_so_often() -> None:
         (IllegalDataAddress(), False),
         (FrameError("noise"), False),
         (InvalidResponse("unit 3 answered"), False),
-        (ValueError("no bcd16"), False),
+        (NoValue("level", "InvalidData", "has no value"), False),
     ],
 )
 def test_down_is_who_gives_no_answer(error: Exception, expected: bool) -> None:

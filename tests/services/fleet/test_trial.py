@@ -66,9 +66,9 @@ async def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
             meter("last", url, map=RegisterMap(points[::2])),
             meter("none", url, map=RegisterMap(points[:1])),
         )
-    wrong = "registers[0:1] hold no bcd16: {} has digits other than 0..9"
-    assert found["both"].problem == f"p1: {wrong.format('0A00')}"
-    assert found["last"].problem == f"p2: {wrong.format('00B0')}"
+    wrong = "has no value: {} has digits other than 0..9"
+    assert found["both"].problem == f"p1 {wrong.format('0A00')}"
+    assert found["last"].problem == f"p2 {wrong.format('00B0')}"
     assert found["none"].problem == ""
 
 

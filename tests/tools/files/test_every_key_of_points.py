@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import runpy
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,13 +46,17 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "never_falls": {"never_falls": True},
     "scale_from": {"scale_from": "sf"},
     "scale_as": {"scale_from": "sf", "scale_as": "factor"},
-    "states": {"states": {0: "off", 1: "a;b=c{"}},
+    "states": {"states": {0: "off", 1: "a;b=c{", "2..9": "off", "else": "?"}},
     "bits": {"bits": {0: "door", "4..7": "code"}},
     "bit": {"bit": "4..7"},
     "byte": {"byte": "high"},
     "time_zone": {"type": "date48", "time_zone": "Europe/Berlin"},
     "interval": {"interval": 60.5},
+    "border": {"border": True},
     "group": {"group": "slow"},
+    "rewrite": {"rewrite": 30},
+    "initial": {"initial": [1, 2], "count": 2},
+    "write_function": {"write_function": "multiple"},
 }
 
 SCALE = Point("sf", H, 100, access="read")
@@ -124,4 +128,6 @@ def test_a_format_has_the_key(
     tmp_path_factory: pytest.TempPathFactory, form: str, key: str
 ) -> None:
     points = points_of(key)
+    if form == "device file":  # where it is called `value`
+        points = [replace(each, initial=None) for each in points]
     assert FORMATS[form](tmp_path_factory.mktemp("file"), points) == points

@@ -202,7 +202,7 @@ class Discovery:
             "origin": {"name": "libmodbus-py", "sw_version": __version__},
         }
         for point in device.map.values():
-            if point.is_readable and point.name not in read:  # which nobody wants to see
+            if point.is_readable and point.name not in read:  # not among the items
                 continue
             names = {"device": device.name, "name": point.name}
             own = topics.point.of(device.labels, **names)

@@ -1,0 +1,128 @@
+"""
+Ports at which a client waits for its device, because the device connects: a modem behind a mobile
+network has no address that others reach.
+
+The client listens from its first request on until it is closed, for one device. Waiting for the
+device is connecting to it. A new connection replaces the one before, which is dead then, though the
+network may never tell so.
+"""
+
+from __future__ import annotations
+
+import errno
+import select
+import socket
+from typing import TYPE_CHECKING, Any, Self
+
+from ..protocol.errors import ModbusConnectionError
+from .greeting import Greeting, greeting_of
+from .hosts import own_address, reason, tcp_listener
+from .port import Silence
+from .sockets import TcpPort
+from .waiting import READ, Ready, Steps, of_system
+
+if TYPE_CHECKING:
+    from .endpoint import Endpoint
+    from .options import ConnectionOptions
+
+__all__ = ["ListeningPort"]
+
+
+class ListeningPort(TcpPort):
+    """A TCP connection that the device has made, and the socket at which it makes the next one."""
+
+    _listener: socket.socket | None = None
+    _next: socket.socket | None = None  # a connection that replaces the open one
+
+    @classmethod
+    def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
+        """Return the port of a client for an endpoint."""
+        count, texts = greeting_of("greeting", settings["greeting"] or "0 bytes")
+        greeting = Greeting(count, texts, has_header=endpoint.framing == "tcp")
+        port = cls(endpoint.host, endpoint.port, settings["keepalive"], greeting)
+        port.silence = Silence(endpoint.options.get("silence") or 0.0)  # of a line behind it
+        return port
+
+    def __init__(self, host: str, port: int, keepalive: float | None, greeting: Greeting) -> None:
+        super().__init__(host, port, keepalive)
+        own_address(f"{self}: the host to listen at", host)
+        self._greeting = greeting
+
+    def _connected(self, deadline: float) -> Steps[socket.socket]:
+        if self._listener is None:
+            self._listener = self._listen()
+        while (connection := self._newest()) is None:
+            if not (yield Ready(self._listener.fileno(), READ, deadline)):
+                text = f"no device has connected to {self}"
+                raise ModbusConnectionError(text, errno=errno.ETIMEDOUT)
+        return connection
+
+    def _listen(self) -> socket.socket:
+        family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
+        try:
+            listener = tcp_listener(family, (self.host, self.port))
+        except OSError as error:
+            text = f"cannot listen at {self}: {reason(of_system(error))}"
+            raise ModbusConnectionError(text, errno=error.errno) from error
+        listener.setblocking(False)
+        return listener
+
+    def _newest(self) -> socket.socket | None:
+        """Return the last connection that was made, and close those before; None without any."""
+        newest, self._next = self._next, None
+        while self._listener is not None:
+            try:
+                connection, _ = self._listener.accept()
+            except BlockingIOError:
+                break
+            except ConnectionAbortedError:
+                continue
+            except OSError as error:
+                self._next = newest
+                raise self._cannot_connect(of_system(error)) from error
+            if newest is not None:
+                newest.close()
+            connection.setblocking(False)
+            newest = connection
+        return newest
+
+    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
+        self._greeting.begin()
+        self._is_asked = False  # what comes before the first request answers none
+        return super()._preparing(made, deadline)
+
+    def _watch(self, descriptor: int) -> None:
+        super()._watch(descriptor)
+        assert self._listener is not None
+        self._poll.register(self._listener.fileno(), select.POLLIN)
+
+    def receive(self) -> list[bytes]:
+        received = super().receive()
+        if not received:  # so the listener is ready
+            self._next = self._newest()
+            if self._next is not None:
+                text = "the device has connected again"
+                raise ModbusConnectionError(text, errno=errno.ECONNRESET)
+        frames = self._greeting.drop(b"".join(received))
+        return [frames] if frames and self._is_asked else []
+
+    def send(self, adus: list[bytes], now: float) -> None:
+        if not self._is_asked:
+            self._is_asked = True
+            self._greeting.expect_frame()
+        super().send(adus, now)
+
+    def shut(self) -> None:
+        super().shut()
+        self._stop_listening()
+
+    def abandon(self) -> None:
+        super().abandon()
+        self._stop_listening()
+
+    def _stop_listening(self) -> None:
+        sockets: list[Any] = [self._listener, self._next]
+        self._listener = self._next = None
+        for each in sockets:
+            if each is not None:
+                each.close()
