@@ -126,8 +126,10 @@ class Discovery:
         """Note a configuration that the broker retained before the start."""
         self._retained.add(topic)
 
-    def leftovers(self) -> set[str]:
-        """Return the topics of retained configurations that no device has."""
+    def leftovers(self, *, is_alone: bool) -> set[str]:
+        """Return the topics of retained configurations that no device has; none beside others."""
+        if not is_alone:
+            self._retained.clear()
         if not self._retained:
             return set()
         devices = self.devices.values()

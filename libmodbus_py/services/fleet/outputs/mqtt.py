@@ -208,7 +208,7 @@ class Mqtt:
         changed = self._states.changed(readings)
         messages = chain(self._messages.of(readings), self._states.messages(changed))
         if self._discovery is not None:
-            leftovers = self._discovery.leftovers() if self._is_alone else set()
+            leftovers = self._discovery.leftovers(is_alone=self._is_alone)
             devices = self._discovery.changed(readings)
             deletions = (Message(topic, b"") for topic in leftovers)
             messages = chain(deletions, self._discovery.messages(devices), messages)
@@ -235,7 +235,7 @@ class Mqtt:
                 # One that is retained is of before, and the first other one is the own.
                 self._is_alone = not (message.retain or self._is_heard)
                 self._is_heard = True
-            elif not message.retain:
+            elif message.payload == OFFLINE and not message.retain:
                 await self._connection.publish(Message(self._status, ONLINE))
         elif self._commands is not None and not message.retain:  # a retained one is old
             await self._answer(self._commands, topic, message.payload)

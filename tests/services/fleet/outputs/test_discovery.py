@@ -436,6 +436,15 @@ def test_a_device_that_another_worker_polls_keeps_its_entities() -> None:
     assert known.published == {}
 
 
+def test_what_another_poller_may_have_announced_is_never_deleted_later() -> None:
+    known = discovery()
+    known.describe({"a": meter("a", "tcp://192.0.2.1")})
+    known.hear("homeassistant/sensor/x/y/config")
+    assert known.leftovers(is_alone=True) == {"homeassistant/sensor/x/y/config"}
+    assert known.leftovers(is_alone=False) == set()
+    assert known.leftovers(is_alone=True) == set()  # the connection was lost, and is there again
+
+
 def test_numbers_have_bounds_and_steps_that_are_allowed() -> None:
     def entity(**options: Any) -> tuple[str, dict[str, Any]]:
         map_ = RegisterMap([Point("x", H, 0, **options), Point("f", H, 8)])
