@@ -131,7 +131,7 @@ class Changes:
         # None before anything was reported.
         self._last: list[Any] = [None] * len(bands)
         self._reasons: list[str | None] = [None] * len(bands)
-        self._again = again or [math.inf] * len(bands)
+        self._again = again
         self._times = [0.0] * len(bands)
         self._has_errors = True
 
@@ -156,9 +156,9 @@ class Changes:
         before, self._reasons[at] = self._reasons[at], reason
         band = self._bands[at]
         is_same = reason == before and (
-            bool(reason) or (band is not None and not _differs(self._last[at], value, band))
+            reason or (band is not None and not _differs(self._last[at], value, band))
         )
-        if is_same and now - self._times[at] < self._again[at]:
+        if is_same and (self._again is None or now - self._times[at] < self._again[at]):
             return False
         self._times[at] = now
         if not reason:

@@ -177,7 +177,8 @@ class Discovery:
                 del self.published[name]
             else:
                 self.published[name] = device
-                self._current.add(name)
+                if self.devices.get(name) is device:  # not changed meanwhile
+                    self._current.add(name)
 
     def again(self) -> Iterator[Message]:
         """Yield the configurations that were published, which the broker may have lost."""

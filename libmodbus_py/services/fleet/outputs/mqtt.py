@@ -207,6 +207,8 @@ class Mqtt:
     async def write(self, readings: Sequence[Reading]) -> None:
         changed = self._states.changed(readings)
         messages = chain(self._messages.of(readings), self._states.messages(changed))
+        leftovers: set[str] = set()
+        devices: Mapping[str, DeviceConfig | None] = {}
         if self._discovery is not None:
             leftovers = self._discovery.leftovers(is_alone=self._is_alone)
             devices = self._discovery.changed(readings)

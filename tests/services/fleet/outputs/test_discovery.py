@@ -436,6 +436,16 @@ def test_a_device_that_another_worker_polls_keeps_its_entities() -> None:
     assert known.published == {}
 
 
+def test_a_device_that_goes_while_it_is_published_is_deleted() -> None:
+    known, device = discovery(), meter("a", "tcp://192.0.2.1")
+    known.describe({"a": device})
+    readings = [Reading(0.0, "a", "power", 1, "", "good")]
+    changed = known.changed(readings)
+    known.describe({})
+    known.keep(changed, readings, set())
+    assert messages_of(known, device, "offline") == [b""] * 3
+
+
 def test_what_another_poller_may_have_announced_is_never_deleted_later() -> None:
     known = discovery()
     known.describe({"a": meter("a", "tcp://192.0.2.1")})
