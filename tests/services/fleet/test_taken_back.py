@@ -6,6 +6,7 @@ metrics forget it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
@@ -64,6 +65,18 @@ async def test_what_was_never_reported_is_not_taken_back() -> None:
             await until(lambda: peer.requests)
             fleet.replace([])
         assert readings == []
+
+
+@in_simulated_time
+async def test_a_device_that_changes_and_goes_before_its_next_poll_is_taken_back() -> None:
+    async with Peer() as peer:
+        device = meter("a", peer.url)
+        async with polling(device) as (fleet, readings):
+            await until(lambda: fleet.statistics.up)
+            fleet.replace([replace(device, interval=3600)])
+            fleet.replace([replace(device, interval=1800)])
+            fleet.replace([])
+        assert offline(readings, "a") == OFFLINE
 
 
 @in_simulated_time
