@@ -389,10 +389,6 @@ class Matching(ABC):
         """Return True if a request may be sent now; else set `alarm` and the end of its wait."""
         return True
 
-    def is_overdue(self, call: Call, now: float) -> bool:
-        """Return True if the wait of a request that may not be sent has ended."""
-        return False
-
     def ready_at(self, unit: int, function: int | None = None) -> float:
         """Return when a unit may get a request of this, or any, function; 0.0 if it may at once."""
         return 0.0

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 from ..ports.trace import Trace
 from ..protocol.checks import finished, log_failure
-from ..protocol.errors import FrameError, ModbusConnectionError, ModbusError, alike
+from ..protocol.errors import ModbusConnectionError, ModbusError, alike
 from .call import Batch, Call, Matching
 from .ids import Ids
 from .outcomes import CLOSED, Outcomes, add_hint, explain_end
@@ -446,8 +446,6 @@ class Transactions:
             ended = matching.expire(now)
             self.in_flight -= len(ended)
             self._answered += ended
-            if not self._has_ids:
-                self._end_waits_for_silence(now)
             self.end_idle(now)
         else:
             self._end_waits(now)
@@ -488,13 +486,3 @@ class Transactions:
                 continue
             self.queue.remove(call)
             self._outcomes.refuse(call, self.life.not_in_time(call.timeouts.timeout))
-
-    def _end_waits_for_silence(self, now: float) -> None:
-        """Fail the requests that have waited too long for silence on the line."""
-        for call in self.queue.calls:
-            if self.matching.is_overdue(call, now):
-                self.queue.remove(call)
-                received = self.matching.received_with(call, b"")
-                error = FrameError("the line does not fall silent", received=received)
-                self._outcomes.fail_unsent(call, error)
-                self._go_on_after(call)

@@ -236,6 +236,7 @@ class RtuFramer(Framer):
         super().__init__()
         self.quiet = pause + ALLOWANCE
         self._cutter = RtuCutter(role, own)
+        self.find_response: Callable[..., bytes | None] = self._cutter.find_response
         self._usual = "request" if role == "server" else "response"
         self._in_run = False  # True if the bytes before the buffer were no frame
 

@@ -195,9 +195,9 @@ def test_half_an_echo_is_not_taken_over_to_a_new_connection() -> None:
     batch = talk.ask(7)
     talk.wait_for(3)  # until the answer that the unit owes would be over
     talk.come(value(7)[:4])
-    talk.wait(0.5)
-    talk.come(value(7)[4:])
     talk.wait(0.1)
+    talk.come(value(7)[4:])
+    talk.wait(0.2)
     assert batch.outcomes == [[7]]
 
 

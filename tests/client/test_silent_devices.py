@@ -18,6 +18,7 @@ from libmodbus_py import (
     RegisterMap,
     pdu,
 )
+from libmodbus_py.client.history import forget_lines
 from tests.support.cases import each_case
 from tests.support.clients import World
 from tests.support.peers import Write, address_of, answer, ignore, mbap
@@ -55,6 +56,7 @@ def values(found: dict[str, Any]) -> set[str]:
 def test_a_silent_device_costs_one_timeout(
     world: World, scheme: str, read: Callable[[Any], dict[str, Any]]
 ) -> None:
+    forget_lines()
     peer = world.peer(scheme, ignore)
     with world.connect(peer.url, timeout=0.5) as plc:
         before = len(peer.requests)

@@ -246,24 +246,26 @@ class Fleet:
             self._receivers.describe(before)
             raise
         self._devices = after
-        now = time.time()
+        now, reported = time.time(), set[str]()
         for name, poller in list(self._pollers.items()):
             still = after.get(name)
             if still == poller.config:
                 continue
+            if poller.is_reported:
+                reported.add(name)
             if poller.config.connection_key not in passed_on:
-                self._receivers.put(poller.withdrawn(now, still.names if still else ()))
+                self._receivers.put_readings(poller.withdrawn(now, still.names if still else ()))
             self._end(poller)
         urls = {each.connection_key: each.endpoint.url for each in after.values()}
         ended = [key for key, line in self._lines.items() if line.url != urls.get(key)]
-        former = {key: self._end_line(key) for key in ended}
+        for key in ended:
+            self._end_line(key)
         self._plans = [plan for plan in self._plans if plan[2].name in self._pollers]
         heapify(self._plans)
         for device in after.values():
             if device.name not in self._pollers:
                 self._begin(device)
-        for key in former.keys() & self._lines.keys():
-            self._lines[key].replaces(former[key].client)
+                self._pollers[device.name].was_reported = device.name in reported
         self._end_if_all_polled()
 
     def take_back(self) -> None:
@@ -273,7 +275,7 @@ class Fleet:
         """
         now = time.time()
         for poller in self._pollers.values():
-            self._receivers.put(poller.withdrawn(now))
+            self._receivers.put_readings(poller.withdrawn(now))
             self._count(poller.state, -1)
             poller.forget()
 
@@ -281,7 +283,7 @@ class Fleet:
         """Report all points of devices as "offline" that no fleet polls."""
         now = time.time()
         for device in devices:
-            self._receivers.put(offline(device, now))
+            self._receivers.put_readings(offline(device, now))
 
     def _begin(self, device: DeviceConfig) -> None:
         assert self._loop is not None
@@ -308,17 +310,17 @@ class Fleet:
         line = self._lines[poller.config.connection_key]
         del line.pollers[poller.name]
         line.withdraw(poller)
+        poller.cancel_pause()
         self._unpolled.discard(poller.name)
         self._count(poller.state, -1)
         self.statistics.devices -= 1
 
-    def _end_line(self, key: str) -> FleetLine:
+    def _end_line(self, key: str) -> None:
         line = self._lines[key]
         for poller in list(line.pollers.values()):
             self._end(poller)
         del self._lines[key]
         self._closing.begin(line.close())
-        return line
 
     # --- polls ----------------------------------------------------------------------------------
 
@@ -352,7 +354,7 @@ class Fleet:
         if before is not None:
             now = time.time()
             self._count_poll(poller, before, now)
-            self._receivers.put(poller.readings(now, self._receivers.next_id))
+            self._receivers.put_readings(poller.readings(now, self._receivers.next_id))
             if poller.misses:
                 self._poll_after(poller, poller.pause)
         self._unpolled.discard(poller.name)
@@ -409,7 +411,7 @@ class Fleet:
 
     async def write(self, device: str, values: Mapping[str, Any]) -> None:
         """
-        Write values to points of a device, by their names.
+        Write values to points of a device, by their names; it is polled at once thereafter.
 
         Args:
             device: the name of the device.
@@ -432,7 +434,8 @@ class Fleet:
             self._rewrites[device] = Rewrites(
                 device, points, partial(self._send, poller), self._closing
             )
-        await self._rewrites[device].write(wanted)
+        writing = self._rewrites[device].write(wanted)
+        await self._lines[poller.config.connection_key].poll_after(writing, poller, wanted)
 
     async def _send(self, poller: Poller, values: Mapping[str, Any]) -> None:
         line = self._lines[poller.config.connection_key]

@@ -171,6 +171,7 @@ def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:
 
     def script(peer: Peer) -> None:
         if done.is_set():  # the others are sent once more
+            assert len([peer.request() for _ in range(3)]) == 3
             return
         asked = [peer.request() for _ in range(4)]
         done.set()
