@@ -70,7 +70,7 @@ def _cells_of(transaction: Transaction, mapping: Mapping | None = None) -> Itera
         addresses = range(access.address, access.address + access.count)
         yield _Cells(access.table, addresses, values, True)
     for access in accesses.reads:
-        values = transaction.response if is_heard else ()
+        values = (is_heard and transaction.response) or ()
         addresses = range(access.address, access.address + access.count)
         yield _Cells(access.table, addresses, values, False)
 

@@ -110,3 +110,17 @@ def test_a_map_is_learned_of_what_was_asked() -> None:
         "unit_17_input_registers_16": ("read", "no value heard"),
     }
     assert {each.group for each in found.values()} == {"unit 17"}
+
+
+def test_a_broadcast_has_the_values_that_it_writes_and_no_others() -> None:
+    decoder, learned, separator = MapDecoder(POINTS), LearnedMap(), Separator("rtu")
+    found = []
+    transactions = separator.feed(rtu("00 03 006B 0003"), 0.0)  # a mistake of the master
+    transactions += separator.feed(rtu("00 06 006B 0001"), 5.0)
+    for each in transactions + separator.end():
+        found += decoder.decode(each)
+        learned.note(each)
+    assert [(each.unit, each.name, each.value, each.is_written) for each in found] == [
+        (0, "voltage", 0.1, True)
+    ]
+    assert [each.description for each in learned.points()] == ["1", *["no value heard"] * 2]
