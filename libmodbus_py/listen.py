@@ -4,7 +4,19 @@ Listening to other devices on a line or in a capture file: a short path to `tool
 
 from .tools.listener.capture import CaptureError
 from .tools.listener.listener import Listener, listen
+from .tools.listener.named import MapDecoder, NamedValue
 from .tools.listener.separator import Separator
 from .tools.listener.transaction import Summary, Transaction
 
-__all__ = ["CaptureError", "Listener", "Separator", "Summary", "Transaction", "listen"]
+# fmt: off
+__all__ = [
+    "CaptureError",
+    "Listener",
+    "MapDecoder",
+    "NamedValue",
+    "Separator",
+    "Summary",
+    "Transaction",
+    "listen",
+]
+# fmt: on

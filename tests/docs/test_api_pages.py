@@ -15,7 +15,7 @@ PAGES = sorted((ROOT / "docs" / "api").glob("*.md"))
 
 RECEIVED = re.compile(
     r"Statistics$|Error$|^(Access|AuditEvent|Asked|Caller|Extent|FleetFile|Found|HistoricalValue"
-    r"|Listener|NoValue|Reading|Running|Scan|Search|Summary|Transaction|ValueChange)$"
+    r"|Listener|NamedValue|NoValue|Reading|Running|Scan|Search|Summary|Transaction|ValueChange)$"
 )
 """What a program gets from calls and hooks, and does not make."""
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 # fmt: off
 __all__ = [
     "Printer", "ReadResult", "TerminalTable", "ValueText", "aligned", "printer_of", "result_of",
+    "rows_of_point",
 ]
 # fmt: on
 
@@ -181,18 +182,23 @@ def _in_all_ways(item: Item, cells: list[int]) -> _Shown:
 
 def _of_point(item: Item, point: Point, cells: list[int], source: Any) -> ReadResult:
     found = point.judge(cells if item.kind else [bool(cell) for cell in cells], source=source)
-    values = found.value if point.count > 1 else [found.value]
-    rows = [
-        ValueText(name, "-", "", f"({found.reason})")
-        if value is None
-        else ValueText(name, *_texts_of_point(point, value), point.units)
-        for name, value in zip(_names(point), values, strict=True)
-    ]
+    rows = rows_of_point(point, found.value, found.reason)
     fields = {"name": point.name, "value": plain(found.value)}
     if not found.reason:
         return ReadResult(item, rows, fields)
     fields["no_value"] = {"quality": found.quality, "reason": found.reason}
     return ReadResult(item, rows, fields, remark=f"{point.name}: {found.reason}")
+
+
+def rows_of_point(point: Point, value: Any, reason: str) -> list[ValueText]:
+    """Return each value of a point as text, or the reason why there is none."""
+    values = value if point.count > 1 else [value]
+    return [
+        ValueText(name, "-", "", f"({reason})")
+        if each is None
+        else ValueText(name, *_texts_of_point(point, each), point.units)
+        for name, each in zip(_names(point), values, strict=True)
+    ]
 
 
 def _names(point: Point) -> list[str]:

@@ -29,7 +29,12 @@ from ..arguments import OF_CLIENTS, connected, endpoint_of, list_keys, refuse_gi
 from ..main import INTERRUPTED, CommandError
 from ..output import PROGRAM, Status, complain, counted, missing, progress, written_to
 
-__all__ = ["check", "class_of", "from_device", "from_sunspec", "import_list"]
+# fmt: off
+__all__ = [
+    "TEXTS", "check", "check_output", "class_of", "from_device", "from_sunspec", "import_list",
+    "write_map",
+]
+# fmt: on
 
 MOST_MISTAKES = 20
 """Mistakes in a file that are printed, at most."""
@@ -131,7 +136,7 @@ def _check_device(points: RegisterMap, context: Client) -> int:
 
 def import_list(options: argparse.Namespace) -> int:
     """Write a map of a list, and say what was understood; return 1 if something is left out."""
-    _check_output(options.output, TEXTS)
+    check_output(options.output, TEXTS)
     contents = contents_of(options.file, MOST_ROWS, ListOptions(**list_keys(options)))
     points, mistakes = contents.points, contents.mistakes
     if not points:
@@ -148,7 +153,7 @@ def import_list(options: argparse.Namespace) -> int:
         *(f"left out: {mistake.in_file('')}" for mistake in mistakes[:MOST_MISTAKES]),
         *([f"and {len(mistakes) - MOST_MISTAKES} more"] if len(mistakes) > MOST_MISTAKES else []),
     ]
-    _write(
+    write_map(
         options.output,
         [f"# {PurePath(options.file).name}, read by {PROGRAM}", ""],
         [*points.values()],
@@ -163,7 +168,7 @@ def class_of(options: argparse.Namespace) -> int:
     """Write a class for a register map to a file, or print it."""
     map = load_map(map_file(options.file), **list_keys(options))
     text = class_text(map, PurePath(options.file).stem)
-    _check_output(options.output, [".py"], MARK)
+    check_output(options.output, [".py"], MARK)
     if options.output is None:
         print(text, end="", flush=True)
         return 0
@@ -172,7 +177,7 @@ def class_of(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check_output(output: str | None, suffixes: Collection[str], mark: str | None = None) -> None:
+def check_output(output: str | None, suffixes: Collection[str], mark: str | None = None) -> None:
     """Refuse a file that cannot be written, or that exists without the mark of its writer."""
     if output is None:
         return
@@ -192,7 +197,7 @@ def _check_output(output: str | None, suffixes: Collection[str], mark: str | Non
 
 def from_device(options: argparse.Namespace) -> int:
     """Find what a device has, and write a map of it."""
-    _check_output(options.output, TEXTS)
+    check_output(options.output, TEXTS)
     url = endpoint_of(options).url
     status = Status()
     searched = search(url, on_progress=lambda state: status.show(progress(state)))
@@ -214,7 +219,7 @@ def from_device(options: argparse.Namespace) -> int:
         f"# Addresses of {parse(url)} that can be read, found by {PROGRAM} map from-device",
         *(f"# {each.table}: {missing(each)}" for each in extents if missing(each)),
     ]
-    _write(options.output, heading, points, "; fill in names, types and units")
+    write_map(options.output, heading, points, "; fill in names, types and units")
     return code
 
 
@@ -222,7 +227,7 @@ def from_sunspec(options: argparse.Namespace) -> int:
     """Find the SunSpec models of a device, and write a map of their points."""
     from ...tools.sunspec import discover
 
-    _check_output(options.output, TEXTS)
+    check_output(options.output, TEXTS)
     with closing(connected(options)) as context:
         device = discover(context)
     for remark in device.notes:
@@ -232,7 +237,7 @@ def from_sunspec(options: argparse.Namespace) -> int:
         f"# {', '.join(f'{model.id} {model.name}' for model in device)}",
         "",
     ]
-    _write(options.output, heading, [*device.map.values()])
+    write_map(options.output, heading, [*device.map.values()])
     return 0
 
 
@@ -250,7 +255,7 @@ def _points(extents: list[Extent]) -> list[Point]:
     ]
 
 
-def _write(output: str | None, heading: list[str], points: list[Point], more: str = "") -> None:
+def write_map(output: str | None, heading: list[str], points: list[Point], more: str = "") -> None:
     """Write a map to a new file, or print it if there is no name."""
     text_of = toml_text if output is None else TEXTS[PurePath(output).suffix.lower()]
     text = "\n".join([*heading, text_of(points)])

@@ -1,5 +1,6 @@
 """
-The command listen: the traffic on a line, one line of output for each transaction.
+The command listen: the traffic on a line, one line of output for each transaction; or the values
+that it carries, by the names of a register map.
 """
 
 from __future__ import annotations
@@ -9,8 +10,8 @@ import logging
 import reprlib
 import signal
 import sys
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
 
 from ...ports.options import SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, in_hex
@@ -19,7 +20,11 @@ from ...tools.listener.listener import listen
 from ...tools.listener.transaction import Transaction
 from .. import arguments
 from ..arguments import declare, with_options
-from ..output import print_json, styled
+from ..output import PROGRAM, complain, harmless, print_csv, print_json, styled
+
+if TYPE_CHECKING:
+    from ...tools.listener.named import LearnedMap, MapDecoder, NamedValue
+    from ..ask.formatters import ValueText
 
 __all__ = ["add_command"]
 
@@ -36,16 +41,20 @@ _shown.maxstring = _shown.maxother = 200
 DESCRIPTION = """\
 Print every transaction on a line, and a summary after Ctrl-C. Nothing is
 sent. Traffic in TLS cannot be read; libmodbus-py gateway -v shows the requests
-that it forwards from tls:// to tls://."""
+that it forwards from tls:// to tls://.
+
+With --map, print the values that masters read and write instead, by name. A
+point is printed when its last register is read or written; its others, and the
+point that scales it, are those heard last."""
 
 EPILOG = """\
 The exit code is 0, or 1 if the capture could not be written to the end.
 
 examples:
-  libmodbus-py listen /dev/ttyUSB0
   libmodbus-py listen /dev/ttyUSB0 -b 9600 -p none -u 1-9 --capture line.pcapng
   libmodbus-py listen rtu+tcp://127.0.0.1:1502 --between rtu+tcp://192.0.2.9:502
-  libmodbus-py listen line.pcapng
+  libmodbus-py listen /dev/ttyUSB0 -u 7 --map meter.csv --csv values.csv
+  libmodbus-py listen line.pcapng --learn asked.csv
 
 URL: rtu:///dev/ttyUSB0 or ascii:///dev/ttyUSB0, or just /dev/ttyUSB0;
      rtu+tcp://HOST:PORT or ascii+tcp://HOST:PORT with --between; or the path
@@ -61,14 +70,19 @@ URL
     connect to this device, and forward requests and answers between it and clients
 --capture FILE.pcapng
     write what is heard to a file for Wireshark
+--map FILE
+    print values by the names of a register map, CSV or TOML, or an example such as meter
+--learn FILE
+    write a new map of the registers that are read and written, CSV or TOML, in the end
 """
 
 
 def add_command(command: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EPILOG
-    declare(command, ARGUMENTS)
-    arguments.add_forms(command)
+    declare(command, ARGUMENTS, map={"complete": arguments.maps})
+    arguments.add_columns(command, encoding=True)
+    arguments.add_forms(command.add_mutually_exclusive_group(), "with --map, print CSV")
     arguments.add_units(command, "print the transactions of these units only, such as 1-9,17")
     arguments.add_serial_options(command)
     command.set_defaults(run=_listen)
@@ -83,6 +97,7 @@ def _listen(options: argparse.Namespace) -> int:
     else:
         why = f"applies to serial ports only, not to {place}"
         arguments.refuse_given(options, SERIAL_OPTIONS, why)
+    show, learned = _shower(options), _learned(options)
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with listen(place, between=options.between, capture=options.capture) as line:
 
@@ -90,34 +105,77 @@ def _listen(options: argparse.Namespace) -> int:
             signal.signal(number, before[signal.Signals(number)])  # the second one ends all
             line.close()
 
+        def take(transactions: Iterable[Transaction]) -> None:
+            for transaction in transactions:
+                if options.units is None or transaction.unit in options.units:
+                    if learned is not None:
+                        learned.note(transaction)
+                    show(transaction)
+
         try:
             for number, handler in before.items():
                 if handler is not signal.SIG_IGN:
                     signal.signal(number, stop)
             if is_live:
                 print(f"listening on {line.url}", file=sys.stderr, flush=True)
-            _print_all(line, options)
+            take(line)
             if is_live and sys.stdout.isatty():
                 print()  # after the ^C
-            _print_all(line.rest(), options)
+            take(line.rest())
             if options.json:
                 print_json({"summary": line.summary.as_dict()})
-            else:
+            elif not options.csv:
                 print(line.summary, flush=True)
             return 0 if line.capture_error is None else 1
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
+            if learned is not None:
+                _write(learned, options.learn, line.url)
 
 
-def _print_all(transactions: Iterable[Transaction], options: argparse.Namespace) -> None:
-    for transaction in transactions:
-        if options.units is not None and transaction.unit not in options.units:
-            continue
-        if options.json:
-            print_json(_plain(transaction))
-        else:
-            print(line_of(transaction), flush=True)
+def _shower(options: argparse.Namespace) -> Callable[[Transaction], None]:
+    """Return what prints a transaction, or the values that it has of the points of a map."""
+    from ..ask.items import map_of
+
+    points = map_of(options)
+    if points is None:
+        if options.csv:
+            raise ValueError("--csv needs --map, which has the names of the values")
+        return lambda each: print_json(_plain(each)) if options.json else _print_line(each)
+    from ...tools.listener.named import MapDecoder
+
+    decoder = MapDecoder(points)
+    if options.csv:
+        print_csv([["time", "unit", "name", "value", "units", "written", "error"]])
+    print_values = _print_csv if options.csv else _print_objects if options.json else _print_values
+    return lambda each: print_values(decoder, decoder.decode(each))
+
+
+def _learned(options: argparse.Namespace) -> LearnedMap | None:
+    """Return the map that is learned, for a file that can be written; None for none."""
+    if options.learn is None:
+        return None
+    from ...tools.listener.named import LearnedMap
+    from ..ask.map_actions import TEXTS, check_output
+
+    check_output(options.learn, TEXTS)
+    return LearnedMap()
+
+
+def _write(learned: LearnedMap, path: str, url: str) -> None:
+    from ..ask.map_actions import write_map
+
+    points = learned.points()
+    if not points:
+        complain(f"{path} is not written: no register was read or written")
+        return
+    heading = [f"# What masters read and write on {url}, heard by {PROGRAM} listen"]
+    write_map(path, heading, points, "; fill in names, types and units")
+
+
+def _print_line(transaction: Transaction) -> None:
+    print(line_of(transaction), flush=True)
 
 
 def line_of(transaction: Transaction) -> str:
@@ -153,3 +211,42 @@ def _plain(transaction: Transaction) -> dict[str, Any]:
         "duration": transaction.duration,
         "repeats": transaction.repeats,
     }
+
+
+# --- values by name ------------------------------------------------------------------------------
+
+
+def _print_values(decoder: MapDecoder, values: Iterable[NamedValue]) -> None:
+    """Print a line for each value: time, unit, name, value and units."""
+    for each in values:
+        clock = clock_text(each.time, with_milliseconds=True)
+        for row in _rows(decoder, each):
+            text = f"{clock} {each.unit:>3}  {row.where}  {row.text} {row.unit}".rstrip()
+            print(harmless(f"{text}{'  (written)' * each.is_written}"), flush=True)
+
+
+def _print_csv(decoder: MapDecoder, values: Iterable[NamedValue]) -> None:
+    for each in values:
+        whence = [time_text(each.time), each.unit]
+        rest = [each.units, int(each.is_written), each.reason]
+        print_csv([*whence, row.where, row.plain, *rest] for row in _rows(decoder, each))
+
+
+def _print_objects(_: MapDecoder, values: Iterable[NamedValue]) -> None:
+    for each in values:
+        fields = {
+            "time": time_text(each.time),
+            "unit": each.unit,
+            "name": each.name,
+            "value": plain(each.value),
+            "units": each.units,
+            "written": each.is_written,
+        }
+        missing = {"no_value": {"quality": each.quality, "reason": each.reason}}
+        print_json({**fields, **missing} if each.reason else fields)
+
+
+def _rows(decoder: MapDecoder, value: NamedValue) -> list[ValueText]:
+    from ..ask.formatters import rows_of_point
+
+    return rows_of_point(decoder.map[value.name], value.value, value.reason)

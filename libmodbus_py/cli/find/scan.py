@@ -71,7 +71,7 @@ examples:
   libmodbus-py scan /dev/ttyUSB0 --quick
   libmodbus-py scan /dev/ttyUSB0 -b 9600,19200 -p none,even -u 1-20,42
   libmodbus-py scan 192.0.2.10 -u 1,17,255 --deep --json
-  libmodbus-py scan 192.0.2.0/24 --timeout 300ms"""
+  libmodbus-py scan 192.0.2.10 -u 7 --deep --values > copy.toml"""
 
 
 ARGUMENTS = f"""
@@ -81,7 +81,10 @@ ARGUMENTS = f"""
 --yes
     try more than 1024 hosts without a question
 --deep
-    find the tables and ranges of each unit, in at most {MOST_REQUESTS} requests to each
+    find the tables and ranges of each unit, in at most {MOST_REQUESTS} requests to each, and print
+    a device file of them
+--values
+    with --deep, add the values that were read, for a copy of the device
 """
 
 OF_LINES = f"""
@@ -117,7 +120,9 @@ def add_command(command: argparse.ArgumentParser) -> None:
 
 
 def _scan(options: argparse.Namespace) -> int:
-    report = _Report(options.json)
+    if options.values and not options.deep:
+        raise ValueError("--values needs --deep, which reads them")
+    report = _Report(options)
     hosts = host_range(options.url)
     urls: Iterable[str] = [options.url]
     if hosts is not None:
@@ -210,13 +215,16 @@ def _search(report: _Report) -> None:
 class _Report:
     """The units found so far: printed at once, or in the end as JSON."""
 
-    def __init__(self, as_json: bool) -> None:
+    def __init__(self, options: argparse.Namespace) -> None:
         self.found: list[Found] = []
         self.notes: list[str] = []
         self.tried: dict[str, list[int]] = {}
         self.hosts: int = 0
         self._extents: dict[str, list[Extent]] = {}
-        self._as_json = as_json
+        self._as_json: bool = options.json
+        self._has_values: bool = options.values
+        # With --deep, all that is printed is one device file.
+        self._mark = "# " * options.deep
         self._has_begun = False
         self._status = Status()
 
@@ -231,18 +239,21 @@ class _Report:
 
     def add(self, found: Found, place: str) -> None:
         self.found.append(found)
-        self._print(f"{place}{_line(found)}")
+        self._print(f"{self._mark}{place}{_line(found)}")
 
     def deepen(self, found: Found, extents: list[Extent], requests: int) -> None:
         self._extents[found.url] = extents
-        self._print(_toml(found, extents, requests))
+        self._print(_toml(found, extents, requests, has_values=self._has_values))
 
     def end(self, *, stopped: bool) -> None:
         self._status.clear()
         for note in self.notes:
             self.say(note)
         if self._as_json and self._has_begun:
-            told = [_plain(each, self._extents.get(each.url)) for each in self.found]
+            told = [
+                _plain(each, self._extents.get(each.url), has_values=self._has_values)
+                for each in self.found
+            ]
             tried = {setting: _units(units) for setting, units in self.tried.items()}
             print_json({"found": told, "tried": tried, "notes": self.notes, "stopped": stopped})
         elif self.tried or self.hosts:
@@ -305,19 +316,22 @@ def _safe(data: bytes) -> str:
     return shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
 
 
-def _toml(found: Found, extents: list[Extent], requests: int) -> str:
+def _toml(found: Found, extents: list[Extent], requests: int, *, has_values: bool) -> str:
     """Return the tables of a unit, as a device file describes them."""
     lines = [f"\n# unit {found.unit}{_at(found)}: {requests} requests"]
     lines += [f"# {extent.table}: {text}" for extent in extents if (text := missing(extent))]
     lines += ["[[unit]]"] + [f"id = {found.unit}"] * (not found.is_any)
     for extent in extents:
-        for each in extent.ranges:
+        for each, values in zip(extent.ranges, extent.values, strict=True):
             lines += [f"\n[[unit.{extent.table}]]", f"address = {each.start}"]
-            lines += [f"count = {len(each)}"] * (len(each) > 1)
+            if has_values:
+                lines.append(f"values = {values}")
+            elif len(each) > 1:
+                lines.append(f"count = {len(each)}")
     return "\n".join(lines)
 
 
-def _plain(found: Found, extents: list[Extent] | None) -> dict[str, Any]:
+def _plain(found: Found, extents: list[Extent] | None, *, has_values: bool) -> dict[str, Any]:
     """Return a unit as an object of JSON."""
     # fmt: off
     names = (
@@ -336,7 +350,11 @@ def _plain(found: Found, extents: list[Extent] | None) -> dict[str, Any]:
     if extents is not None:
         told["tables"] = {
             each.table: {
-                "ranges": [{"address": part.start, "count": len(part)} for part in each.ranges],
+                "ranges": [
+                    {"address": part.start, "count": len(part)}
+                    | ({"values": values} if has_values else {})
+                    for part, values in zip(each.ranges, each.values, strict=True)
+                ],
                 "unseen": each.unseen,
                 "ended": each.ended,
                 "most": each.most,

@@ -2,5 +2,6 @@
 Listens to the traffic between other devices on a line, and pairs it into transactions.
 
 Bytes come from `sources`, `separator` cuts them into frames, `pairing` makes each `transaction`,
-and `listener` is the iterator over them; `capture` writes frames to files, and reads them.
+and `listener` is the iterator over them; `capture` writes frames to files, and reads them;
+`named` has the cells that masters read and write by name.
 """

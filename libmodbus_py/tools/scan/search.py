@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from ...ports.endpoint import parse
@@ -59,6 +59,7 @@ class Cells:
     def __init__(self, most: int) -> None:
         self.most = most
         self.states = bytearray(TABLE_SIZE)
+        self.values: dict[int, int] = {}
 
     def ask(self, read: range) -> Reads:
         """Yield a read; a refusal proves something only if it is of a single cell."""
@@ -193,6 +194,8 @@ class Extent:
     Attributes:
         table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
         ranges: the ranges of addresses that can be read, in ascending order.
+        values: the values of each of these ranges, as the search read them. It takes its time, so
+            that the registers of one value may be of different moments.
         unseen: the length of the longest run of addresses that were not tried: shorter ranges
             may have been missed.
         ended: why the search of this table ended early; empty if it did not.
@@ -202,6 +205,7 @@ class Extent:
 
     table: str
     ranges: list[range]
+    values: list[list[int]] = field(repr=False)
     unseen: int
     ended: str
     most: int
@@ -265,7 +269,10 @@ class _Tables:
         finally:
             requests = self.prober.requests - begun
             unseen = 0 if ended == NO_FUNCTION else cells.unseen
-            self.extents.append(Extent(table, cells.ranges, unseen, ended, cells.most, requests))
+            ranges = cells.ranges
+            values = [[cells.values[at] for at in each] for each in ranges]
+            extent = Extent(table, ranges, values, unseen, ended, cells.most, requests)
+            self.extents.append(extent)
         return ended
 
     def _halve(self, table: str, cells: Cells, until: int) -> str:
@@ -275,8 +282,9 @@ class _Tables:
             while prober.requests < until:
                 state = Searching(self.unit, table, prober.requests, self.most_requests)
                 self.on_progress(state)
-                request = TABLES[table].read(read.start, len(read))
-                read = steps.send(self._is_answered(request))
+                values = self._answer(TABLES[table].read(read.start, len(read)))
+                cells.values.update(zip(read, values, strict=False))
+                read = steps.send(bool(values))
         except _EndedError as error:
             reason: str = error.args[0]
             return "" if reason == NO_FUNCTION and cells.ranges else reason
@@ -284,11 +292,12 @@ class _Tables:
             return ""
         return BOUND
 
-    def _is_answered(self, request: Any) -> bool:
+    def _answer(self, request: Any) -> list[int]:
+        """Return the values that a read is answered with; none if it is refused."""
         for pause in (0.0, *BUSY_PAUSES):
             self.prober.waker.sleep(pause)
             try:
-                self._read(request)
+                return [int(value) for value in self._read(request)]
             except (Acknowledge, ServerDeviceBusy):
                 continue
             except IllegalFunction:
@@ -298,14 +307,13 @@ class _Tables:
             except ModbusConnectionError:
                 raise
             except ModbusError:
-                return False
-            return True
+                return []
         raise _EndedError(BUSY)
 
-    def _read(self, request: Any) -> None:
+    def _read(self, request: Any) -> Any:
         """Repeat a read that was lost or damaged; after many of them, probe the unit."""
         try:
-            self.prober.read(self.unit, request)
+            values = self.prober.read(self.unit, request)
         except (ExceptionResponse, ModbusConnectionError):
             self.silent = 0
             raise
@@ -315,8 +323,9 @@ class _Tables:
                 self.silent = 0
                 if isinstance(self.prober.probe(self.unit), ModbusError):
                     raise _EndedError(GONE) from None
-            self.prober.read(self.unit, request)
+            values = self.prober.read(self.unit, request)
         self.silent = 0
+        return values
 
 
 @named_parameters

@@ -215,3 +215,92 @@ def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:
         (line,) = lines_of(made, 1)
     assert "\x1b" not in line
     assert r"\x1b[2J\x07" in line
+
+
+# --- values by name ------------------------------------------------------------------------------
+
+
+MAP = """\
+name,table,address,type,scale,units,missing
+level,holding,0,uint16,0.1,m,
+limit,holding,1,uint16,,,8
+speed,holding,2,uint16,,rpm,
+"""
+
+
+@pytest.fixture
+def points(tmp_path: Path) -> Path:
+    path = tmp_path / "points.csv"
+    path.write_text(MAP)
+    return path
+
+
+def test_values_have_names_as_read_prints_them(target: str, points: Path, tmp_path: Path) -> None:
+    file = tmp_path / "x.pcapng"
+    with listening(
+        "rtu+tcp://127.0.0.1:0", "--between", target, "--map", points, "--capture", file
+    ) as made:
+        url = url_of(made)
+        read = run("read", url, "-u", 1, "--map", points).out.splitlines()
+        heard = lines_of(made, 3)
+        assert run("write", url, "-u", 1, "--map", points, "speed", 5).code == 0
+        (written,) = lines_of(made, 1)
+        made.send_signal(signal.SIGINT)
+        rest, _ = made.communicate()
+    assert [" ".join(line.split()[1:]) for line in heard] == [
+        f"1 {' '.join(x.split())}" for x in read
+    ]
+    assert heard[1].endswith("1  limit  - (Missing)")
+    assert written.endswith("1  speed  5 rpm  (written)")
+    assert rest.startswith("2 transactions, ")
+    csv = [line.split(",") for line in listen(file, "--map", points, "--csv").out.splitlines()]
+    assert [row[1:] for row in csv] == [
+        ["unit", "name", "value", "units", "written", "error"],
+        ["1", "level", "0.7", "m", "0", ""],
+        ["1", "limit", "", "", "0", "Missing"],
+        ["1", "speed", "9", "rpm", "0", ""],
+        ["1", "speed", "5", "rpm", "1", ""],
+    ]
+    *found, _ = map(json.loads, listen(file, "--map", points, "--json").out.splitlines())
+    assert [each["value"] for each in found] == [0.7, None, 9, 5]
+    assert [each["written"] for each in found] == [False, False, False, True]
+    values = json.loads(run("read", target, "-u", 1, "--map", points, "--json").out)
+    assert found[1]["no_value"] == values["no_value"]["limit"]
+    assert listen(file, "--map", points, "--csv", "-u", 2).out.count("\n") == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_a_master_asks_becomes_a_map(target: str, number: int, tmp_path: Path) -> None:
+    path = tmp_path / "asked.csv"
+    with listening("rtu+tcp://127.0.0.1:0", "--between", target, "--learn", path) as made:
+        with Client(url_of(made), unit=1) as client:
+            client.read_holding_registers(1, 2)
+            client.write_register(0, 3)
+        lines_of(made, 2)
+        assert not path.exists()
+        made.send_signal(number)
+        _, errors = made.communicate()
+    assert errors == f"{path}: 3 points; fill in names, types and units\n"
+    assert path.read_text().splitlines()[1:] == [
+        "name,table,address,type,access,description,group",
+        "unit_1_holding_registers_0,holding_registers,0,uint16,write,3,unit 1",
+        "unit_1_holding_registers_1,holding_registers,1,uint16,read,8,unit 1",
+        "unit_1_holding_registers_2,holding_registers,2,uint16,read,9,unit 1",
+    ]
+    read = run("read", target, "-u", 1, "--map", path, "--group", "unit 1", "--json").out
+    assert [*json.loads(read)["values"].values()] == [8, 9]
+
+
+def test_options_of_names_that_cannot_be(tmp_path: Path) -> None:
+    taken = tmp_path / "asked.csv"
+    taken.write_text("mine")
+    for arguments, message in (
+        (["--learn", taken], f"{taken} exists, and would be overwritten"),
+        (["--learn", tmp_path / "x.txt"], "it must end with .toml or .csv"),
+        (["--csv"], "--csv needs --map"),
+        (["--column", "name=x"], "--column, --from and --list need --map"),
+    ):
+        done = listen(DECODED, *arguments)
+        assert (done.code, done.out) == (2, "")
+        assert message in done.err
+    assert taken.read_text() == "mine"

@@ -69,14 +69,43 @@ def test_what_deep_prints_is_a_device_file(url: str, tmp_path: Path) -> None:
     done = run("scan", url, "--units", "3,7", "--deep")
     assert done.code == 0
     assert "up to 2000 requests to each unit found" in done.err
-    text = "\n".join(each for each in done.out.splitlines() if not each.startswith("unit "))
-    assert [unit["id"] for unit in tomllib.loads(text)["unit"]] == [3, 7]
-    assert "# coils: ended by the bound on requests, ranges of up to" in text
+    assert [unit["id"] for unit in tomllib.loads(done.out)["unit"]] == [3, 7]
+    assert "# coils: ended by the bound on requests, ranges of up to" in done.out
     path = tmp_path / "found.toml"
-    path.write_text(text)
+    path.write_text(done.out)
     devices = device_file.load(path).devices
     assert isinstance(devices, dict)
     assert devices[3].mapping.holding_registers[6:8] == [0, 0]
+
+
+def test_a_copy_of_a_device_has_its_values(tmp_path: Path) -> None:
+    there = Mapping(
+        coils={1: [1, 0, 1]},
+        discrete_inputs={100: [1]},
+        holding_registers={0: [7, 0, 65535], 200: [555]},
+        input_registers={100: [*range(1, 201)]},
+    )
+    with Server({3: Device(there)}).background("tcp://127.0.0.1:0") as running:
+        done = run("scan", running.urls[0], "-u", 3, "--deep", "--values")
+        told = json.loads(run("scan", running.urls[0], "-u", 3, "--deep", "--values", "--json").out)
+    (tmp_path / "copy.toml").write_text(done.out)
+    devices = device_file.load(tmp_path / "copy.toml").devices
+    assert isinstance(devices, dict)
+    copy = devices[3].mapping
+    assert copy.coils[1:4] == [1, 0, 1]
+    assert copy.discrete_inputs[100:101] == [1]
+    assert copy.holding_registers[0:3] == [7, 0, 65535]
+    assert copy.holding_registers[200:201] == [555]
+    assert copy.input_registers[100:300] == [*range(1, 201)]
+    assert told["found"][0]["tables"]["coils"]["ranges"] == [
+        {"address": 1, "count": 3, "values": [1, 0, 1]}
+    ]
+
+
+def test_values_without_deep_are_refused() -> None:
+    done = run("scan", "tcp://127.0.0.1:1", "--values")
+    assert (done.code, done.out) == (2, "")
+    assert "--values needs --deep" in done.err
 
 
 def test_the_end_says_what_was_tried_on_a_line() -> None:

@@ -1,0 +1,126 @@
+"""
+The cells that masters read and write, by name: what a map says of a capture, and learned maps.
+
+Frames are those of the application protocol (6.3, 6.6, 6.12, 6.16), with check bytes from talk.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from libmodbus_py import Point, RegisterMap
+from libmodbus_py.listen import MapDecoder, Separator, Transaction
+from libmodbus_py.tools.listener.named import LearnedMap
+from tests.support.cases import each_case
+from tests.support.talk import rtu
+
+POINTS = RegisterMap(
+    [
+        Point("voltage", "holding_registers", 107, type="uint16", scale=0.1, units="V"),
+        Point("energy", "holding_registers", 108, type="uint32"),
+        Point("power", "input_registers", 8, type="int16", scale_from="exponent"),
+        Point("exponent", "input_registers", 9, type="int16", missing=-32768),
+        Point("valve", "coils", 172),
+        Point("secret", "holding_registers", 4, access="write"),
+    ]
+)
+
+
+def heard(*pairs: tuple[str, str]) -> list[Transaction]:
+    """Return transactions of unit 17 on a line: requests, and responses, empty for none."""
+    separator, found, at = Separator("rtu"), list[Transaction](), 0.0
+    for pair in pairs:
+        for pdu in filter(None, pair):
+            at += 0.1
+            found += separator.feed(rtu(f"11 {pdu}"), at)
+        at += 10
+    return found + separator.end()
+
+
+READ_3 = ("03 006B 0003", "03 06 08FD 0001 0002")  # 2301; 65538
+READ_107 = ("03 006B 0001", "03 02 08FD")
+READ_108 = ("03 006C 0001", "03 02 0001")
+READ_109 = ("03 006D 0001", "03 02 0002")
+POWER = ("04 0008 0001", "04 02 000A")
+EXPONENT = ("04 0009 0001", "04 02 0002")
+BOTH = ("04 0008 0002", "04 04 000A 0002")
+NONE = ("04 0008 0002", "04 04 000A 8000")
+COIL = ("05 00AC FF00", "05 00AC FF00")
+MASK = ("16 0004 00F2 0025", "16 0004 00F2 0025")
+WRITE_4 = ("06 0004 0012", "06 0004 0012")
+READ_4 = ("03 0004 0001", "03 02 0012")
+REFUSED = ("06 006B 0001", "86 02")
+UNANSWERED = ("06 006B 0001", "")
+
+WRITTEN = ("valve", "secret")
+
+
+@each_case(
+    ("pairs", "values"),
+    [
+        ([READ_3], [("voltage", 230.1), ("energy", 65538)]),
+        ([READ_108, READ_109], [("energy", 65538)]),
+        ([READ_109, READ_107], [("voltage", 230.1)]),
+        ([BOTH], [("power", 1000), ("exponent", 2)]),
+        ([EXPONENT, POWER], [("exponent", 2), ("power", 1000)]),
+        ([POWER], [("power", None)]),
+        ([NONE], [("power", None), ("exponent", None)]),
+        ([COIL], [("valve", True)]),
+        ([WRITE_4, MASK], [("secret", 0x12), ("secret", 0x17)]),
+        ([MASK], []),
+        ([READ_4], []),
+        ([REFUSED], []),
+        ([UNANSWERED], []),
+    ],
+)
+def test_values_of_a_map_in_transactions(
+    pairs: list[tuple[str, str]], values: list[tuple[str, Any]]
+) -> None:
+    decoder = MapDecoder(POINTS)
+    found = [each for transaction in heard(*pairs) for each in decoder.decode(transaction)]
+    assert [(each.name, each.value) for each in found] == values
+    assert {each.unit for each in found} <= {17}
+    assert all(each.reason == "" for each in found if each.value is not None)
+    assert [each.is_written for each in found] == [each.name in WRITTEN for each in found]
+
+
+def test_units_keep_their_own_cells() -> None:
+    decoder, separator = MapDecoder(POINTS), Separator("rtu")
+    found = []
+    for at, pdu in enumerate(
+        ("11 03 006C 0001", "11 03 02 0001", "12 03 006D 0001", "12 03020002")
+    ):
+        for each in separator.feed(rtu(pdu), at * 0.1):
+            found += decoder.decode(each)
+    assert found == []
+
+
+def test_a_map_is_learned_of_what_was_asked() -> None:
+    learned = LearnedMap()
+    again = ("03 006B 0003", "03 06 08FE 0001 0002")
+    for each in heard(READ_3, again, REFUSED, COIL, MASK, ("04 0010 0001", "84 02")):
+        learned.note(each)
+    found = {each.name: each for each in learned.points()}
+    assert {name: (each.access, each.description) for name, each in found.items()} == {
+        "unit_17_coils_172": ("write", "1"),
+        "unit_17_holding_registers_4": ("write", "no value heard"),
+        "unit_17_holding_registers_107": ("read_write", "2301..2302"),
+        "unit_17_holding_registers_108": ("read", "1"),
+        "unit_17_holding_registers_109": ("read", "2"),
+        "unit_17_input_registers_16": ("read", "no value heard"),
+    }
+    assert {each.group for each in found.values()} == {"unit 17"}
+
+
+def test_a_broadcast_has_the_values_that_it_writes_and_no_others() -> None:
+    decoder, learned, separator = MapDecoder(POINTS), LearnedMap(), Separator("rtu")
+    found = []
+    transactions = separator.feed(rtu("00 03 006B 0003"), 0.0)  # a mistake of the master
+    transactions += separator.feed(rtu("00 06 006B 0001"), 5.0)
+    for each in transactions + separator.end():
+        found += decoder.decode(each)
+        learned.note(each)
+    assert [(each.unit, each.name, each.value, each.is_written) for each in found] == [
+        (0, "voltage", 0.1, True)
+    ]
+    assert [each.description for each in learned.points()] == ["1", *["no value heard"] * 2]
