@@ -1,7 +1,7 @@
 """
 The driver of asyncio clients: one reader and one timer for a connection.
 
-A caller owns neither a task, a timer nor the connection, but only its call or batch and its future.
+A caller owns neither a task, a timer nor the connection, but only its call or batch, and a `Caller`.
 Cancelling the caller removes only these two.
 """
 
@@ -11,7 +11,6 @@ import asyncio
 import contextlib
 import errno
 import warnings
-from asyncio import Future
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -23,6 +22,7 @@ from ..ports.waiting_async import Alarm, run_async
 from ..protocol.checks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
 from .call import Batch, Call
+from .caller import Caller
 from .connection import Transactions
 from .reconnecting import State
 
@@ -42,8 +42,8 @@ class AsyncioDriver:
         self._notices = connection.notices
         self._queue = connection.queue
         self._matching = connection.matching
-        # What callers wait for, each with the future or function that tells its caller.
-        self._callers: dict[Call | Batch, Future[None] | Callable[[], object]] = {}
+        # What callers wait for, each with the function that tells its caller.
+        self._callers: dict[Call | Batch, Callable[[], object]] = {}
         self._begin_anew()
         abandoned_in_children(self)
 
@@ -77,19 +77,11 @@ class AsyncioDriver:
                     await self._closed.wait()
         return self._life.state is not State.CLOSED
 
-    async def run(self, job: Call | Batch) -> None:
-        """Send requests; returns when they are over."""
-        loop = asyncio.get_running_loop()
-        if loop is not self._loop:
-            self._bind()
-        done = loop.create_future()
-        try:
-            self._submit(job, done)
-            if not job.is_done:
-                await done
-        finally:
-            if not job.is_done:
-                self.withdraw(job)
+    def run(self, job: Call | Batch) -> Caller:
+        """Send requests; the caller awaits at once what is returned, until they are over."""
+        caller = Caller(self._bind(), job, self.withdraw)
+        self._submit(job, caller.go_on)
+        return caller
 
     def ask(self, job: Call | Batch, caller: Callable[[], object]) -> None:
         """
@@ -100,7 +92,7 @@ class AsyncioDriver:
         self._bind()
         self._submit(job, caller)
 
-    def _submit(self, job: Call | Batch, caller: Future[None] | Callable[[], object]) -> None:
+    def _submit(self, job: Call | Batch, caller: Callable[[], object]) -> None:
         self._callers[job] = caller
         job.on_end(self._note_end)
         try:
@@ -125,12 +117,9 @@ class AsyncioDriver:
             self._enter(self._abandon, job)
 
     def _note_end(self, job: Call | Batch) -> None:
-        """Wake the caller of requests that are over, or call its function later."""
+        """Tell the caller of requests that are over, when the state is consistent."""
         caller = self._callers.pop(job, None)
-        if isinstance(caller, Future):
-            if not caller.done():
-                caller.set_result(None)  # the caller goes on in a later turn of the loop
-        elif caller is not None:
+        if caller is not None:
             self._ended.append(caller)
 
     def _abandon(self, job: Call | Batch) -> None:
@@ -245,15 +234,16 @@ class AsyncioDriver:
             self._note_end(job)  # if it was over, and the exception came before this
 
     def _tell(self) -> None:
-        """Call user functions, now that the state is consistent."""
+        """Call user functions, and let tasks go on, now that the state is consistent."""
         if self._is_telling:  # a user function uses the client; the others are called after it
             return
         self._is_telling = True
         try:
-            if self._notices.waiting:
-                self._notices.give()
-            while self._ended:
-                self._call(self._ended.popleft())
+            while self._notices.waiting or self._ended:
+                if self._notices.waiting:
+                    self._notices.give()
+                else:
+                    self._call(self._ended.popleft())
         except BaseException:
             self._bound.call_soon(self._tell)
             raise

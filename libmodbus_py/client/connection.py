@@ -183,7 +183,7 @@ class Transactions:
             return False
         adus: list[bytes] = []
         traced: list[Call] = []
-        unsettled, most = self._answered, queue.limit
+        unsettled, most, spacing = self._answered, queue.limit, self._settings["request_spacing"]
         if (is_traced := self._trace.is_on()) is not matching.is_traced:
             matching.trace_frames(is_on=is_traced)
         while (call := queue.next(now, self.in_flight, unsettled)) is not None:
@@ -208,8 +208,8 @@ class Transactions:
                     queue.waiting.append(follower)
                 if 1 < batch.limit < most:
                     most = batch.limit
-            if self._settings["request_spacing"]:
-                self._next_start = now + self._settings["request_spacing"]
+            if spacing:
+                self._next_start = now + spacing
                 break
             if most <= 2 * len(adus) or not (queue.waiting or queue.again):
                 break
