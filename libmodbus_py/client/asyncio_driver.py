@@ -1,8 +1,8 @@
 """
 The driver of asyncio clients: one reader and one timer for a connection.
 
-A caller owns neither a task, a timer nor the connection, but only its call or batch, and a `Caller`.
-Cancelling the caller removes only these two.
+A caller owns neither a task, a timer nor the connection, but only its call or batch, and a
+`Caller`. Cancelling the caller removes only these two.
 """
 
 from __future__ import annotations
@@ -79,7 +79,10 @@ class AsyncioDriver:
 
     def run(self, job: Call | Batch) -> Caller:
         """Send requests; the caller awaits at once what is returned, until they are over."""
-        caller = Caller(self._bind(), job, self.withdraw)
+        loop = asyncio.get_running_loop()
+        if loop is not self._loop:
+            self._bind()
+        caller = Caller(loop, job, self.withdraw)
         self._submit(job, caller.go_on)
         return caller
 
@@ -242,21 +245,18 @@ class AsyncioDriver:
             while self._notices.waiting or self._ended:
                 if self._notices.waiting:
                     self._notices.give()
-                else:
-                    self._call(self._ended.popleft())
+                    continue
+                caller = self._ended.popleft()
+                try:
+                    if (result := caller()) is not None:
+                        finished("on_done", result)
+                except Exception:
+                    log_failure(__name__, "on_done failed")
         except BaseException:
             self._bound.call_soon(self._tell)
             raise
         finally:
             self._is_telling = False
-
-    def _call(self, caller: Callable[[], object]) -> None:
-        try:
-            result = caller()
-            if result is not None:
-                finished("on_done", result)
-        except Exception:
-            log_failure(__name__, "on_done failed")
 
     # --- turns ------------------------------------------------------------------------------
 

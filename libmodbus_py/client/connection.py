@@ -355,29 +355,26 @@ class Transactions:
         """
         Take received bytes; return True if requests wait to be sent. `settle` decodes the answers.
         """
-        matching = self.matching
+        matching, waiting = self.matching, self.queue.waiting
         for data in chunks:
             answered = matching.take(data, now)
             self.in_flight -= len(answered)
             self._answered += answered
             for call in answered:
-                batch = call.batch
-                if batch is not None and batch.limit > 1:
-                    self._go_on_early(call, batch)
+                batch, reply = call.batch, call.reply
+                if batch is None or batch.limit == 1:
+                    continue
+                # After a good answer, a batch goes on before that is decoded.
+                is_good = isinstance(reply, bytes) and reply[0] < 0x80
+                if is_good and (follower := batch.next_after(call)) is not None:
+                    waiting.append(follower)
         if matching.unasked > MAX_UNASKED_BYTES or not matching.is_in_step:
             self.is_flooded = matching.unasked > MAX_UNASKED_BYTES
             if not matching.is_in_step:
                 self._break("closed, because the received bytes cannot be understood")
             elif self._is_socket:
                 self._break("flooded with frames that answer no request")
-        return bool(self.queue.waiting or self.queue.again)
-
-    def _go_on_early(self, call: Call, batch: Batch) -> None:
-        """Let a batch go on after a good answer, before that is decoded."""
-        reply = call.reply
-        is_good = isinstance(reply, bytes) and reply[0] < 0x80
-        if is_good and (follower := batch.next_after(call)) is not None:
-            self.queue.waiting.append(follower)
+        return bool(waiting or self.queue.again)
 
     def _go_on_after(self, call: Call) -> None:
         """Submit the next request of the batch of a request, if it is one of a batch."""
