@@ -16,6 +16,7 @@ from typing import Any
 from libmodbus_py import Device, FrameError, InvalidResponse, Mapping, device_file, pdu
 from libmodbus_py.files.texts import read_toml
 from libmodbus_py.maps import map_file
+from libmodbus_py.maps.list_words import ListOptions
 from libmodbus_py.protocol.errors import (
     ExceptionResponse,
     IllegalDataAddress,
@@ -190,13 +191,21 @@ def check_device_file(text: str) -> None:
 
 
 FILES: dict[str, Callable[[str], list[Exception]]] = {
-    "map.toml": lambda text: list(map_file.contents_of_text(text, ".toml", 20, {}).mistakes),
-    "map.csv": lambda text: list(map_file.contents_of_text(text, ".csv", 20, {}).mistakes),
+    "map.toml": lambda text: list(
+        map_file.contents_of_text(text, ".toml", 20, ListOptions()).mistakes
+    ),
+    "map.csv": lambda text: list(
+        map_file.contents_of_text(text, ".csv", 20, ListOptions()).mistakes
+    ),
     "gateway.toml": lambda text: _mistakes(lambda: gateway_file.parse(text)),
     "fleet.toml": lambda text: _mistakes(lambda: fleet_files.FILE.read((), read_toml(text))),
     "devices.csv": lambda text: _mistakes(lambda: _devices(text)),
 }
 """Kind of file -> returns what is wrong in a text."""
+
+
+def _of_map(text: str, suffix: str) -> list[Exception]:
+    return [*map_file.contents_of_text(text, suffix, 20, ListOptions()).mistakes]
 
 
 def _devices(text: str) -> list[dict[str, Any]]:

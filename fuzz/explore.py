@@ -3,10 +3,11 @@ Every sequence of events that a connection can meet: python -m fuzz.explore [--d
 
 A world is a sequence of `--depth` requests to the real state machines of the client
 (`Transactions` with `Line` or with `Ids`), without sockets and clocks. Up to `--faults` of the
-requests are unusual: the device answers them late, twice, damaged, never ..., or the caller asks
-something else, pauses, cancels or loses the connection. All choices of places and of what is
-unusual there are tried, with values that stay and values that change, with and without retries.
-After the sequence come usual requests.
+requests are unusual: the device answers them late, twice, damaged, between noise, never ..., or the
+caller asks something else, pauses, cancels, loses the connection or closes the client; on lines,
+another master talks, stray bytes come, or a program starts while an answer to another one is under
+way. All choices of places and of what is unusual there are tried, with values that stay and values
+that change, with and without retries. After the sequence come usual requests.
 
 Looked at after each event:
 
@@ -15,11 +16,11 @@ Looked at after each event:
     told        a write that was told as refused was carried out, or one that succeeded was not
     order       a request was sent while an earlier one had no outcome yet, and one is a write
     beside      a request was in flight beside a write
-    doubt       a request was sent in DOUBT
+    doubt       a request was sent in DOUBT, before a timeout was over
     endless     a wait longer than the timeouts and silences add up to
     spoiled     usual requests still fail after the first few behind the last fault
     repeated    a request fails though its repetition is answered
-    lasting     wrong or stale values longer after the last fault than `BOUND`
+    lasting     more wrong or stale values than `MOST_WRONG` for each fault
 
 What the rules cannot tell apart is in `EXCEPTIONS`; anything else is an error, and exits with 1.
 """
@@ -42,6 +43,7 @@ from typing import Any, NamedTuple
 
 from libmodbus_py.client.call import NOT_ASKED, Batch, Call, Phase, Timeouts
 from libmodbus_py.client.connection import Transactions
+from libmodbus_py.client.history import forget_lines
 from libmodbus_py.client.options import checked_options
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.making import make_port
@@ -49,8 +51,9 @@ from libmodbus_py.protocol import pdu
 from libmodbus_py.protocol.errors import ExceptionResponse, ModbusConnectionError
 from libmodbus_py.protocol.framing import Frame, crc16, make_framer, mbap, rtu
 
-# Times are in ticks. An answer takes 2.
-TIMEOUT = 6.0
+# Times are in ticks. An answer takes 2. A unit in DOUBT is silent for three times as long.
+TIMEOUT = 12.0
+SILENCE = 6.0
 
 
 class Act(NamedTuple):
@@ -71,15 +74,16 @@ class Act(NamedTuple):
 ACTS: dict[str, Act] = {
     "good": Act(((2, "answer"),)),
     "slow": Act(((4, "answer"),), 4),
+    "slower": Act(((10, "answer"),), 10),
     "never": Act((), 0, does=False),
     "lost": Act((), 2),
     "damaged": Act(((2, "damaged"),)),
-    "late 8": Act(((8, "answer"),), 8),
-    "late 11": Act(((11, "answer"),), 11),
     "late 14": Act(((14, "answer"),), 14),
     "late 17": Act(((17, "answer"),), 17),
-    "late 20": Act(((20, "answer"),), 20),
+    "late 19": Act(((19, "answer"),), 19),
+    "late 23": Act(((23, "answer"),), 23),
     "late 29": Act(((29, "answer"),), 29),
+    "late 41": Act(((41, "answer"),), 41),
     "twice at once": Act(((2, "answer"), (2, "answer"))),
     "twice +1": Act(((2, "answer"), (3, "answer"))),
     "twice +2": Act(((2, "answer"), (4, "answer"))),
@@ -95,6 +99,7 @@ ACTS: dict[str, Act] = {
     "another function": Act(((1, "function"), (2, "answer"))),
     "noise": Act(((1, "noise"), (2, "answer"))),
     "noise behind": Act(((2, "answer"), (2, "noise"))),
+    "noise around": Act(((2, "in noise"),)),
     "echo": Act(((0, "echo"), (2, "answer"))),
     "damaged, then good": Act(((1, "damaged"), (2, "answer"))),
 }
@@ -116,7 +121,9 @@ MOVES = (
     "in order AWB",
     "lost",
     "given up",
+    "closed",
 )
+ONLY_ON_LINES = ("others A", "strays A", "started 1 A", "started 3 A")
 
 
 class Asked(NamedTuple):
@@ -143,16 +150,9 @@ class World:
 
     def __post_init__(self) -> None:
         self.now = 0.0
+        forget_lines()
         self.endpoint = parse("tcp://10.0.0.1:502" if self.has_ids else "rtu+tcp://10.0.0.1:502")
-        options = {
-            "turnaround": 1.0,
-            "timeouts_before_reconnect": 1000,
-            "max_in_flight": 4 if self.has_ids else 1,
-        }
-        settings = checked_options(self.endpoint, options)
-        self.connection = Transactions(self.endpoint, settings, make_port(self.endpoint, settings))
-        self.connection.life.connecting()
-        self.connection.opened(0.0)
+        self.make_client()
         self.timeouts = Timeouts(TIMEOUT, self.retries, self.retries)
         self.framer = make_framer(self.endpoint.framing, "server")
         self.arrivals: list[tuple[float, int, bytes]] = []
@@ -167,12 +167,13 @@ class World:
         self.doubted: dict[tuple[int, int], float] = {}
         self.unjudged: set[Call] = set()  # that were sent
         self.events = 0
+        self.wrong_values = 0
+        self.silence = SILENCE
 
     # --- the device ----------------------------------------------------------------------------
 
     def receive(self, adu: bytes) -> None:
         for frame in self.framer.feed(adu):
-            self.note_sent(frame)
             name = self.acts.pop(0) if self.acts else "good"
             act = ACTS.get(name) or ONLY_WITH_IDS[name]
             begins = max(self.now, self.busy_until)
@@ -204,6 +205,8 @@ class World:
             return make(number, unit, request)
         if kind == "noise":
             return b"" if self.has_ids else b"\x00"
+        if kind == "in noise" and not self.has_ids:
+            return b"\x00" + make(number, unit, answer) + b"\x00"
         if kind in ("refusal", "busy"):
             answer = bytes([request[0] | 0x80, 6 if kind == "busy" else 4])
         elif kind == "unit":
@@ -222,16 +225,26 @@ class World:
 
     # --- the client ----------------------------------------------------------------------------
 
-    def note_sent(self, frame: Frame) -> None:
-        heard = self.doubted.pop((frame.unit, frame.pdu[0]), -math.inf)
-        if not self.has_ids and self.now < heard + TIMEOUT:
-            self.errors.add("doubt")
+    def make_client(self) -> None:
+        options = {
+            "turnaround": 1.0,
+            "timeouts_before_reconnect": 1000,
+            "max_in_flight": 4 if self.has_ids else 1,
+        }
+        settings = checked_options(self.endpoint, options)
+        self.connection = Transactions(self.endpoint, settings, make_port(self.endpoint, settings))
+        self.connection.life.connecting()
+        self.connection.opened(self.now)
 
     def note_order(self, adu: bytes) -> None:
-        """Look whether what must come before a frame has its outcome."""
+        """Look whether its unit was silent, and what must come before it has its outcome."""
         at = next(at for at in reversed(range(len(self.asked))) if self.asked[at].call.adu is adu)
         call = self.asked[at].call
         self.unjudged.add(call)
+        heard = self.doubted.pop((call.unit, call.function), -math.inf)
+        waited = self.now - self.asked[at].asked_at
+        if not self.has_ids and self.now + 1e-9 < heard + self.silence and waited < TIMEOUT - 0.1:
+            self.errors.add("doubt")
         for earlier in self.asked[max(0, at - 4) : at]:
             other = earlier.call
             is_ordered = (call.changes or other.changes) and (
@@ -308,10 +321,7 @@ class World:
         for each in self.asked[-3:]:
             outcome = each.call.outcome
             if each.call in self.unjudged and isinstance(outcome, BaseException):
-                is_unsent = "does not fall silent" in str(outcome)
-                if not is_unsent and not isinstance(
-                    outcome, ExceptionResponse | ModbusConnectionError
-                ):
+                if not isinstance(outcome, ExceptionResponse | ModbusConnectionError):
                     pair = each.call.unit, each.call.function
                     self.doubted.setdefault(pair, self.now)
                 self.unjudged.discard(each.call)
@@ -350,10 +360,14 @@ class World:
                 self.errors.add("told")
         elif not failed:
             code, version = divmod(outcome[0], 0x100)
+            error = ""
             if code != 10 + {"A": 0, "B": 1, "F": 2, "C": 3}[asked.letter]:
-                self.errors.add("wrong")
+                error = "wrong"
             elif self.changes and version <= asked.version % 0x100:
-                self.errors.add("stale")
+                error = "stale"
+            if error:
+                self.wrong_values += 1
+                self.errors.add(error)
 
     def move(self, move: str, act: str) -> None:
         """Do what a caller does, with a device that does this with the first of its requests."""
@@ -369,20 +383,44 @@ class World:
                 self.doubted[1, 3] = self.now
             connection.withdraw(call, self.now)
             return
-        if move in ("lost", "given up"):
+        if move in ("lost", "given up", "closed"):
             self.acts = [act]
             call = self.ask("A")
             self.idle(1.0)
             was_sent = call.state is Phase.SENT
             error = ModbusConnectionError("gone")
-            connection.lost(error, self.now, by_itself=move == "lost")
+            if move == "closed":
+                connection.closed(self.now)
+            else:
+                connection.lost(error, self.now, by_itself=move == "lost")
             self.arrivals = [] if self.has_ids else self.arrivals
             if was_sent:
                 self.doubted[1, 3] = self.now
-            connection.life.connecting()
-            connection.opened(self.now)
+            if move == "closed":
+                self.make_client()
+            else:
+                connection.life.connecting()
+                connection.opened(self.now)
             self.wait([call])
             return
+        if move.startswith("others"):  # another master polls unit 9
+            for at in range(3, 60, 3):
+                self.put(self.now + at, rtu(0, 9, b"\x03\0\0\0\x01"))
+                self.put(self.now + at + 0.5, rtu(0, 9, b"\x03\x02\0\0"))
+            move = move[7:]
+        elif move.startswith("strays"):  # which may be the beginning of an answer
+            for at in range(1, 60, 2):
+                self.put(self.now + at + 0.5, b"\x01")
+            move = move[7:]
+        elif move.startswith("started"):  # while B is answered to another program
+            forget_lines()
+            self.make_client()
+            self.silence = 0.0  # nothing is known of the times of the unit
+            after = int(move.split()[1])
+            frame = Frame(1, self.request("B")[1].encode())
+            self.handle(frame, Act(((after, "answer"),)), self.now)
+            self.busy_until = self.now + after
+            move = "A"
         self.acts = [act]
         if move.startswith("in order"):
             self.wait(self.ask_in_order(move[9:]))
@@ -403,19 +441,18 @@ Steps = list[tuple[str, str]]
 _SURPLUS = ("late", "twice", "three", "refused twice", "cancelled", "lost", "given up")
 _MISSING = ("late", "slow", "never", "lost", "swallowed", "damaged", "cancelled", "given up")
 
-# Wrong values end after so many ticks of polling without a pause: an answer is checked at least
-# once in ten timeouts, and then there is silence.
-BOUND = 13 * TIMEOUT
+# The most values of other requests that follow one fault of a device.
+MOST_WRONG = 5
 
 EXCEPTIONS: dict[str, str] = {
-    "copy of its own": "An answer that comes twice, and the second time while the same request is "
-    "asked again, cannot be told from the answer to that. If the value has not changed since, "
-    "it is taken for it, and what follows may be shifted by one request until the line is quiet "
-    "for twice the time of an answer, or an answer is checked (within ten timeouts).",
-    "value changed often": "A late or doubled answer with a value that has changed three times: it "
-    "is equal to nothing that is remembered. What follows is as for a copy of its own.",
-    "before the first answer": "A unit that has never answered, and then answers after two "
-    "timeouts of silence: this is taken for the answer to the request in flight, for one value.",
+    "doubled answer": "An answer comes twice, and the second time while another request, or the "
+    "same one again, is in flight. It is taken for the answer to that if it comes as long behind "
+    "the request as usual answers, and is equal to no earlier one, or if none was doubled on this "
+    "line before. At most five values.",
+    "answer to another program": "A program starts while an answer to another one is under way, "
+    "and the next answer comes later than HOLD lasts. At most five values.",
+    "before the first answer": "A unit that has never answered, and then answers after a timeout "
+    "of silence: this is taken for the answer to the request in flight. At most five values.",
     "alone in HOLD": "A late or doubled answer, and then a request that is not answered in time "
     "itself, or takes twice as long as any before: the first one is alone while it is held, and is "
     "believed. It concerns one value, or the outcome of one write, for each such pair.",
@@ -430,7 +467,11 @@ def exception_for(world: World, steps: Steps, unusual: Steps) -> str | None:
     names += ["twice" for move, act in unusual if act == "echo" and "W" in move]
     surplus = [each for each in names if each.startswith(_SURPLUS)]
     missing = [each for each in names if each.startswith(_MISSING)]
-    if world.has_ids or not surplus or not errors <= {"wrong", "stale", "told"}:
+    if world.has_ids or not errors <= {"wrong", "stale", "told"}:
+        return None
+    if any(move.startswith("started") for move, _ in unusual):
+        return "answer to another program"
+    if not surplus:
         return None
     if len({*surplus, *missing}) > 1 or len(surplus) > 1:
         return "alone in HOLD"
@@ -438,7 +479,7 @@ def exception_for(world: World, steps: Steps, unusual: Steps) -> str | None:
     if surplus[0].startswith("late") and not is_usual[0]:
         return "before the first answer"
     is_copy = surplus[0].startswith(("twice", "three", "refused twice"))
-    return "copy of its own" if is_copy and world.changes and "told" not in errors else None
+    return "doubled answer" if is_copy and "told" not in errors else None
 
 
 def run(has_ids: bool, changes: bool, retries: int, steps: Steps) -> World:
@@ -446,23 +487,21 @@ def run(has_ids: bool, changes: bool, retries: int, steps: Steps) -> World:
     world = World(has_ids, changes, retries)
     for move, act in steps:
         world.move(move, act)
-    unusual = [act for move, act in steps if act != "good" or move not in "AB"]
+    unusual = [act for move, act in steps if act != "good" or move not in ("A", "B")]
     is_lost_once = len(unusual) == 1 and unusual[0] in ("never", "lost", "damaged")
+    is_lost_once &= not any(move == "closed" for move, _ in steps)
     if retries and is_lost_once and any(each.has_failed for each in world.asked):
         world.errors.add("repeated")
     for number in range(12):
         world.move("AB"[number % 2], "good")
-    found, behind = set(world.errors), world.now + BOUND
-    world.errors.clear()
-    while found & {"wrong", "stale"} and world.now < behind:
-        world.move("AB"[len(world.asked) % 2], "good")
+    found = set(world.errors)
     world.errors.clear()
     first = len(world.asked)
     for number in range(4):
         world.move("AB"[number % 2], "good")
     if any(each.has_failed for each in world.asked[first:]):
         found.add("spoiled")
-    if world.errors:
+    if world.errors or world.wrong_values > MOST_WRONG * len(unusual):
         found.add("lasting")
     world.errors = found
     return world
@@ -529,7 +568,8 @@ def explore(
         stop: when to stop (time.monotonic).
     """
     logging.disable(logging.WARNING)
-    every = Worlds(depth, faults, [*ACTS, *(ONLY_WITH_IDS if has_ids else ())], moves)
+    acts = [*ACTS, *(ONLY_WITH_IDS if has_ids else ())]
+    every = Worlds(depth, faults, acts, moves if has_ids else (*moves, *ONLY_ON_LINES))
     count = events = 0
     exceptions: Counter[str] = Counter()
     errors: dict[str, tuple[int, str]] = {}

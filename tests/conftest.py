@@ -14,6 +14,7 @@ import pytest
 from hypothesis import settings
 
 from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.client.history import forget_lines
 from tests.simulation.stage import Stage
 from tests.support.c_programs import SOURCES, compile_c
 from tests.support.certificates import Papers
@@ -51,6 +52,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _longest(item: pytest.Item) -> float:
     mark = item.get_closest_marker("timeout")
     return float(mark.args[0]) if mark else 0.0
+
+
+@pytest.fixture(autouse=True)
+def _own_lines() -> None:
+    """Forget what is known of lines: another test may have the same port, or the same clock."""
+    forget_lines()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -16,7 +16,8 @@ import pytest
 from fuzz.explore import explore, run
 from libmodbus_py.client import line
 from libmodbus_py.client.answers import Answers
-from libmodbus_py.client.line import Line, Pair
+from libmodbus_py.client.history import History, Pair
+from libmodbus_py.client.line import Line
 from libmodbus_py.client.queue import Queue
 
 PARTS = 6
@@ -35,10 +36,13 @@ def always(value: Any) -> property:
     return property(lambda self: value, lambda self, other: None)
 
 
-def forget_pairs(self: Any, now: float) -> list[Any]:
-    self._pairs.clear()
-    call, self._call = self._call, None
-    return [] if call is None else [call]
+reset_of_line = Line.reset
+
+
+def forget_history(self: Any, now: float) -> list[Any]:
+    calls = reset_of_line(self, now)
+    self._history = History()
+    return calls
 
 
 def forget_call(self: Any, call: Any, now: float) -> bool:
@@ -60,7 +64,20 @@ ON_LINES: dict[str, Breaking] = {
     "DOUBT waits for silence": lambda: patch.object(Pair, "quiet_at", always(0.0)),
     "a failure leads to DOUBT": lambda: patch.object(Pair, "doubt", lambda *_: None),
     "a caller who is gone leads to DOUBT": lambda: patch.object(Line, "withdraw", forget_call),
-    "DOUBT outlives a connection": lambda: patch.object(Line, "reset", forget_pairs),
+    "DOUBT outlives a connection": lambda: patch.object(Line, "reset", forget_history),
+    "what is known of a line outlives a client": lambda: patch.object(
+        line, "history_of", lambda endpoint: History()
+    ),
+    "the first answer of a line is held": lambda: patch.object(
+        Line, "_is_opened", always(False), create=True
+    ),
+    "answers are checked again and again": lambda: patch.object(Pair, "interval", always(math.inf)),
+    "an answer at an unusual time is held": lambda: patch.object(
+        Answers, "is_usual", lambda *_: True
+    ),
+    "the beginning of an answer breaks the silence": lambda: patch.object(
+        Line, "_note_beginnings", lambda *_: None
+    ),
     "doubtful answers are held": lambda: patch.object(
         Line, "_hold", lambda self, call, pdu, now: self._believe(call, pdu, now, now)
     ),

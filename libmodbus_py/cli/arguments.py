@@ -39,8 +39,8 @@ __all__ = [
     "OF_CLIENTS", "OF_SERVERS", "SCHEMES_OF_URLS", "URL", "URLS", "add_client",
     "add_client_options", "add_columns", "add_forms", "add_requests", "add_security_options",
     "add_serial_options", "add_units", "add_verbose", "connected", "declare", "endpoint_of",
-    "given", "lists_of_parities", "maps", "names_of_maps", "read_as", "refuse_given", "with_forms",
-    "with_options",
+    "given", "list_keys", "lists_of_parities", "maps", "names_of_maps", "read_as", "refuse_given",
+    "with_forms", "with_options",
 ]
 # fmt: on
 
@@ -212,8 +212,8 @@ def add_units(group: Any, text: str) -> None:
     declare(group, f"-u --unit --units LIST\n  {text}", unit={"dest": "units", "type": units})
 
 
-def add_columns(group: Any, rare: str = "rare ") -> None:
-    """Add the headings of columns of register maps in CSV."""
+def add_columns(group: Any, rare: str = "rare ", *, encoding: bool = False) -> None:
+    """Add what says how the list of a map is read; with its encoding if nothing else has one."""
 
     def column(text: str) -> tuple[str, str]:
         key, _, heading = text.partition("=")
@@ -222,10 +222,60 @@ def add_columns(group: Any, rare: str = "rare ") -> None:
         wanted = f"must be KEY=HEADING, such as name=Bezeichnung, not {text!r}"
         raise argparse.ArgumentTypeError(wanted)
 
-    text = """--column KEY=HEADING ...
-        the heading of a column of the map that is not recognised, such as name=Bezeichnung; may be
-        repeated"""
-    declare(group, rare + text, column={"dest": "columns", "type": column, "default": []})
+    kinds = {
+        "column": {"dest": "columns", "type": column, "default": []},
+        "from": {"dest": "origin", "choices": ORIGINS},
+        "list": {"dest": "list", "type": _of_list, "default": [], "complete": LIST_KEYS},
+    }
+    declare(group, rare + COLUMN, **kinds)
+    declare(group, rare + FROM, **kinds)
+    declare(group, rare + OF_LIST, **kinds)
+    if encoding:
+        text = "--encoding NAME\n  the encoding of the list, such as cp1252 or gbk (UTF-8)"
+        declare(group, rare + text, encoding={"dest": "list_encoding"})
+
+
+# As in list_words.toml, which takes longer to read.
+ORIGINS = ("iobroker", "modpoll", "nibe", "victron")
+
+LIST_KEYS = (
+    *("access", "encoding", "first_address", "lengths", "only", "order", "sheet", "table"),
+    "types",
+)
+
+COLUMN = """--column KEY=HEADING ...
+    the heading of a column of the map that is not recognised, such as name=Bezeichnung; may be
+    repeated"""
+
+FROM = """--from ORIGIN
+    whose list the map is, and what it means by its words: iobroker, modpoll, nibe or victron"""
+
+OF_LIST = """--list KEY=VALUE ...
+    what a list does not say: encoding, first_address, table, access, order, lengths, sheet,
+    only=HEADING=CELL, types=WORD=TYPE; may be repeated"""
+
+
+def _of_list(text: str) -> tuple[str, Any]:
+    key, _, value = text.partition("=")
+    if key not in LIST_KEYS or not value or (key in ("only", "types") and "=" not in value):
+        wanted = f"must be KEY=VALUE, with a key of {', '.join(LIST_KEYS)}, not {text!r}"
+        raise argparse.ArgumentTypeError(wanted)
+    word, _, meaning = value.rpartition("=")
+    return key, {word: meaning} if key in ("only", "types") else value
+
+
+def list_keys(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what was said of a list, as `load_map` takes it."""
+    keys: dict[str, Any] = {}
+    for name, value in options.list:
+        keys[name] = {**keys.get(name, {}), **value} if isinstance(value, dict) else value
+    columns: dict[str, Any] = {}
+    for kind, heading in options.columns:
+        columns[kind] = [*columns.get(kind, ()), heading] if kind == "nothing" else heading
+    said = {"columns": columns, "origin": options.origin, **keys}
+    if encoding := getattr(options, "list_encoding", None):
+        said["encoding"] = encoding
+    return {name: value for name, value in said.items() if value}
 
 
 class _Form(argparse.Action):

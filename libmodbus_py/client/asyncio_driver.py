@@ -109,7 +109,12 @@ class AsyncioDriver:
         connection.submit(job, now)
         if not connection.in_flight:
             self._turn(now)
-        elif not self._is_due:  # requests of this turn of the loop are sent together
+        else:  # requests of this turn of the loop are sent together
+            self._turn_soon()
+
+    def _turn_soon(self) -> None:
+        """Take one turn for all that is asked and withdrawn in this turn of the loop."""
+        if not self._is_due:
             self._is_due = True
             self._bound.call_soon(self._enter, self._turn)
 
@@ -127,7 +132,7 @@ class AsyncioDriver:
 
     def _abandon(self, job: Call | Batch) -> None:
         self._connection.withdraw(job, self._now())
-        self._turn()
+        self._turn_soon()
 
     async def close(self) -> None:
         self._bind()

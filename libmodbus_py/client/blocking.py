@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Self, Unpack
 
 from ..protocol.mistakes import named_arguments
-from .blocking_driver import BlockingDriver
+from .blocking_driver import make_driver
 from .options import Options, listed_options
 from .values_blocking import BlockingValues
 
@@ -67,7 +67,7 @@ class Client(BlockingValues):
     """
 
     def __init__(self, url: str, **options: Unpack[Options]) -> None:
-        super().__init__(url, options, Options, BlockingDriver)
+        super().__init__(url, options, Options, make_driver)
 
     __init__.__doc__ = listed_options(Options)
 

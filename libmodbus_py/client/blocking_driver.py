@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from .call import Batch, Call
     from .connection import Transactions
 
-__all__ = ["BlockingDriver"]
+__all__ = ["BlockingDriver", "make_driver"]
 
 # How long `close` waits for another thread to leave a connection that it was told to leave.
 LEAVING_S = 1.0
@@ -268,3 +268,32 @@ class BlockingDriver:
             if life.state is State.CONNECTING:
                 self._port.close()
                 life.given_up()
+
+
+class ClosingDriver(BlockingDriver):
+    """Closes a connection that has been idle for `idle_close`: in `wait_until`, before requests."""
+
+    def wait_until(self, at: float) -> bool:
+        while (until := self._connection.idle_until(self._now())) < at:
+            if not super().wait_until(until):
+                return False
+            with self.lock:
+                self._end_idle()
+                self._notices.give()
+        return super().wait_until(at)
+
+    def run(self, job: Call | Batch) -> None:
+        with self.lock:
+            if not self._is_busy:
+                self._end_idle()
+            super().run(job)
+
+    def _end_idle(self) -> None:
+        self._connection.end_idle(self._now())
+        if self._connection.broken is not None:
+            self._lose(self._connection.broken, by_itself=False)
+
+
+def make_driver(port: Port, connection: Transactions) -> BlockingDriver:
+    """Return the driver of a connection."""
+    return (BlockingDriver if connection.idle_close is None else ClosingDriver)(port, connection)

@@ -19,7 +19,13 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Final
 
 from ..protocol.checks import integer, seconds
-from ..protocol.errors import ModbusError, ModbusTimeoutError, in_hex
+from ..protocol.errors import (
+    NO_UNIT,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusTimeoutError,
+    in_hex,
+)
 from ..protocol.pdu import MAX_PDU, Request
 
 if TYPE_CHECKING:
@@ -28,13 +34,16 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "ANSWERED", "NOT_ASKED", "SENT", "WAITING", "Batch", "Call", "Matching",
+    "ANSWERED", "NOT_ASKED", "SENT", "SILENCE", "WAITING", "Batch", "Call", "Matching",
     "Phase", "Timeouts", "no_answer", "raised",
 ]
 # fmt: on
 
 NOT_ASKED: Final = object()
 """The outcome of a request that has none yet, or was never sent."""
+
+SILENCE = (ModbusTimeoutError, *NO_UNIT)
+"""The failures of a request to a silent device: no answer, or that of a gateway in its place."""
 
 
 class Timeouts:
@@ -118,10 +127,14 @@ class Call:
             given = type(request).__name__
             raise TypeError(f"{name.format(index)} must be a request object of pdu, not {given}")
         if is_broadcast and not request.may_be_broadcast:
-            raise ValueError(
-                f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
-                f"and {request} is not a write"
-            )
+            from ..protocol.pdu import RawRequest
+
+            if not isinstance(request, RawRequest):
+                raise ValueError(
+                    f"{name.format(index)}: unit 0 is a broadcast, which no unit answers, "
+                    f"and {request} is not a write; broadcast=False, if a device answers it"
+                )
+            is_broadcast = False  # who sends bytes knows whether they are answered
         self.pdu = pdu = request.encode()
         if not isinstance(pdu, bytes):
             given = type(pdu).__name__
@@ -202,6 +215,11 @@ class Call:
         """Note that no caller waits for the outcome any more."""
         self.is_done = True
 
+    def await_another_connection(self) -> None:
+        """Wait again, because its connection has ended; its time goes on."""
+        self.state = WAITING
+        self.sent_at, self.waited = self.sent_at - self.waited, 0.0
+
     def send_no_more(self) -> None:
         """Note that it is not to be sent again."""
         self.timeouts = Timeouts(self.timeouts.timeout, 0, 0)
@@ -212,14 +230,20 @@ class Batch:
     Requests of one caller to one unit, which are sent in their order, `limit` at a time.
 
     It is over as soon as its first failure and all requests before that have an outcome; with
-    `go_on`, when every request has one. `name` is that of a request in messages, with braces for
-    its index.
+    `go_on`, when every request has one. With `is_poll`, a request without an answer still ends it,
+    unless another one was answered: the device is silent, and each of the others would take as
+    long. `name` is that of a request in messages, with braces for its index.
 
     Raises:
         TypeError, ValueError: a request cannot be sent; the message contains its name.
     """
 
-    __slots__ = ("_go_on", "_open", "calls", "is_done", "limit", "on_done", "under_way", "waiting")
+    # fmt: off
+    __slots__ = (
+        "_go_on", "_is_poll", "_open", "calls", "is_done", "limit", "on_done", "under_way",
+        "waiting",
+    )
+    # fmt: on
 
     def __init__(
         self,
@@ -231,6 +255,7 @@ class Batch:
         is_broadcast: bool = False,
         limit: int = 1,
         go_on: bool = False,
+        is_poll: bool = False,
     ) -> None:
         self.calls: list[Call] = [
             Call(unit, request, timeouts, is_broadcast, name, index, self)
@@ -240,6 +265,7 @@ class Batch:
         # Without an answer, it is unknown whether a request was carried out before the next one.
         self.limit: int = 1 if any(each.is_silent for each in self.calls) else limit
         self._go_on = go_on
+        self._is_poll = is_poll
         self._open = len(self.calls)
         self.under_way: set[Call] = set()  # submitted, and others do not go on beside them
         self.is_done: bool = not self.calls
@@ -271,9 +297,7 @@ class Batch:
         """Note that a call has its outcome; the calls behind one that failed are forgotten."""
         self._open -= 1
         outcome = call.outcome
-        if isinstance(outcome, BaseException) and not (
-            self._go_on and isinstance(outcome, ModbusError)
-        ):
+        if isinstance(outcome, BaseException) and self._ends_with(outcome):
             for other in self.calls[self.calls.index(call) + 1 :]:
                 if not other.is_done:
                     self._open -= 1
@@ -283,6 +307,12 @@ class Batch:
             self.is_done = True
             if self.on_done is not None:
                 self.on_done(self)
+
+    def _ends_with(self, failure: BaseException) -> bool:
+        if not (self._go_on and isinstance(failure, ModbusError)):
+            return True
+        is_silence = self._is_poll and isinstance(failure, SILENCE)
+        return is_silence and not any(map(_is_answer, self.outcomes))
 
     def forget(self) -> None:
         """Note that no caller waits for the outcomes any more."""
@@ -295,6 +325,11 @@ class Batch:
         """End the batch, with this outcome for all requests that have none yet."""
         for call in self.calls:
             call.settle(outcome)
+
+
+def _is_answer(outcome: object) -> bool:
+    """Return True if a request has an outcome that shows that the device is there."""
+    return outcome is not NOT_ASKED and not isinstance(outcome, (*SILENCE, ModbusConnectionError))
 
 
 class Matching(ABC):
@@ -325,6 +360,14 @@ class Matching(ABC):
         self.is_in_step = True
         self.rest = rest
 
+    def drop_rest(self) -> bool:
+        """Drop the beginning of a frame if it can be no part of an answer; return True if so."""
+        return False
+
+    def has_begun(self) -> bool:
+        """Return True if bytes of an answer have come."""
+        return bool(self.rest)
+
     def trace_frames(self, *, is_on: bool) -> None:
         """Trace received frames from now on, or no longer."""
         self.is_traced = is_on
@@ -345,10 +388,6 @@ class Matching(ABC):
     def may_start(self, call: Call, now: float) -> bool:
         """Return True if a request may be sent now; else set `alarm` and the end of its wait."""
         return True
-
-    def is_overdue(self, call: Call, now: float) -> bool:
-        """Return True if the wait of a request that may not be sent has ended."""
-        return False
 
     def ready_at(self, unit: int, function: int | None = None) -> float:
         """Return when a unit may get a request of this, or any, function; 0.0 if it may at once."""

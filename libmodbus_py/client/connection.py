@@ -25,12 +25,12 @@ from typing import TYPE_CHECKING
 
 from ..ports.trace import Trace
 from ..protocol.checks import finished, log_failure
-from ..protocol.errors import FrameError, ModbusConnectionError, ModbusError, alike
+from ..protocol.errors import ModbusConnectionError, ModbusError, alike
 from .call import Batch, Call, Matching
 from .ids import Ids
-from .outcomes import Outcomes, add_hint, explain_end
+from .outcomes import CLOSED, Outcomes, add_hint, explain_end
 from .queue import Queue
-from .reconnecting import FORKED, Notices, Reconnecting, State
+from .reconnecting import FORKED, IDLE, Notices, Reconnecting, State
 from .statistics import Statistics
 
 if TYPE_CHECKING:
@@ -66,20 +66,20 @@ class Transactions:
         self.url: str = str(endpoint)
         self._trace = Trace(self.url, settings["trace"], later=self.notices.add)
         # Who waits for a device misses it during a pause.
-        max_pause = 0.0 if endpoint.is_listening else settings["max_pause"]
-        self.life: Reconnecting = Reconnecting(
-            str(port), max_pause, self.statistics, self.notices, settings["on_state"]
-        )
+        pause = 0.0 if endpoint.is_listening else settings["max_pause"]
+        life = Reconnecting(str(port), pause, self.statistics, self.notices, settings["on_state"])
+        self.life: Reconnecting = life
         self.matching: Matching
+        any_unit, any_id = settings["accept_unit"] == "any", settings["ids"] == "ignore"
+        # With any id, a late answer would be taken for that of the next request.
+        self._most_unanswered = 1 if any_id else settings["timeouts_before_reconnect"]
+        shared = endpoint, self.statistics, self._trace
         if endpoint.has_transactions:
-            any_unit = settings["accept_unit"] == "any"
-            self.matching = Ids(endpoint, self.statistics, self._trace, any_unit=any_unit)
+            self.matching = Ids(*shared, any_unit=any_unit, any_id=any_id)
         else:
             from .line import Line
 
-            self.matching = Line(
-                endpoint, self.statistics, self._trace, port.silence, settings["delimiter"]
-            )
+            self.matching = Line(*shared, port.silence, settings["delimiter"], any_unit=any_unit)
         self._has_ids = endpoint.has_transactions
         self._scheme = endpoint.scheme
         self._is_socket = not endpoint.is_serial
@@ -88,7 +88,8 @@ class Transactions:
         self._outcomes = Outcomes(endpoint, port, self.queue, self.life, self.statistics)
         self._silent: list[tuple[float, Call]] = []  # calls without an answer, and when they end
         self._answered: list[Call] = []
-        self._next_start = 0.0
+        self._next_start = self._opened_at = 0.0
+        self.idle_close: float | None = settings["idle_close"]
 
     @property
     def is_wanted(self) -> bool:
@@ -231,11 +232,9 @@ class Transactions:
     def _is_useless(self) -> bool:
         """Return True if the connection is dead, or an answer on it was cut off."""
         matching = self.matching
-        is_dead = (
-            self._is_socket and matching.unanswered >= self._settings["timeouts_before_reconnect"]
-        )
+        is_dead = self._is_socket and matching.unanswered >= self._most_unanswered
         # The next answer would be appended to half a frame that no request expects.
-        is_cut = matching.rest and self.in_flight == len(self._silent)
+        is_cut = matching.rest and self.in_flight == len(self._silent) and not matching.drop_rest()
         return is_dead or bool(is_cut)
 
     # --- the connection -----------------------------------------------------------------------
@@ -243,14 +242,15 @@ class Transactions:
     def opened(self, now: float) -> None:
         """The connection was established: send what waits for it."""
         self._reset(now)
-        if self._settings["connect_delay"]:
-            self._next_start = now + self._settings["connect_delay"]
+        self._opened_at = now
+        self._next_start = max(self._next_start, now + self._settings["connect_delay"])
         for call in list(self.queue.waiting):
             call.note_connection(now)
             if call.request is None:
                 self.queue.remove(call)
                 call.settle(None)
         self.life.opened()
+        self.matching.wake(self.idle_until(now))
 
     def begin_connecting(self, now: float) -> float | None:
         """
@@ -289,7 +289,9 @@ class Transactions:
         if by_itself and self.life.fruitless and self.in_flight:
             add_hint(error, explain_end(self._scheme, error.errno))
         self.life.lost(error, now, by_itself=by_itself)
-        self._fail_all(error, now)
+        # Some devices close connections, and may do so while a request is under way to them.
+        is_closed = by_itself and error.errno in CLOSED and not self.life.fruitless
+        again = self._fail_all(error, now, but_reads=is_closed and not self.matching.has_begun())
         # A connection that was given up as dead has taken its time, and the next one may be alive.
         if by_itself and self.life.fruitless >= LOSSES_BEFORE_END:
             self.refuse(error)
@@ -297,6 +299,7 @@ class Transactions:
             self.queue.remove(call)
             if not call.is_done:
                 self.submit(call, now)
+        self.queue.wait_again(again)
 
     def closed(self, now: float) -> None:
         """Note that the client was closed: all requests fail, now and later."""
@@ -337,11 +340,21 @@ class Transactions:
 
     # --- failures -----------------------------------------------------------------------------
 
-    def _fail_all(self, error: ModbusConnectionError, now: float) -> None:
+    def _fail_all(
+        self, error: ModbusConnectionError, now: float, *, but_reads: bool = False
+    ) -> list[Call]:
+        """Fail the requests in flight; with `but_reads`, return those to be sent once more."""
+        again: list[Call] = []
         for call in self._reset(now):
-            call.answer(alike(error))
-            self._answered.append(call)
+            if but_reads and not call.changes:
+                call.await_another_connection()
+                self.statistics.note(call.function, "lost")
+                again.append(call)
+            else:
+                call.answer(alike(error))
+                self._answered.append(call)
         self.settle(now)
+        return again
 
     def refuse(self, error: ModbusError, later: Collection[Call] = ()) -> None:
         """Fail all requests that wait, except some."""
@@ -430,10 +443,23 @@ class Transactions:
             ended = matching.expire(now)
             self.in_flight -= len(ended)
             self._answered += ended
-            if not self._has_ids:
-                self._end_waits_for_silence(now)
+            self.end_idle(now)
         else:
             self._end_waits(now)
+
+    def idle_until(self, now: float) -> float:
+        """Return when the connection is to be closed if no request comes; infinite for never."""
+        if self.idle_close is None or not self.life.is_open:
+            return math.inf
+        used_at = max(self._opened_at, self.statistics.last_success or 0.0)
+        return self.idle_close + (now if self.in_flight or self.is_wanted else used_at)
+
+    def end_idle(self, now: float) -> None:
+        """Ask the driver to close a connection that has been idle for too long."""
+        if (until := self.idle_until(now)) <= now:
+            self.broken = self.broken or IDLE
+        else:
+            self.matching.wake(until)
 
     def _end_silent(self, now: float) -> None:
         over = [call for due, call in self._silent if due <= now]
@@ -457,13 +483,3 @@ class Transactions:
                 continue
             self.queue.remove(call)
             self._outcomes.refuse(call, self.life.not_in_time(call.timeouts.timeout))
-
-    def _end_waits_for_silence(self, now: float) -> None:
-        """Fail the requests that have waited too long for silence on the line."""
-        for call in self.queue.calls:
-            if self.matching.is_overdue(call, now):
-                self.queue.remove(call)
-                received = self.matching.received_with(call, b"")
-                error = FrameError("the line does not fall silent", received=received)
-                self._outcomes.fail_unsent(call, error)
-                self._go_on_after(call)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..maps.register_map import AnyMap
     from ..ports.port import Port
     from ..protocol import pdu
+    from ..protocol.tables import WriteFunction
     from .connection import Transactions
     from .statistics import Statistics
 
@@ -56,9 +57,10 @@ class Handle:
         self._timeouts = Timeouts(
             float(settings["timeout"]), settings["retries"], settings["busy_retries"]
         )
+        self._write_function: WriteFunction = settings["write_function"]
         self._endpoint = endpoint
         self._connection = Transactions(endpoint, settings, port)
-        self._has_broadcast = endpoint.framing in ("rtu", "ascii")
+        self._has_broadcast = not endpoint.has_transactions and settings["broadcast"]
         self._driver = make_driver(port, self._connection)
         self._refusals_of: dict[int, Holes] = {}
 
@@ -68,6 +70,7 @@ class Handle:
         *,
         timeout: float | None = None,
         retries: int | None = None,
+        write_function: WriteFunction | None = None,
         **wrong: Unpack[NoOthers],
     ) -> Self:
         """
@@ -80,6 +83,7 @@ class Handle:
                 return after the turnaround.
             timeout: seconds, 0.001..86400; None to share this handle's.
             retries: 0..100; None to share this handle's.
+            write_function: "auto", "single" or "multiple" (`Options`); None to share this handle's.
 
         Raises:
             TypeError, ValueError: an argument of the wrong type or range.
@@ -89,6 +93,10 @@ class Handle:
         handle = copy.copy(self)
         handle.unit = unit
         handle._timeouts = self._timeouts.but(timeout, retries)
+        if write_function is not None:
+            from ..protocol.tables import checked_write_function
+
+            handle._write_function = checked_write_function(write_function)
         return handle
 
     @property
@@ -190,7 +198,13 @@ class Handle:
 
         return self._refusals_of.setdefault(self._unit, Holes())
 
-    def _batch(self, requests: Iterable[pdu.Request[Any]], return_exceptions: bool) -> Batch:
+    def _batch(
+        self,
+        requests: Iterable[pdu.Request[Any]],
+        return_exceptions: bool,
+        *,
+        is_poll: bool = False,
+    ) -> Batch:
         """Check and encode all requests before the first is sent."""
         if not isinstance(requests, Iterable):
             raise TypeError(f"requests must be a list, not {type(requests).__name__}")
@@ -202,6 +216,7 @@ class Handle:
             is_broadcast=self._unit == 0 and self._has_broadcast,
             limit=self.max_in_flight,
             go_on=bool(return_exceptions),
+            is_poll=is_poll,
         )
 
     def _log_refusal(self, which: str) -> None:

@@ -2,7 +2,9 @@
 Which answer belongs to which request, where frames have transaction ids: Modbus/TCP, TLS and UDP.
 
 An answer belongs to the request with its id. An id is used again after all others, and not while
-a late answer with it may arrive; such an answer is dropped and counted.
+a late answer with it may arrive; such an answer is dropped and counted. A few bytes that come while
+every request has been answered are no part of an answer: they are dropped, as the heartbeats of
+some modems.
 """
 
 from __future__ import annotations
@@ -30,16 +32,24 @@ class Ids(Matching):
     """
     The requests in flight on one connection, by their transaction ids.
 
-    With `any_unit`, other units may answer, because some devices always answer as unit 255.
+    With `any_unit`, other units may answer, because some devices always answer as unit 255. With
+    `any_id`, a frame answers the only request in flight, whatever its id.
     """
 
     has_ids = True
 
     def __init__(
-        self, endpoint: Endpoint, statistics: Statistics, trace: Trace, *, any_unit: bool = False
+        self,
+        endpoint: Endpoint,
+        statistics: Statistics,
+        trace: Trace,
+        *,
+        any_unit: bool = False,
+        any_id: bool = False,
     ) -> None:
         super().__init__(statistics, trace)
         self._any_unit = any_unit
+        self._any_id = any_id
         self._is_datagram = endpoint.framing == "udp"
         self._last = 0
         self._answered_at = 0.0
@@ -77,8 +87,10 @@ class Ids(Matching):
                 self._trace.tell("received", mbap(number, unit, pdu), unit, pdu[0])
             call = self.pending.pop(number, None)
             if call is None:
-                self._drop(number, mbap(number, unit, pdu), now)
-                continue
+                if not (self._any_id and self.pending):
+                    self._drop(number, mbap(number, unit, pdu), now)
+                    continue
+                _, call = self.pending.popitem()
             if call.unit == unit or self._any_unit:
                 self.unanswered: int = 0
                 self._answered_at = now
@@ -125,6 +137,12 @@ class Ids(Matching):
         else:
             self.pending[_number(error.received)].doubt(error)
 
+    def drop_rest(self) -> bool:
+        if self.pending or self._abandoned:
+            return False
+        self._framer.rest.clear()
+        return True
+
     def received_with(self, call: Call, pdu: bytes) -> bytes:
         frame = mbap(_number(call.adu), self._answerers.get(call, call.unit), pdu)
         return frame if self.pending else frame + bytes(self.rest)
@@ -152,7 +170,8 @@ class Ids(Matching):
         error = no_answer(timeout, self._strays or rest)
         if self._strays and self._strays[:2] != number:
             other = _number(self._strays)
-            error.args = (f"{error.args[0]}: id {other}, not {_number(number)}",)
+            hint = 'ids="ignore" would take it'
+            error.args = (f"{error.args[0]}: id {other}, not {_number(number)}; {hint}",)
             error.answers_another = True
         return error
 
@@ -171,7 +190,7 @@ class Ids(Matching):
 
     def reset(self, now: float) -> list[Call]:
         calls = list(self.pending.values())
-        self._framer: TcpFramer = UdpFramer() if self._is_datagram else TcpFramer()
+        self._framer: TcpFramer = (UdpFramer if self._is_datagram else TcpFramer)("client")
         self._begin_again(self._framer.rest)
         self._abandoned: dict[int, None] = {}
         self._strays = b""

@@ -8,17 +8,20 @@ this pair, and the other states are those of the line.
 
     state   event                                  what follows
     -----   -----                                  ------------
-    IDLE    a request                              ASKED, once it has been silent for one timeout
-                                                   if it is in DOUBT
+    IDLE    a request                              ASKED; if it is in DOUBT, once its unit has been
+                                                   silent, or has not for one timeout
     ASKED   its answer                             IDLE, and the answer is the result
-    ASKED   its answer, while it is in DOUBT;      HOLD
-            or an answer equal to one of the last
-            three different ones to another request
-            of the unit, not to its own last one
+    ASKED   its answer, if it is in DOUBT, is the  HOLD
+            first since the line was opened, took
+            unusually long or short, or is due to
+            be checked; where a frame came
+            without a request, also one equal to
+            an earlier one to another request
     ASKED   a damaged answer, one that does not    IDLE and DOUBT; the request fails
             fit, the end of its time
     ASKED   its caller is gone                     IDLE and DOUBT
-    any     a frame that is no answer to it        it is dropped and counted; the wait goes on
+    any     a frame that is no answer to it        it is dropped and counted; DOUBT of the unit and
+                                                   function of the frame; the wait goes on
     HOLD    the same answer again, or a late       HOLD, from the beginning
             frame of its unit
     HOLD    another frame of it, or a damaged one  IDLE and DOUBT; the request fails
@@ -27,18 +30,23 @@ this pair, and the other states are those of the line.
     HOLD    the end of its time comes first        IDLE, and the answer is the result: without
                                                    DOUBT, or if the request itself led to it and
                                                    is repeated; else the request fails. DOUBT ends
-                                                   if one timeout of silence follows
-    DOUBT   a late frame of its unit; any bytes    the silence counts anew
-            while IDLE
-    DOUBT   ten timeouts of silence; two if it     no DOUBT
-            has never answered
+                                                   if silence follows
+    DOUBT   a late frame of its unit; while IDLE,  the silence counts anew
+            bytes that may be the beginning of one
+    DOUBT   ten timeouts of silence                no DOUBT
 
 Why: a late answer comes before the answer that follows it, so a second frame within HOLD tells that
 the first one was late or doubled. Silence lets late answers pass before the next request. A late
-frame of another function shows that the unit still works through earlier requests. An answer that
-comes twice is found by its equality with an earlier one. Other functions of the unit need not wait,
-because no late answer fits them. `./run explore` walks through every sequence of events that
-this table can meet; what it cannot tell apart is named in `EXCEPTIONS` there.
+frame of another function shows that the unit still works through earlier requests. If all answers
+are those to the requests before, the first of them came too soon or the second one did, so it is
+held. Other functions of the unit need not wait, because no late answer fits them. `./run explore`
+walks through every sequence of events that this table can meet; what it cannot tell apart is named
+in `EXCEPTIONS` there. The history of a line outlives its clients (`history`).
+
+The silence lasts three times the slowest answer that the unit ever gave, one timeout if it gave
+none. An answer is due to be checked after DOUBT and after a late frame of its unit; then after
+twice as long each time, and at least once in ten timeouts. On a line without a history, the first
+answer is held until the line has been open for 60 ms.
 
 A line keeps the order of requests to a unit: those behind one that waits wait, too
 (`Transactions`).
@@ -46,7 +54,6 @@ A line keeps the order of requests to a unit: those behind one that waits wait, 
 
 from __future__ import annotations
 
-import math
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -62,11 +69,19 @@ from ..protocol.errors import (
     InvalidResponse,
     ModbusError,
 )
-from ..protocol.framing import LINE_FEED, AsciiFramer, Frame, Framer, delimiter_after, make_framer
+from ..protocol.framing import (
+    LINE_FEED,
+    AsciiFramer,
+    Frame,
+    Framer,
+    RtuFramer,
+    delimiter_after,
+    make_framer,
+)
 from ..protocol.pdu.request import Request
 from ..protocol.rtu import has_own_length
-from .answers import Answers
 from .call import Call, Matching, no_answer
+from .history import Pair, history_of
 from .statistics import Statistics
 
 __all__ = ["Line"]
@@ -74,47 +89,17 @@ __all__ = ["Line"]
 # HOLD lasts this multiple of the time of the slowest good answer.
 TIMES_SLOWEST = 2
 
-# A request waits for silence for so many timeouts, and then fails. So much silence ends the DOUBT
-# of what has never answered.
-TIMEOUTS_OF_SILENCE = 2
+# A unit in DOUBT is silent for this multiple of the time of its slowest answer ever.
+SILENCE_TIMES_SLOWEST = 3
+
+# A request waits for silence for so many timeouts at the most, and is sent then.
+TIMEOUTS_OF_SILENCE = 1
 
 # An answer is put on HOLD at least once in so many timeouts, and their silence ends DOUBT.
 TIMEOUTS_BETWEEN_CHECKS = 10
 
-
-class Pair:
-    """The states of a unit and a function."""
-
-    quiet_at: float = 0.0  # in DOUBT, when it has been silent for `timeout`
-    timeout: float = 0.0
-    owed: Call | None = None  # whose answer may still come; None if there may be others
-    is_known: bool = False  # True if it has been answered
-    is_doubted: bool = False
-    # True if the last request was answered, but the time for HOLD was too short.
-    is_answered: bool = False
-    # True if the last answers may be those to the requests before; else known at `checked_at`.
-    is_shifted: bool = False
-
-    def __init__(self, now: float) -> None:
-        self.heard_at: float = now  # when a frame of it came last
-        self.checked_at: float = now
-
-    def doubt(self, now: float, timeout: float, owed: Call | None = None) -> None:
-        """Begin to doubt, or doubt more."""
-        self.owed = owed if not self.is_doubted or owed is self.owed else None
-        self.is_doubted = True
-        self.timeout = timeout
-        self.heard(now)
-
-    def heard(self, now: float) -> None:
-        """Count the silence anew."""
-        self.is_answered = False
-        self.quiet_at = now + self.timeout
-
-    def check(self, now: float) -> None:
-        """Note that no other answer follows the last one."""
-        self.is_doubted = self.is_answered = self.is_shifted = False
-        self.checked_at = now
+# For so many seconds after a line was opened of which nothing is known, answers are on HOLD.
+OPENED_S = 0.06
 
 
 class Line(Matching):
@@ -127,8 +112,11 @@ class Line(Matching):
         trace: Trace,
         silence: Silence,
         delimiter: int = LINE_FEED,
+        *,
+        any_unit: bool = False,
     ) -> None:
         super().__init__(statistics, trace)
+        self._any_unit = any_unit
         self._endpoint = endpoint
         self._silence = silence
         self._delimiter = delimiter
@@ -140,12 +128,14 @@ class Line(Matching):
         self._wrong: ModbusError | None = None  # the error of bytes received before the answer
         self._received = bytearray()
         self._quiet_at: float | None = None  # when silence ends a frame
-        # In HOLD: the answer, when it came, and until when it is held.
+        # In HOLD: the answer, when it came, for how many seconds it is held, and until when.
         self._held: bytes | None = None
-        self._held_at = self._held_until = 0.0
-        self._pairs: dict[tuple[int, int], Pair] = {}
-        self._answers = Answers()
-        # When requests that wait for silence fail.
+        self._held_at = self._held_for = self._held_until = 0.0
+        self._history = history_of(endpoint)
+        self._opened_at = 0.0
+        self._is_opened = False  # the first answer since the line was opened is to come
+        self._is_unknown = False  # nothing was known of the line when it was opened
+        # When requests are sent that wait for silence.
         self._waits: WeakKeyDictionary[Call, float] = WeakKeyDictionary()
 
     def _make_framer(self) -> Framer:
@@ -161,26 +151,25 @@ class Line(Matching):
         return max(
             (
                 pair.quiet_at
-                for (other, code), pair in self._pairs.items()
-                if pair.is_doubted and other == unit and function in (None, code)
+                for code, pair in self._history.pairs_of(unit)
+                if pair.is_doubted and function in (None, code)
             ),
             default=0.0,
         )
 
     def may_start(self, call: Call, now: float) -> bool:
         ready_at = self._silence.over_at
-        pair = self._pairs.get((call.unit, call.pdu[0]))
+        pair = self._history.units.get(call.unit, {}).get(call.pdu[0])
         if pair is not None and pair.is_doubted and pair.quiet_at > ready_at:
             ready_at = pair.quiet_at
-        if ready_at <= now:
-            self._waits.pop(call, None)
-            return True
-        until = now + TIMEOUTS_OF_SILENCE * call.timeouts.timeout
-        self.wake(min(ready_at, self._waits.setdefault(call, until)))
-        return False
-
-    def is_overdue(self, call: Call, now: float) -> bool:
-        return self._waits.get(call, math.inf) <= now and not self.may_start(call, now)
+        if ready_at > now:
+            until = now + TIMEOUTS_OF_SILENCE * call.timeouts.timeout
+            until = self._waits.setdefault(call, until)
+            if until > now:
+                self.wake(min(ready_at, until))
+                return False
+        self._waits.pop(call, None)
+        return True
 
     def start(self, call: Call, now: float) -> bytes:
         request = call.request
@@ -200,22 +189,29 @@ class Line(Matching):
         self._silence.sent(len(adu), now)
         if self._echo.is_there is not False:
             self._echo.sent(adu, is_telling=_is_telling(call.pdu))
-        pair = self._pair(call, now)
-        was_quiet = now >= pair.heard_at + TIMES_SLOWEST * self._answers.slowest
-        timeouts = TIMEOUTS_BETWEEN_CHECKS if pair.is_known else TIMEOUTS_OF_SILENCE
-        was_silent = pair.is_doubted and now >= pair.quiet_at + (timeouts - 1) * pair.timeout
-        if pair.is_answered or was_silent or (was_quiet and not pair.is_doubted):
-            pair.check(now)
+        is_unknown = self._is_unknown and now < self._opened_at + call.timeouts.timeout
+        pair = self._history.pair(call.unit, call.pdu[0], now, is_unknown=is_unknown)
+        # A unit that owes another answer may stand still, and is not quiet.
+        if any(other.is_doubted for _, other in self._history.pairs_of(call.unit)):
+            silence = TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout
+        else:
+            silence = TIMES_SLOWEST * self._history.answers.slowest_of(call.unit)
+        if pair.is_answered or now >= pair.heard_at + silence:
+            pair.check(now, now - pair.heard_at)
+        if now >= self._opened_at + OPENED_S:
+            self._is_opened = False
         if not call.is_silent:
             self._call = call
         return adu
 
     def _pair(self, call: Call, now: float) -> Pair:
-        key = call.unit, call.pdu[0]
-        pair = self._pairs.get(key)
-        if pair is None:
-            pair = self._pairs[key] = Pair(now)
-        return pair
+        return self._history.pair(call.unit, call.pdu[0], now)
+
+    def _doubt(self, call: Call, now: float) -> None:
+        """Begin to doubt, because the answer to a request may still come."""
+        timeout = call.timeouts.timeout
+        silence = SILENCE_TIMES_SLOWEST * self._history.answers.slowest_of(call.unit)
+        self._pair(call, now).doubt(now, min(timeout, silence or timeout), call)
 
     # --- bytes ----------------------------------------------------------------------------
 
@@ -224,9 +220,7 @@ class Line(Matching):
         self._received += data[: MAX_RECEIVED - len(self._received)]
         if self._call is None:
             self.unasked += len(data)
-            for pair in self._pairs.values():
-                if pair.is_doubted:
-                    pair.heard(now)
+            self._note_beginnings(self._framer.rest + data, now)
         if (was_there := self._echo.is_there) is not False:
             data = self._echo.without(data)
             if self._echo.is_there and not was_there:
@@ -239,8 +233,8 @@ class Line(Matching):
         if call is not None and (self._framer.pending or self._wrong or self._echo.is_holding):
             self._quiet_at = now + (self._framer.quiet or 0.0)
             self.wake(self._quiet_at)
-            if not self._framer.pending:
-                self._end_if_damaged(call, now)
+            if self._endpoint.framing == "ascii" and not self._framer.pending:
+                self._search(call, now)  # the end of a frame is marked: no more of it comes
         ended, self._ended = self._ended, []
         return ended
 
@@ -252,71 +246,80 @@ class Line(Matching):
                 self._trace.tell("received", found.received)
             self._statistics.invalid += 1
             self._wrong = found
-            if self._held is not None and call is not None:
+            if self._held is not None and call is not None and self._is_of(call, found.received):
                 self._fail(call, found, now)
             return
         unit, pdu, _ = found
         if self.is_traced:
             self._trace.tell("received", self._framer.encode(found), unit, pdu[0])
         function = pdu[0] & 0x7F
+        if self._any_unit and call is not None:
+            unit = call.unit
         if call is None or unit != call.unit or function != call.pdu[0]:
             self._note_other(unit, function, call, now)
         elif pdu == call.pdu and self._echo.is_there and not self._echo.has_returned:
             self._echo.has_returned = True
-        elif pdu == call.pdu and self._echo.is_there is None and function in _READS_LIKE_ANSWERS:
+        elif pdu == call.pdu and self._echo.is_there is None and function in _LIKE_ANSWERS:
             text = "an answer that is equal to its request may be an echo; echo=True or False?"
             self._wrong = InvalidResponse(text)
         elif self._held is None:
             self._take_answer(call, pdu, now)
         else:
             self._note_late(unit, call, now)
-            if pdu == self._held:
-                self._hold(call, pdu, now)
-            else:
+            if not self._pair(call, now).is_doubted:
+                self._history.repeating.add(unit)
+            if pdu != self._held:
                 error = InvalidResponse("two answers came, one to an earlier request")
                 self._fail(call, error, now)
 
     def _take_answer(self, call: Call, pdu: bytes, now: float) -> None:
-        pair, answers = self._pair(call, now), self._answers
+        pair, history, answers = self._pair(call, now), self._history, self._history.answers
+        is_repeating = call.unit in history.repeating
         if (
             pair.is_doubted
+            or self._is_opened
+            or not answers.is_usual(call.unit, pdu, now - call.sent_at)
+            or pair.is_due(now, TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout)
+            or (is_repeating and answers.is_of_another(call.unit, call.pdu, pdu))
             or (pair.is_shifted and not answers.is_to_latest(call.unit, call.pdu))
-            or now > pair.checked_at + TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout
-            or answers.is_of_another(call.unit, call.pdu, pdu)
         ):
             self._hold(call, pdu, now)
         else:
-            pair.is_shifted |= answers.is_latest(call.unit, call.pdu, pdu)
+            pair.is_shifted |= is_repeating and answers.is_latest(call.unit, call.pdu, pdu)
             self._believe(call, pdu, now, now)
 
     def _hold(self, call: Call, pdu: bytes, now: float) -> None:
+        slowest = self._history.answers.slowest_like(call.unit, pdu)
         self._held, self._held_at = pdu, now
+        self._held_for = TIMES_SLOWEST * max(slowest, now - call.sent_at)
+        if self._is_opened and self._is_unknown:
+            self._held_for = max(self._held_for, self._opened_at + OPENED_S - now)
         call.hold()
-        self._begin_hold(call, pdu, now)
+        self._begin_hold(call, now)
 
-    def _begin_hold(self, call: Call, pdu: bytes, now: float) -> None:
-        slowest = self._answers.slowest_like(call.unit, pdu)
-        longest = call.timeouts.timeout if slowest is None else TIMES_SLOWEST * slowest
-        self._held_until = now + longest
+    def _begin_hold(self, call: Call, now: float) -> None:
+        self._held_until = now + self._held_for
         self.wake(min(self._held_until, call.deadline))
 
     def _believe(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
         """Take an answer, and remember it."""
-        self._answers.add(call.unit, call.pdu, pdu)
+        if call.unit in self._history.repeating:
+            self._history.answers.add(call.unit, call.pdu, pdu)
         self._note_time(call, pdu, came_at, now)
+        self._is_opened = False
         self.unanswered: int = 0
         call.answer(pdu)
         self._end(call)
 
     def _note_time(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
-        self._answers.note_time(call.unit, pdu, came_at - call.sent_at)
-        pair = self._pair(call, now)
-        pair.is_known, pair.heard_at = True, now
+        took = came_at - call.sent_at
+        self._history.answers.note_time(call.unit, pdu, took, was_held=came_at < now)
+        self._pair(call, now).heard_at = now
 
     def _fail(self, call: Call, error: ModbusError, now: float) -> None:
         error.received = bytes(self._received)
         call.answer(error)
-        self._pair(call, now).doubt(now, call.timeouts.timeout, call)
+        self._doubt(call, now)
         self._end(call)
 
     def _end(self, call: Call) -> None:
@@ -325,12 +328,12 @@ class Line(Matching):
 
     def _note_other(self, unit: int, function: int, call: Call | None, now: float) -> None:
         """Note a frame that answers no request in flight (serial line, 2.4.1)."""
-        pair = self._pairs.get((unit, function))
-        if pair is None:
-            self._statistics.late_answers += 1
-        else:
-            pair.heard_at = now
-            self._note_late(unit, call, now)
+        pair = self._history.pair(unit, function, now)
+        if not pair.is_doubted:
+            self._history.repeating.add(unit)
+            slowest = self._history.answers.slowest_of(unit)
+            pair.doubt(now, SILENCE_TIMES_SLOWEST * slowest)
+        self._note_late(unit, call, now)
         if call is not None:
             what = f"function {function} was answered, not {call.pdu[0]}"
             self._wrong = InvalidResponse(what if unit == call.unit else f"unit {unit} answered")
@@ -339,21 +342,56 @@ class Line(Matching):
     def _note_late(self, unit: int, call: Call | None, now: float) -> None:
         """Note a late answer: its unit may still work through other requests."""
         self._statistics.late_answers += 1
-        for (other, _), pair in self._pairs.items():
-            if other == unit and pair.is_doubted:
+        for _, pair in self._history.pairs_of(unit):
+            pair.interval = 0.0
+            if pair.is_doubted:
                 pair.heard(now)
         if call is not None and call.unit == unit and self._held is not None:
-            self._begin_hold(call, self._held, now)
+            self._begin_hold(call, now)
 
-    def _end_if_damaged(self, call: Call, now: float) -> None:
-        """End the wait for a damaged answer; after mere noise, an answer may still follow."""
-        if isinstance(self._wrong, FrameError) and self._held is None:
-            starts = [bytes([call.unit, call.pdu[0] | bit]) for bit in (0, 0x80)]
-            rest = bytes(self._received)
-            if self._endpoint.framing == "ascii":
-                starts, rest = [b":%02X%02X" % (each[0], each[1]) for each in starts], rest.upper()
-            if any(each in rest.replace(call.adu, b"", 1) for each in starts):
-                self._fail(call, self._wrong, now)
+    def _note_beginnings(self, data: bytes | bytearray, now: float) -> None:
+        """Note bytes that may be the beginning of a late answer."""
+        for unit in list(self._history.units):
+            for function, pair in self._history.pairs_of(unit):
+                for start in self._starts(unit, function) if pair.is_doubted else ():
+                    lengths = range(1, len(start))
+                    if start in data or any(data.endswith(start[:size]) for size in lengths):
+                        pair.heard(now)
+
+    def _starts(self, unit: int, function: int) -> list[bytes]:
+        """Return how the answers of a unit to a function begin."""
+        starts = [bytes([unit, function | bit]) for bit in (0, 0x80)]
+        if self._endpoint.framing == "ascii":
+            starts = [b":%02X%02X" % (start[0], start[1]) for start in starts]
+        return starts
+
+    def _is_of(self, call: Call, data: bytes) -> bool:
+        """Return True if a damaged answer to a request may be in the data, beside its echo."""
+        rest = data.upper() if self._endpoint.framing == "ascii" else data
+        rest = rest.replace(call.adu, b"", 1)
+        return any(start in rest for start in self._starts(call.unit, call.pdu[0]))
+
+    def _search(self, call: Call, now: float, *, is_over: bool = False) -> None:
+        """
+        Look for the answer between noise; end the wait for one that is damaged. After mere noise,
+        an answer may still follow.
+        """
+        # The bytes before an answer on HOLD are judged.
+        data = bytes(self._received if self._held is None else self._framer.rest)
+        if isinstance(self._framer, RtuFramer):
+            heard = data.replace(call.adu, b"", 1) if self._echo.is_there else data
+            pdu = self._framer.find_response(heard, call.unit, call.pdu[0], is_over=is_over)
+            if pdu:
+                self._framer = self._make_framer()
+                self._judge(Frame(call.unit, pdu), now)
+            if pdu is not None:
+                return
+        wrong = self._wrong
+        if isinstance(wrong, FrameError) and self._held is None and self._is_of(call, data):
+            self._fail(call, wrong, now)
+
+    def has_begun(self) -> bool:
+        return bool(self._received)
 
     def received_with(self, call: Call, pdu: bytes) -> bytes:
         return bytes(self._received)
@@ -362,11 +400,13 @@ class Line(Matching):
 
     def expire(self, now: float) -> list[Call]:
         self._end_frame(now)
+        if (call := self._call) is not None and call.deadline <= now:
+            self._search(call, now, is_over=True)
         call, held = self._call, self._held
         if call is None:
             pass
         elif held is not None and self._held_until <= now:
-            self._pair(call, now).check(now)
+            self._pair(call, now).check(now, now - call.sent_at)
             self._believe(call, held, self._held_at, now)
         elif call.deadline > now:
             self.wake(call.deadline if held is None else min(self._held_until, call.deadline))
@@ -400,7 +440,7 @@ class Line(Matching):
         for found in [*self._framer.scan(self._echo.release()), *self._framer.scan_silence()]:
             self._judge(found, now)
         if self._call is not None:
-            self._end_if_damaged(self._call, now)
+            self._search(self._call, now)
 
     def conclude(self, call: Call, error: Exception | None, now: float) -> None:
         if error is None:
@@ -409,13 +449,13 @@ class Line(Matching):
                 self._delimiter = delimiter
                 self._framer = self._make_framer()
         elif isinstance(call.reply, bytes) and not isinstance(error, ExceptionResponse):
-            self._pair(call, now).doubt(now, call.timeouts.timeout, call)
+            self._doubt(call, now)
 
     def withdraw(self, call: Call, now: float) -> bool:
         if self._call is not call:
             return False
         self._call = self._held = None
-        self._pair(call, now).doubt(now, call.timeouts.timeout, call)
+        self._doubt(call, now)
         return True
 
     def reset(self, now: float) -> list[Call]:
@@ -426,21 +466,24 @@ class Line(Matching):
         self._begin_again(self.rest)
         self._echo.reset()
         self._held = None
-        if call is None:
-            return []
-        self._pair(call, now).doubt(now, call.timeouts.timeout, call)
-        return [call]
+        if call is not None:
+            self._doubt(call, now)
+        self._history = history_of(self._endpoint)
+        self._is_unknown = not self._history.units
+        self._opened_at, self._is_opened = now, True
+        return [] if call is None else [call]
 
 
-# Reads with a possible answer that is equal to the request: it has the same length.
-_READS_LIKE_ANSWERS = frozenset([0x01, 0x02, 0x17])
+# A frame that is equal to the request may be an echo: a possible answer to reads, because it has
+# the same length; to writes of several cells, what some devices answer.
+_LIKE_ANSWERS = frozenset([0x01, 0x02, 0x0F, 0x10, 0x17])
 
 
 def _is_telling(pdu: bytes) -> bool:
     """
     Return True if the frame of a request cannot be an answer: such a one is an echo.
 
-    The answer to a read has the number of its bytes where the request has its address; the answer
-    to a write of several cells has no values.
+    The answer to a read has the number of its bytes where the request has its address. Some devices
+    answer a write of several cells with the whole request.
     """
-    return (pdu[0] in (1, 2, 3, 4, 23) and pdu[1] != len(pdu) - 2) or pdu[0] in (15, 16)
+    return pdu[0] in (1, 2, 3, 4, 23) and pdu[1] != len(pdu) - 2

@@ -12,13 +12,14 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, Unpack, overload
 
 from ..protocol.checks import seconds
-from ..protocol.errors import ModbusError
-from .call import raised
+from ..protocol.errors import ModbusError, alike
+from .call import NOT_ASKED, SILENCE, Call, raised
 from .functions_blocking import BlockingFunctions
 from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 
 # What only some methods need is imported by them.
 if TYPE_CHECKING:
+    from ..maps.holes import Holes
     from ..maps.plan import Item, Items, Key, Named, Plan, PlanOptions, Strict, Tolerant, Values
     from ..maps.register_map import AnyMap
     from ..maps.watched import Pace, PolledValues, WatchedPoints
@@ -99,7 +100,9 @@ class BlockingMany(BlockingFunctions):
             items: a `Plan`, or the items of one, such as
                 ``{"level": ("holding_registers", 100, 1, "float32"), "valves": ("coils", 0, 8)}``.
             return_exceptions: as for `execute_many`; each item of a failed
-                request gets a ModbusError in place of its values.
+                request gets a ModbusError in place of its values. If the first request gets no
+                answer, the others are not sent, and fail with the same error: a silent device
+                costs one timeout. The next call then begins with another request.
             options: the options of `Plan`, unless `items` is one: `gap`, `forbidden`,
                 `max_registers`, `max_bits`.
 
@@ -122,7 +125,9 @@ class BlockingMany(BlockingFunctions):
 
         plan = planned(items, options)
         if plan is not items:  # what would be learnt of the device would be lost
-            answers = self._run_batch(plan.requests, return_exceptions)
+            answers = self._read_batch(plan.requests, return_exceptions, self._refusals)
+            if not return_exceptions:
+                raised(answers)
         else:
             answers = self._answers(plan, return_exceptions)
         values = plan.results(answers)
@@ -174,9 +179,9 @@ class BlockingMany(BlockingFunctions):
         after the first one. If the device or the program takes longer than that, the polls that it
         misses are skipped.
 
-        If the device does not answer, the loop goes on: it yields errors in place of values,
-        and the client connects again by itself. The loop ends when the client is closed, even by
-        another thread or task, and may be left at any time.
+        If the device does not answer, the loop goes on: it yields errors in place of values, after
+        one timeout (`read_many`), and the client connects again by itself. The loop ends when the
+        client is closed, even by another thread or task, and may be left at any time.
 
         Args:
             what: a `RegisterMap` or the path of its file, a `Plan`, or the items of one, as for
@@ -225,22 +230,36 @@ class BlockingMany(BlockingFunctions):
                 return done.value
 
     def _run_batch(
-        self,
-        requests: Iterable[pdu.Request[Any]],
-        return_exceptions: bool,
-        *,
-        stops: bool = False,
+        self, requests: Iterable[pdu.Request[Any]], return_exceptions: bool
     ) -> list[Any]:
-        """
-        Send requests together, as `execute_many` does.
-
-        With `stops`, nothing is sent after a ModbusError, which is returned among the results.
-        """
+        """Send requests together, as `execute_many` does."""
         batch = self._batch(requests, return_exceptions)
         self._driver.run(batch)
         outcomes = batch.outcomes
-        raised(outcomes, (ModbusError,) if return_exceptions or stops else ())
+        raised(outcomes, (ModbusError,) if return_exceptions else ())
         return outcomes
+
+    def _read_batch(
+        self, requests: Iterable[pdu.Request[Any]], return_exceptions: bool, refusals: Holes
+    ) -> list[Any]:
+        """
+        Send reads together; return their results, and ModbusErrors in place of some.
+
+        Nothing is sent after the first failure; with `return_exceptions`, only if nothing was
+        answered: then all fail, and the next reads of a unit begin with another one.
+        """
+        reads = list(requests)
+        first = refusals.first % len(reads) if return_exceptions and reads else 0
+        batch = self._batch(reads[first:] + reads[:first], return_exceptions, is_poll=True)
+        self._driver.run(batch)
+        outcomes = batch.outcomes
+        raised(outcomes, (ModbusError,))
+        if return_exceptions and NOT_ASKED in outcomes:
+            refusals.first += 1
+            silence = next(each for each in outcomes if isinstance(each, SILENCE))
+            outcomes = [_given_up(call, silence) for call in batch.calls]
+        last = len(reads) - first
+        return outcomes[last:] + outcomes[:last]
 
     def _answers(self, plan: Plan, return_exceptions: bool) -> list[Any]:
         """Return the answers to a plan's requests, for its `results`; or raise the first error."""
@@ -249,7 +268,7 @@ class BlockingMany(BlockingFunctions):
         refusals = self._refusals
         answers: list[Any] = []
         if not refusals:
-            answers = self._run_batch(plan.requests, return_exceptions, stops=True)
+            answers = self._read_batch(plan.requests, return_exceptions, refusals)
         if refusals or any(map(is_refusal, answers)):
             steps = reading(
                 plan.blocks,
@@ -265,7 +284,7 @@ class BlockingMany(BlockingFunctions):
                 outcomes = answers if requests == list(plan.requests) else None
                 while True:
                     if not outcomes:
-                        outcomes = self._run_batch(requests, return_exceptions, stops=True)
+                        outcomes = self._read_batch(requests, return_exceptions, refusals)
                     requests, outcomes = steps.send(outcomes), None
             except StopIteration as done:
                 answers = done.value
@@ -274,6 +293,17 @@ class BlockingMany(BlockingFunctions):
         if not return_exceptions:
             raised(answers)
         return answers
+
+
+def _given_up(call: Call, silence: ModbusError) -> ModbusError:
+    """Return the outcome of a read of a device of which the first read was not answered."""
+    if call.outcome is not NOT_ASKED:
+        outcome: ModbusError = call.outcome
+        return outcome
+    error = alike(silence)
+    error.args = (f"given up after {silence.asked}: {silence.args[0]}",)
+    error.function, error.asked, error.sent = call.function, str(call.request), call.adu
+    return error
 
 
 # --- at a steady pace -----------------------------------------------------------------------

@@ -113,8 +113,10 @@ def checked_options(
         where = f"on {endpoint.scheme}, whose answers carry no transaction id"
         if settings["max_in_flight"] != 1:
             raise ValueError(f"max_in_flight must be 1 {where}")
-        if settings["accept_unit"] != "same":
-            raise ValueError(f'accept_unit must be "same" {where}')
+        if settings["ids"] != "check":
+            raise ValueError(f'ids must be "check" {where}')
+    elif settings["ids"] == "ignore" and settings["max_in_flight"] != 1:
+        raise ValueError('max_in_flight must be 1 with ids="ignore"')
     return cast("AsyncOptions", settings)
 
 

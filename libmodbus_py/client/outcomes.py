@@ -28,7 +28,10 @@ if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from ..ports.port import Port
 
-__all__ = ["Outcomes", "add_hint", "explain", "explain_end"]
+__all__ = ["CLOSED", "Outcomes", "add_hint", "explain", "explain_end"]
+
+CLOSED = (errno.ECONNRESET, errno.EPIPE)
+"""Errno if the other side has closed the connection."""
 
 BUSY = (Acknowledge, ServerDeviceBusy)
 
@@ -154,8 +157,8 @@ def explain(scheme: str, sent: bytes, received: bytes) -> str:
 
 def explain_end(scheme: str, number: int | None) -> str:
     """Return the likely mistake if a connection ended, with this errno, before any answer."""
-    is_ended = number in (errno.ECONNRESET, errno.EPIPE)
-    return "nothing was answered yet; does it want tls://?" if scheme in PLAIN and is_ended else ""
+    is_plain = scheme in PLAIN and number in CLOSED
+    return "nothing was answered yet; does it want tls://?" if is_plain else ""
 
 
 def _explain_role(certificate: bytes | None) -> str:

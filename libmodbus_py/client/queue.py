@@ -102,6 +102,12 @@ class Queue:
         if call.changes:
             self.write = call
 
+    def wait_again(self, calls: list[Call]) -> None:
+        """Put back requests that were sent before all others; their time goes on."""
+        self.waiting.extendleft(reversed(calls))
+        for call in calls:
+            self.matching.wake(call.deadline)
+
     def note_write(self, call: Call) -> None:
         """Note that a write was sent."""
         self.write = call

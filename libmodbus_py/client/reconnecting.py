@@ -19,9 +19,12 @@ from ..protocol.errors import ModbusConnectionError, ModbusError
 if TYPE_CHECKING:
     from .statistics import Statistics
 
-__all__ = ["FORKED", "Notices", "OnState", "Reconnecting", "State"]
+__all__ = ["FORKED", "IDLE", "Notices", "OnState", "Reconnecting", "State"]
 
 FIRST_PAUSE_S = 0.1
+
+IDLE = ModbusConnectionError("closed, because no request came for `idle_close`")
+"""The reason of an end that is no failure, and is not reported: no request needs the connection."""
 
 FORKED = "this process was forked off"
 
@@ -152,6 +155,9 @@ class Reconnecting:
 
     def lost(self, error: ModbusConnectionError, now: float, *, by_itself: bool) -> None:
         """Note that the connection ended; pause if it ended by itself and brought no answer."""
+        if error is IDLE:
+            self._change(State.DISCONNECTED)
+            return
         self._statistics.lost += 1
         if by_itself and self.fruitless:
             self._back_off(error, now)

@@ -19,13 +19,17 @@ __all__ = ["Sender", "Submitted"]
 
 
 class Sender:
-    """Sends requests to any unit over the connection of a client, with the client's timeouts."""
+    """
+    Sends requests to any unit over the connection of a client, with the client's timeouts.
+
+    `has_broadcast` is True if unit 0 stands for all units.
+    """
 
     def __init__(self, client: AsyncClient) -> None:
         self.client: AsyncClient = client
         self._connection = client._connection
         self._driver = client._driver
-        self._has_broadcast = client._has_broadcast
+        self.has_broadcast: bool = client._has_broadcast
 
     def submit(
         self, unit: int, request: pdu.Request[Any], on_done: Callable[[], object]
@@ -48,7 +52,7 @@ class Sender:
         """
         if type(unit) is not int or not 0 <= unit <= 255:
             unit = integer("unit", unit, 0, 255)
-        call = Call(unit, request, self.client._timeouts, unit == 0 and self._has_broadcast)
+        call = Call(unit, request, self.client._timeouts, unit == 0 and self.has_broadcast)
         self._driver.ask(call, on_done)
         return Submitted(call, self._driver)
 
@@ -70,9 +74,10 @@ class Sender:
         """
         Return when a unit may get a request, in the time of the event loop; 0.0 if at once.
 
-        On a serial line, a unit gets no request of the same function for one `timeout` after a
-        failure, because its late response could not be told from the next one. A request that is
-        submitted earlier waits for that time, and so do those to the same unit behind it.
+        On a serial line, a unit gets no request of the same function for three times its slowest
+        response after a failure, or for one `timeout` if it has never responded, because its late
+        response could not be told from the next one. A request that is submitted earlier waits for
+        that time, one `timeout` at the most, and so do those to the same unit behind it.
 
         Args:
             unit: the unit, 0..255.

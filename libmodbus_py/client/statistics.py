@@ -44,8 +44,7 @@ class Statistics:
         results: ``{(function, result): number}`` of completed requests; each repetition counts.
             Results are "ok"; "exception", the server refused; "timeout"; "invalid", the response
             was not valid; "lost", the connection was lost; "cancelled", the caller gave up;
-            "silent", the request gets no response; and "unsent", there was no connection, or the
-            line did not become silent.
+            "silent", the request gets no response; and "unsent", there was no connection.
         answer_times: a histogram of the response times: the number of `responses` that took up
             to the first of `client.statistics.TIME_BOUNDS` seconds, of those that took longer, up
             to the second, and so on; the last item counts those above all bounds.

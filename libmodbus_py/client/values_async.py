@@ -20,7 +20,7 @@ from .many_async import AsyncMany
 if TYPE_CHECKING:
     from ..maps.plan import PlanOptions
     from ..maps.register_map import AnyMap
-    from ..protocol.tables import RegisterTable, WritableTable
+    from ..protocol.tables import RegisterTable, WritableTable, WriteFunction
     from ..protocol.value_types import ValueType
     from ..protocol.words import (
         BitsType,
@@ -189,7 +189,9 @@ class AsyncValues(AsyncMany):
         **wrong: Unpack[NoOthers],
     ) -> None:
         """
-        Write one number, string, time or list of bits to holding registers, with function 16.
+        Write one number, string, time or list of bits to holding registers.
+
+        They are written with function 16; with ``write_function="single"``, each with function 6.
 
         Args:
             table: "holding_registers", the only table of registers that can be written.
@@ -207,7 +209,7 @@ class AsyncValues(AsyncMany):
 
         check_writable(table)
         kind = value_type(type, order=order, encoding=encoding, padding=padding)
-        await self.execute(pdu.WriteRegisters(address, kind.encode(value)))  # type: ignore[arg-type]
+        await self._write_registers(address, kind.encode(value))
 
     async def write_values(
         self,
@@ -222,7 +224,7 @@ class AsyncValues(AsyncMany):
         **wrong: Unpack[NoOthers],
     ) -> None:
         """
-        Write values of one type to consecutive holding registers, with one request.
+        Write values of one type to consecutive holding registers, as `write_value` does.
 
         Args:
             table: "holding_registers", the only table of registers that can be written.
@@ -240,7 +242,15 @@ class AsyncValues(AsyncMany):
 
         check_writable(table)
         kind = value_type(type, order=order, encoding=encoding, padding=padding)
-        await self.execute(pdu.WriteRegisters(address, kind.encode_many(values)))  # type: ignore[arg-type]
+        await self._write_registers(address, kind.encode_many(values))
+
+    async def _write_registers(self, address: int, registers: list[int]) -> None:
+        request = pdu.WriteRegisters(address, registers)  # type: ignore[arg-type]
+        if self._write_function != "single":
+            await self.execute(request)
+            return
+        for at, register in enumerate(request.values):
+            await self.execute(pdu.WriteRegister(request.address + at, register))
 
     # --- register maps ------------------------------------------------------------------
 
@@ -268,8 +278,9 @@ class AsyncValues(AsyncMany):
             names: the names of the points to read; None for all readable points. A program that
                 often reads the same few points should make a `RegisterMap` of them.
             return_exceptions: True to return, in place of a value, a ModbusError if the point
-                could not be read, and a `NoValue` with the reason where there is no value.
-                False to raise the first failure, and to return None where there is no value.
+                could not be read, and a `NoValue` with the reason where there is no value; a
+                silent device costs one timeout, as for `read_many`. False to raise the first
+                failure, and to return None where there is no value.
             options: the options of `Plan`: `gap`, `forbidden`, `max_registers`, `max_bits`.
 
         Returns:
@@ -304,6 +315,9 @@ class AsyncValues(AsyncMany):
         are sent in the order of the map, and adjacent points share one. If a request fails, its
         error is raised, and the requests after it are not sent.
 
+        The functions are those of `write_function`. With "auto", what a device refuses with
+        exception 1 to be written with function 5 or 6 is written with 15 or 16.
+
         Points with `scale_from` are written with the factor that the device has at that time: the
         points that hold the factors are read first. Parts of registers are written with function 22
         (mask write register). If the device lacks that function, the register is read, changed and
@@ -313,8 +327,7 @@ class AsyncValues(AsyncMany):
             map: the register map, or the path of its file, as for `read_map`.
             values: the values by name, such as ``{"setpoint": 21.5}``; each is rounded to the
                 nearest value that its scale can represent (`Point.encode`).
-            multiple: True to write even single coils and registers with functions 15 and
-                16, for devices that lack functions 5 and 6.
+            multiple: True for ``write_function="multiple"`` in this call.
 
         Raises:
             TypeError, ValueError: there is no such point, or it cannot be written; a value does
@@ -332,25 +345,42 @@ class AsyncValues(AsyncMany):
         if sources:
             plan = points.plan(sources)
             read = plan.results(await self._run_batch(plan.requests, False))
+        function: WriteFunction = "multiple" if multiple else self._write_function
         lacks_masks = False
-        for request in points.writes(values, multiple=multiple, sources=read):
+        for request in points.writes(values, write_function=function, sources=read):
             if not isinstance(request, pdu.MaskWriteRegister):
-                await self.execute(request)
+                await self._write(request, function)
             elif lacks_masks:
-                await self._change_register(request)
+                await self._change_register(request, function)
             else:
                 try:
                     await self.execute(request)
                 except IllegalFunction:
                     lacks_masks = True
-                    await self._change_register(request)
+                    await self._change_register(request, function)
 
-    async def _change_register(self, mask: pdu.MaskWriteRegister) -> None:
-        """Change a register as section 6.16 of the specification says, with functions 3 and 6."""
+    async def _write(self, request: pdu.Request[None], function: WriteFunction) -> None:
+        try:
+            await self.execute(request)
+        except IllegalFunction:
+            if function != "auto" or not isinstance(request, pdu.WriteCoil | pdu.WriteRegister):
+                raise
+            from ..maps.writing import cell_requests
+
+            table = "coils" if isinstance(request, pdu.WriteCoil) else "holding_registers"
+            for other in cell_requests(table, request.address, [request.value], "multiple"):
+                await self.execute(other)
+
+    async def _change_register(self, mask: pdu.MaskWriteRegister, function: WriteFunction) -> None:
+        """Change a register as section 6.16 of the specification says: read it, then write it."""
+        from ..maps.writing import cell_requests
+
         async with self._driver.lock:
             (register,) = await self.execute(pdu.ReadHoldingRegisters(mask.address, 1))
             value = register & mask.and_mask | mask.or_mask & ~mask.and_mask
-            await self.execute(pdu.WriteRegister(mask.address, value & 0xFFFF))
+            cells = [value & 0xFFFF]
+            for request in cell_requests("holding_registers", mask.address, cells, function):
+                await self._write(request, function)
 
 
 def _values_in(registers: list[int], kind: ValueType, name: str) -> list[Any]:

@@ -237,7 +237,7 @@ class TcpContext(Slave):
         return check(lib.modbus_flush(self._modbus))
 
     def _client_framer(self, request: Request[Any]) -> TcpFramer:
-        return TcpFramer()
+        return TcpFramer("client")
 
     def _server_framer(self) -> TcpFramer:
         return TcpFramer()

@@ -222,8 +222,8 @@ class Device(NamedValues, PythonFunctions):
 
         Args:
             map: the points, or the path of their file, which `load_map` reads.
-            values: initial values by name, such as ``{"setpoint": 21.5}``; the cells of all other
-                points are 0.
+            values: initial values by name, such as ``{"setpoint": 21.5}``; those of other points
+                are their `initial`, or have cells that are 0.
             options: the other arguments of `Device`.
 
         Raises:
@@ -235,6 +235,7 @@ class Device(NamedValues, PythonFunctions):
 
         points = map_of(map)
         device = cls(zeros_for(points), points=points, **options)
+        device.update(points.initial)
         device.update(values or {})
         return device
 

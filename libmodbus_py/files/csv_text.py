@@ -1,10 +1,13 @@
 """
-CSV as people and programs write it: one line with headings, then one row per line.
+Tables as people and programs write them: one row with headings, then a row for each thing. In CSV
+with commas, semicolons, tabs or bars between the cells, or in Markdown; spreadsheets become CSV
+before (`texts.read_table`).
 
-Cells are separated by commas, semicolons, tabs or bars; empty lines, lines that begin with ``#``
-(in quotes it begins a cell) and a byte order mark are ignored. Lines above the headings, such as a
-title, are skipped: the headings are the first line in which two of them are known. Where semicolons
-separate the cells, a comma in a number is a decimal comma.
+Empty lines, lines that begin with ``#`` and a byte order mark are ignored. A comment is recognised
+by its line, before cells are: quotes in it mean nothing. A cell that begins with ``#`` is one in
+quotes, or a mere ``#``, with which some lists head the numbers of their rows. Lines above the
+headings, such as a title, are skipped: the headings are the first line in which two of them are
+known. Where commas do not separate the cells, a comma in a number is a decimal comma.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ import csv
 import io
 import re
 import reprlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from typing import Any, Literal, NamedTuple
 
@@ -25,11 +28,17 @@ __all__ = ["CELLS", "CsvRow", "CsvText", "csv_rows", "flag_in", "number_in", "wh
 
 DELIMITERS = ",;\t|"
 
+MARKDOWN = "Markdown"
+"""In place of a delimiter: bars, also at both ends of a row."""
+
 # The most lines above the headings.
 MOST_TITLES = 30
 
 # Control characters, which editors and terminals obey and no table contains.
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
+
+# All characters of the line below the headings in Markdown; colons align columns.
+_RULER = frozenset("|-: ")
 
 
 class CsvRow(NamedTuple):
@@ -40,7 +49,15 @@ class CsvRow(NamedTuple):
 
 
 class CsvText:
-    """A text in CSV: its row of headings, its delimiter, and how many rows are skipped above."""
+    """
+    The text of a table: its row of headings, its delimiter, and how many rows are skipped above.
+
+    Args:
+        text: the text.
+        is_known: whether a heading is known.
+        kind: the class of errors about characters, or what is not CSV.
+        headings: those of a list that has none of its own.
+    """
 
     def __init__(
         self,
@@ -48,18 +65,31 @@ class CsvText:
         is_known: Callable[[str], bool],
         kind: type[FileError],
         *,
-        names_first: bool = False,
+        headings: Sequence[str] = (),
     ) -> None:
-        if found := _CONTROL.search(text):
-            line = text.count("\n", 0, found.start()) + 1
-            reason = f"contains the control character {ord(found[0]):#04x}"
+        if control := _CONTROL.search(text):
+            line = text.count("\n", 0, control.start()) + 1
+            reason = f"contains the control character {ord(control[0]):#04x}"
             raise kind((), reason, place=FilePlace(line=line))
-        self._kind = kind  # of errors about characters, or what is not CSV
+        self._kind = kind
         # Excel begins a file with a byte order mark, or with a line such as "sep=;".
-        self._text = re.sub(r"\A\ufeff?(sep=[^\r\n](?=[\r\n]))?", "", text)
-        self._lines = re.split("\r\n|\r|\n", self._text)
-        # The first cell may be a name such as #12, which could be a comment.
-        self._names_first = names_first
+        text = re.sub(r"\A\ufeff?(sep=[^\r\n](?=[\r\n]))?", "", text)
+        self._lines = io.StringIO(text, newline="").readlines()
+        rulers = (at for at, line in enumerate(self._lines) if {*"|-"} <= {*line.strip()} <= _RULER)
+        self._ruler: int | None = next(rulers, None)
+        self.head: CsvRow = CsvRow(0, list(headings))
+        self.skipped: int = 0
+        self.delimiter: str = ","
+        if not headings:
+            self._find_head(is_known)
+
+    def _find_head(self, is_known: Callable[[str], bool]) -> None:
+        if self._ruler:
+            self.delimiter = MARKDOWN
+            lines = [at for at, _ in enumerate(self._lines[: self._ruler]) if self._is_cells(at)]
+            self.head = CsvRow(self._ruler, self._markdown_cells(self._ruler - 1))
+            self.skipped = len(lines) - 1
+            return
         heads, errors = [], []
         for delimiter in DELIMITERS:
             try:
@@ -68,19 +98,22 @@ class CsvText:
                 errors.append(error)
         if not heads:
             raise errors[0]
-        _, head, skipped, delimiter = max(heads, key=lambda each: each[0])
-        self.head: CsvRow = head
-        self.skipped: int = skipped
-        self.delimiter: str = delimiter
+        _, self.head, self.skipped, self.delimiter = max(heads, key=lambda head: head[0])
 
     def number_cell(self, cell: str) -> str:
-        """Return a cell with a point in place of its decimal comma, if it has one."""
-        has_comma = self.delimiter == ";" and _WITH_COMMA.fullmatch(cell)
-        return cell.replace(",", ".") if has_comma else cell
+        """Return a cell with a point in place of its decimal comma; WrongValue for 1,000."""
+        if self.delimiter == "," or not _WITH_COMMA.fullmatch(cell):
+            return cell
+        if self.delimiter != ";" and _THOUSANDS.fullmatch(cell):
+            reason = f"{cell} may be a thousand, or have three decimals: write it without a comma"
+            raise WrongValue((), reason)
+        return cell.replace(",", ".")
 
     def rows(self) -> Iterator[CsvRow]:
         """Yield the rows below the headings; raise a FileError if the rest is not CSV."""
-        return (row for row in self._rows(self.delimiter) if row.line > self.head.line)
+        for row in self._rows(self.delimiter, below=self.head.line):
+            if row.line > self.head.line:
+                yield row
 
     def cells(self, row: CsvRow) -> list[str]:
         """Return the cells of a row; raise WrongValue if it has more than there are headings."""
@@ -101,29 +134,58 @@ class CsvText:
                 first = known, row, 0
         return first
 
-    def _rows(self, delimiter: str) -> Iterator[CsvRow]:
-        lines = io.StringIO(self._text, newline="")
-        reader = csv.reader(lines, delimiter=delimiter, strict=True)
-        line = 1
+    def _rows(self, delimiter: str, below: int | None = None) -> Iterator[CsvRow]:
+        """Yield all rows; below that line, what may be a comment or a name is an error."""
+        if delimiter == MARKDOWN:
+            for at in range(len(self._lines)):
+                if self._is_cells(at) and at != self._ruler:
+                    yield CsvRow(at + 1, self._markdown_cells(at))
+            return
+        at = 0  # the index of the next line
+        line = 1  # where the row begins
+        is_begin = True  # of a row; a line in the middle of a quoted cell is no comment
+
+        def lines() -> Iterator[str]:
+            nonlocal at, is_begin, line
+            while at < len(self._lines):
+                at += 1
+                text = self._lines[at - 1]
+                if is_begin and self._is_comment(text, at, delimiter, below):
+                    continue
+                if is_begin:
+                    line, is_begin = at, False
+                yield text
+
+        reader = csv.reader(lines(), delimiter=delimiter, strict=True)
         while True:
+            is_begin = True
             try:
-                found = next(reader, None)
+                cells = next(reader, None)
             except csv.Error as error:
                 raise self._kind((), f"invalid CSV: {error}", place=FilePlace(line=line)) from None
-            if found is None:
+            if cells is None:
                 return
-            cells = [cell.strip() for cell in found]
-            if any(cells) and not self._is_comment(cells, line):
+            cells = [cell.strip() for cell in cells]
+            if any(cells):
                 yield CsvRow(line, cells)
-            line = reader.line_num + 1
 
-    def _is_comment(self, cells: list[str], line: int) -> bool:
-        if not cells[0].startswith("#") or self._lines[line - 1].lstrip().startswith('"'):
+    def _is_comment(self, text: str, line: int, delimiter: str, below: int | None) -> bool:
+        text = text.strip()
+        if not text.startswith("#") or text[1:].lstrip().startswith(delimiter):
             return False
-        if self._names_first and len(cells) > 1 and re.match("#[0-9]", cells[0]):
-            reason = f"quote {cells[0]!r} if it is a name, or put a space behind the # of a comment"
+        if below is not None and line > below and re.match("#[0-9]", text) and delimiter in text:
+            name = text.split(delimiter)[0].strip()
+            reason = f"quote {name!r} if it is a name, or put a space behind the # of a comment"
             raise self._kind((), reason, place=FilePlace(line=line))
         return True
+
+    def _is_cells(self, at: int) -> bool:
+        return "|" in self._lines[at]
+
+    def _markdown_cells(self, at: int) -> list[str]:
+        row = re.sub(r"^\||(?<!\\)\|$", "", self._lines[at].strip())
+        cells = [cell.strip().replace(r"\|", "|") for cell in re.split(r"(?<!\\)\|", row)]
+        return [re.sub(r"^(`|\*\*)(.*)\1$", r"\2", cell) for cell in cells]
 
 
 def csv_rows(rows: Iterable[Iterable[Any]]) -> str:
@@ -140,6 +202,7 @@ def _written(rows: Iterable[Iterable[Any]], quoting: Literal[0, 2]) -> str:
 
 
 _WITH_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+([eE][+-]?[0-9]+)?")
+_THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
 _DECIMAL = re.compile(r"[+-]?([0-9]{1,40}(\.[0-9]{0,40})?|\.[0-9]{1,40})([eE][+-]?[0-9]{1,3})?")
 
 
@@ -182,6 +245,7 @@ CELLS: dict[str, Callable[[str], Any]] = {
     "int": whole_in,
     "float": number_in,
     "float | None": number_in,
+    "WriteFunction | None": str,
     "bool": flag_in,
     "tuple[str, ...]": _words,
 }

@@ -6,6 +6,7 @@ their place in the file.
 from __future__ import annotations
 
 import codecs
+import io
 import re
 import reprlib
 import tomllib
@@ -14,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from os import PathLike, fspath
 from typing import Any, NamedTuple, Self, TypeVar
 
+from ..protocol.extras import what_is_missing
 from ..protocol.mistakes import Mistake, Path, WrongValue, placed
 from ..system import open_file
 
@@ -93,18 +95,71 @@ def read_text(path: str | PathLike[str], kind: type[FileError]) -> str:
         raise kind((), reason, place=FilePlace(fspath(path))) from None
 
 
-def read_table(path: str | PathLike[str], kind: type[FileError]) -> tuple[str, str]:
-    """Return the text of a file as spreadsheets save it, and a note if it is not UTF-8."""
+def read_table(
+    path: str | PathLike[str],
+    kind: type[FileError],
+    encoding: str | None = None,
+    sheet: str | None = None,
+) -> tuple[str, str]:
+    """
+    Return the text of a file as spreadsheets save it, and a note if it is not UTF-8.
+
+    Without an encoding, it is UTF-8, or UTF-16 with a mark. A spreadsheet becomes CSV.
+    """
+    if fspath(path).lower().endswith(".xlsx"):
+        return _spreadsheet(path, kind, sheet)
     data = _content(path, kind)
+    place = FilePlace(fspath(path))
     is_utf_16 = data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-    for encoding in ("utf-16",) if is_utf_16 else ("utf-8", "cp1252"):
-        try:
-            text = data.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-        return text, "" if encoding == "utf-8" else f"read as {encoding}, because it is not UTF-8"
-    reason = "is neither UTF-8, UTF-16 nor cp1252; save it as UTF-8"
-    raise kind((), reason, place=FilePlace(fspath(path)))
+    name = encoding or ("utf-16" if is_utf_16 else "utf-8")
+    try:
+        text = data.decode(name)
+    except LookupError:
+        raise kind("encoding", f"{name!r} is not known, such as cp1252", place=place) from None
+    except UnicodeDecodeError as error:
+        reason = f"byte {error.start} is not {name}: say its encoding (--encoding), {ENCODINGS}"
+        raise kind((), reason, place=place) from None
+    if encoding is not None:
+        return text, f"read as {name}"
+    return text, "read as utf-16, because it is not UTF-8" if is_utf_16 else ""
+
+
+ENCODINGS = (
+    "such as cp1252 (western Europe), cp1250 (central Europe), cp1251 (Cyrillic), gbk (Chinese)"
+)
+
+
+def _spreadsheet(
+    path: str | PathLike[str], kind: type[FileError], sheet: str | None
+) -> tuple[str, str]:
+    """Return a sheet of a spreadsheet as CSV, a line for each row, and a note about the sheet."""
+    place = FilePlace(fspath(path))
+    data = io.BytesIO(_content(path, kind))
+    try:
+        from openpyxl import load_workbook  # which few programs need
+    except ImportError:
+        reason = what_is_missing("a spreadsheet", "spreadsheets")
+        raise kind((), reason, place=place) from None
+    try:
+        book = load_workbook(data, read_only=True, data_only=True)
+    except Exception as error:  # each version of openpyxl raises others
+        raise kind((), f"is no spreadsheet: {error}", place=place) from None
+    if sheet is not None and sheet not in book.sheetnames:
+        reason = f"must be one of {', '.join(book.sheetnames)}, not {sheet!r}"
+        raise kind("sheet", reason, place=place)
+    name = sheet or book.sheetnames[0]
+    rows = book[name].iter_rows(values_only=True)
+    text = "".join(f"{','.join(map(_quoted, row)) if any(row) else ''}\n" for row in rows)
+    others = [each for each in book.sheetnames if each != name]
+    return text, f"read sheet {name}, not {', '.join(others)}" if others else ""
+
+
+def _quoted(cell: object) -> str:
+    """Return a cell of a spreadsheet as one of CSV, on one line."""
+    if isinstance(cell, float) and cell.is_integer():
+        cell = int(cell)
+    text = str(cell).lower() if isinstance(cell, bool) else "" if cell is None else str(cell)
+    return '"' + " ".join(text.split()).replace('"', '""') + '"'
 
 
 def load_file(

@@ -17,6 +17,9 @@ a value is never cut. A device that cannot read one piece refuses the whole requ
    take the time that a gateway waits for a silent device; all that was refused is holes then.
 6. Another failure, such as silence or a busy device, says nothing about pieces. It ends the
    search of that run.
+7. Requests of which nothing is answered end with the first that is not, because each of the others
+   would take as long. The next ones begin with another request: the device may be silent about some
+   of them only.
 
 Holes are known by their cells, so that all plans of a unit share them.
 """
@@ -146,10 +149,14 @@ class PastRefusal(NamedTuple):
 
 @dataclass(slots=True)
 class Holes:
-    """The refusals of one unit, as one client knows them: pieces, and where requests begin."""
+    """
+    The refusals of one unit, as one client knows them: pieces, and where requests begin; and which
+    request of a plan is sent first.
+    """
 
     refused: dict[Span, PastRefusal] = field(default_factory=dict)
     cuts: dict[tuple[Any, ...], PastRefusal] = field(default_factory=dict)
+    first: int = 0
 
     def __bool__(self) -> bool:
         return bool(self.refused or self.cuts)

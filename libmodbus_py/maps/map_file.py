@@ -1,35 +1,25 @@
 """
-Register maps from files: in TOML, with a table ``[[point]]`` for each point, or in CSV, as vendors
-publish them.
-
-In CSV, the headings name the columns, in any order, by `COLUMNS`. Empty cells are ignored. Without
-a column for the table, addresses are references, such as 40123.
-
-Only words that every vendor means alike are known: a "gain" multiplies with some and divides with
-others, and a wrong guess would be a wrong value.
+Register maps from files: in TOML, with a table ``[[point]]`` for each point and ``[defaults]`` for
+all, or as lists, which `lists` reads.
 """
 
 from __future__ import annotations
 
-import json
-import re
-import reprlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 from os import PathLike, fspath
 from pathlib import PurePath
-from typing import Any, NamedTuple
+from typing import Any
 
-from ..files.csv_text import CsvRow, CsvText, flag_in, number_in, whole_in
-from ..files.schema import Key, Keys, keys_of, table, tables
-from ..files.texts import FileError, FilePlace, line_of, read_table, read_text, read_toml
-from ..protocol.mistakes import Path, WrongValue, inside, placed
-from ..protocol.values import parse_reference
-from ..protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, by_word, plain, type_named
+from ..files.schema import Key, Keys, keys_of, table, tables, whole
+from ..files.texts import FilePlace, line_of, read_table, read_text, read_toml
+from ..protocol.mistakes import Path, WrongValue, placed
+from .list_cells import PADDINGS
+from .list_words import ListOptions
+from .lists import MapEntry, MapError, RegisterList
 from .point import Point
-from .point_checks import BYTES, SCALES
 from .point_plan import scale_mistakes
 
 # fmt: off
@@ -39,25 +29,23 @@ __all__ = [
 ]
 # fmt: on
 
-FORMS: tuple[str, ...] = (".toml", ".csv", ".tsv", ".txt")
+FORMS: tuple[str, ...] = (".toml", ".csv", ".tsv", ".txt", ".md", ".xlsx")
 """The suffixes of files that may be maps; all but the first have columns."""
-
-FILE = Keys([Key("point", tables, "a table for each point: [[point]]", ())])
 
 POINT = keys_of(Point)
 """The keys of a point, in every file that describes points."""
 
+DEFAULTS = POINT.but("name", "address").optional() | Keys(
+    [Key("first_address", whole(0, 0xFFFF), "what the file calls address 0")]
+)
+"""The keys of ``[defaults]``: those of a point, and how its addresses count."""
 
-class MapError(FileError):
-    """A file is not a valid register map; the message names file, line, column or key."""
-
-
-class MapEntry(NamedTuple):
-    """The description of one point in a file, not yet checked."""
-
-    path: Path  # of the point in the file; empty in CSV, where a row is a point
-    place: Callable[[Path], FilePlace]  # of a path in the file
-    keys: Callable[[], Mapping[str, Any]]  # the arguments of `Point`, or a TypeError or ValueError
+FILE = Keys(
+    [
+        Key("point", tables, "a table for each point: [[point]]", ()),
+        Key("defaults", DEFAULTS.read, "keys of all points without their own"),
+    ]
+)
 
 
 @dataclass
@@ -68,6 +56,7 @@ class Contents:
     entries: dict[str, MapEntry] = field(default_factory=dict)  # of each of these points
     mistakes: list[MapError] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # how it was read, if not in the usual way
+    columns: Mapping[str, str] = field(default_factory=dict)  # kind of a column -> its heading
 
     def place(self, name: str) -> FilePlace:
         """Return the place of a point in the file."""
@@ -104,43 +93,37 @@ def collected(contents: Contents, entries: Iterable[MapEntry], most: int) -> Con
 
 
 def contents_of(
-    path: str | PathLike[str], most: int, columns: Mapping[str, str] | None = None
+    path: str | PathLike[str], most: int, options: ListOptions | None = None
 ) -> Contents:
     """Read a file up to the mistake with the number `most`; otherwise as `load_map`."""
+    options = options or ListOptions()
     suffix = PurePath(path).suffix.lower()
     if suffix not in FORMS:
         reason = f"a register map must end with one of {', '.join(FORMS)}"
         raise MapError((), reason, place=FilePlace(fspath(path)))
-    is_toml = suffix == ".toml"
-    text, note = (read_text(path, MapError), "") if is_toml else read_table(path, MapError)
-    contents = contents_of_text(text, suffix, most, columns or {})
+    note = ""
+    if suffix == ".toml":
+        text = read_text(path, MapError)
+    else:
+        text, note = read_table(path, MapError, options.encoding, options.sheet)
+    contents = contents_of_text(text, suffix, most, options)
     contents.notes[:0] = [note] if note else []
     contents.mistakes = [mistake.in_file(fspath(path)) for mistake in contents.mistakes]
     return contents
 
 
-def contents_of_text(text: str, suffix: str, most: int, columns: Mapping[str, str]) -> Contents:
+def contents_of_text(text: str, suffix: str, most: int, options: ListOptions) -> Contents:
     """Read the text of a file with one of the suffixes `FORMS`; otherwise as `contents_of`."""
     if suffix == ".toml":
-        if columns:
-            raise ValueError("columns are for CSV; the keys of TOML have the names of arguments")
+        if not options.is_empty:
+            raise ValueError("columns and such are for lists; TOML has [defaults]")
         return collected(Contents(), _toml_entries(text), most)
-    named = {COLUMNS.get(plain(kind), kind): heading for kind, heading in columns.items()}
-    for kind in named:
-        if kind not in READERS:
-            allowed = ", ".join(READERS)
-            raise ValueError(f"columns must name some of {allowed}, not {kind!r}")
-    headings = COLUMNS.keys() | {plain(heading) for heading in named.values()}
-    ignored: list[str] = []
     try:
-        rows = CsvText(text, lambda heading: plain(heading) in headings, MapError)
-        found = _columns(rows.head, named, ignored)
+        rows = RegisterList(text, options)
     except MapError as error:
         return Contents(mistakes=[error])
-    notes = [f"rows above the headings that are skipped: {rows.skipped}"] if rows.skipped else []
-    if ignored:
-        notes.append(f"columns that mean nothing here: {', '.join(ignored)}")
-    return collected(Contents(notes=notes), _csv_entries(rows, found), most)
+    contents = Contents(notes=rows.notes, columns=rows.columns)
+    return collected(contents, rows.entries(), most)
 
 
 def _toml_entries(text: str) -> Iterator[MapEntry]:
@@ -148,234 +131,23 @@ def _toml_entries(text: str) -> Iterator[MapEntry]:
         return FilePlace(line=line_of(text, path))
 
     try:
-        points: list[Any] = FILE.read((), read_toml(text)).get("point", [])
+        content = FILE.read((), read_toml(text))
     except (TypeError, ValueError) as error:
         mistake = placed(error, ())
         raise MapError.of(mistake, place(mistake.path)) from None
-    for at, given in enumerate(points):
+    defaults = content.get("defaults", {})
+    for at, given in enumerate(content.get("point", [])):
         path = ("point", at)
-        yield MapEntry(path, place, partial(table, path, given))
+        yield MapEntry(path, place, partial(_with_defaults, path, given, defaults))
 
 
-# --- words -----------------------------------------------------------------------------------
-
-COLUMNS = by_word(
-    dict.fromkeys(POINT, "")
-    | {
-        "name": "parameter, parameter name, point, point name, signal, signal name, tag, tag name,"
-        " variable, variable name, register name, symbol, label",
-        "table": "register type, reg type, register table, object type, modbus table, area,"
-        " modbus type",
-        "function": "function code, fc, modbus function, func, func code",
-        "address": "register, reg, register address, reg address, start address, addr,"
-        " start register, modbus address, modbus register, register number, offset address",
-        "count": "values",
-        "type": "data type, datatype, value type, format, data format",
-        "order": "byte order, word order, endianness, endian",
-        "scale": "factor, multiplier, scaling, scale factor, scaling factor, multiply by",
-        "divisor": "divider, divide by",
-        "offset": "value offset",
-        "units": "unit, engineering unit, engineering units, eng unit, uom",
-        "access": "r w, rw, access type, access mode, read write, mode, permission, permissions",
-        "minimum": "min, min value, low limit, lower limit",
-        "maximum": "max, max value, high limit, upper limit",
-        "description": "comment, comments, remark, remarks, note, notes, details, meaning",
-        "missing": "missing value, missing values",
-        "time_zone": "timezone",
-        "interval": "poll interval, polling interval",
-    }
-)
-"""Heading of a column -> kind of the column."""
-
-AMBIGUOUS = {
-    "gain": "scale (raw values are multiplied by it) or divisor",
-    "sf": "scale, and write the factor itself: some write the power of ten, or its register",
-}
-"""Heading whose meaning differs between vendors -> the headings to use instead."""
-
-FUNCTION_TABLES = {
-    **dict.fromkeys((1, 5, 15), "coils"),
-    2: "discrete_inputs",
-    **dict.fromkeys((3, 6, 16, 22, 23), "holding_registers"),
-    4: "input_registers",
-}
-"""Function code -> the table that it reads or writes."""
-
-ACCESS_WORDS = by_word(
-    {
-        "read": "r, ro, read only, readonly",
-        "write": "w, wo, write only, writeonly",
-        "read_write": "read write, rw, r w, readwrite, wr, w r",
-    }
-)
-
-PADDINGS = {"space": " ", "nul": "\0"}
-"""Word -> the character that it stands for in the column of paddings."""
-
-# --- columns and rows ------------------------------------------------------------------------
-
-Columns = dict[str, tuple[int, str]]
-"""Kind of a column -> its index, and its heading."""
-
-
-def _columns(head: CsvRow, named: Mapping[str, str], ignored: list[str]) -> Columns:
-    """Return the columns by their kinds, and add headings without a meaning to `ignored`."""
-    place = FilePlace(line=head.line)
-    cells = [" ".join(cell.split()) for cell in head.cells]
-    by_heading = {plain(heading): kind for kind, heading in named.items()}
-    for kind, heading in named.items():
-        if plain(heading) not in map(plain, cells):
-            raise MapError((), f"no column {heading}, which is named for {kind}", place=place)
-    kinds = {word: kind for word, kind in COLUMNS.items() if kind not in named} | by_heading
-    columns: Columns = {}
-    # Headings that are the names of keys come before other words.
-    headings = [(at, heading) for at, heading in enumerate(cells) if heading]
-    for at, heading in sorted(headings, key=lambda each: plain(each[1]) not in READERS):
-        found = kinds.get(plain(heading))
-        if found is None and (instead := AMBIGUOUS.get(plain(heading))):
-            reason = f"column {heading} means this or that: call it {instead}"
-            raise MapError((), reason, place=place)
-        if found is not None and found not in columns:
-            columns[found] = at, heading
-        elif found in (None, "description") or plain(columns[found][1]) in READERS:
-            ignored.append(heading)
-        else:
-            reason = f"columns {columns[found][1]} and {heading} both hold the {found}"
-            raise MapError((), reason, place=place)
-    for key in ("name", "address"):
-        if key not in columns:
-            known = ", ".join(word for word, kind in COLUMNS.items() if kind == key)
-            raise MapError((), f"no column {key}; it may be called {known}", place=place)
-    return columns
-
-
-def _csv_entries(text: CsvText, columns: Columns) -> Iterator[MapEntry]:
-    """Yield the entry of each row; raise a MapError if the rest of the text is not CSV."""
-    for row in text.rows():
-        if any(row.cells[at : at + 1] != [""] for at, _ in columns.values()):
-            place = partial(_place_in_row, row, columns)
-            yield MapEntry((), place, partial(_keys_of_row, text, row, columns))
-
-
-def _place_in_row(row: CsvRow, columns: Columns, path: Path) -> FilePlace:
-    _, heading = columns.get(str(path[0]) if path else "", (0, ""))
-    return FilePlace(line=row.line, column=heading)
-
-
-def _keys_of_row(text: CsvText, row: CsvRow, columns: Columns) -> dict[str, Any]:
-    cells = [" ".join(cell.split()) for cell in text.cells(row)]
-    given = {key: cells[at] for key, (at, _) in columns.items() if at < len(cells) and cells[at]}
-    found = {}
-    for key, cell in given.items():
-        with inside(key):
-            read = READERS[key]
-            found[key] = read(text.number_cell(cell) if read is number_in else cell)
-    return _settled(found, given)
-
-
-def _settled(keys: dict[str, Any], given: dict[str, str]) -> dict[str, Any]:
-    """Resolve arguments that depend on several columns."""
-    table = keys.pop("function", None)
-    if table and keys.setdefault("table", table) != table:
-        raise WrongValue("function", f"{given['function']} is none of {keys['table']}")
-    if "address" in keys and "table" not in keys:
-        with inside("address"):
-            keys["table"], keys["address"] = _referred(given["address"])
-    if "divisor" in given:
-        if "scale" in given:
-            raise WrongValue("divisor", "cannot be given together with a scale")
-        if not keys["divisor"]:
-            raise WrongValue("divisor", "must not be 0")
-        keys["scale"] = 1 / keys.pop("divisor")
-    if keys.get("missing") == "sunspec" and plain(given.get("type", "")).startswith("acc"):
-        keys["missing"] = [0]  # of accumulators, 0 means "not implemented"
-    if keys.get("type") == "bool":
-        if keys.get("table", "").endswith("registers"):
-            reason = "of registers must not be bool; bits16 gives those of one"
-            raise WrongValue("type", reason)
-        del keys["type"]
+def _with_defaults(path: Path, given: object, defaults: Mapping[str, Any]) -> dict[str, Any]:
+    usual = dict(defaults)
+    first = usual.pop("first_address", 0)
+    keys = {**usual, **table(path, given)}
+    if first and isinstance(keys.get("address"), int):
+        keys["address"] -= first
     return keys
-
-
-def _referred(text: str) -> tuple[str, int]:
-    try:
-        return parse_reference(text)
-    except ValueError:
-        wanted = "a reference such as 40123 or 300007 where no column says the table"
-        raise WrongValue((), f"must be {wanted}, not {reprlib.repr(text)}") from None
-
-
-# --- cells -----------------------------------------------------------------------------------
-
-_FUNCTION = re.compile(r"(?<![0-9a-z])(?:fc|f|0x)? ?([0-9]{1,2})(?![0-9a-z])")
-
-
-def _word(meanings: dict[str, str]) -> Callable[[str], str]:
-    def read(text: str) -> str:
-        if found := meanings.get(plain(text)):
-            return found
-        allowed = ", ".join(dict.fromkeys(meanings.values()))
-        raise WrongValue((), f"must be one of {allowed}, not {reprlib.repr(text)}")
-
-    return read
-
-
-_type_word = _word({**TYPE_WORDS, "string:n": "string:N"})
-
-
-def _function(text: str) -> str:
-    """Return the table of "3", "03/06/16", "0x04" or "FC 3"."""
-    tables = {FUNCTION_TABLES.get(int(code)) for code in _FUNCTION.findall(text.casefold())}
-    if len(tables) != 1 or None in tables:
-        allowed = ", ".join(map(str, FUNCTION_TABLES))
-        raise WrongValue((), f"must be of {allowed}, all of one table, not {reprlib.repr(text)}")
-    return str(*tables)
-
-
-def _missing(text: str) -> str | list[int | float]:
-    """Return the numbers of "65535" or "0x8000; -1", or the word sunspec."""
-    if plain(text) == "sunspec":
-        return "sunspec"
-    words = re.split(r"[;,\s]+", text.strip("; "))
-    return [whole_in(each) if each[:2] in ("0x", "0X") else number_in(each) for each in words]
-
-
-def _names(text: str) -> dict[str, str]:
-    """Return the names of "0 = off; 1 = on", or of a JSON object."""
-    if text.startswith("{"):
-        try:
-            return dict(json.loads(text))
-        except ValueError:
-            raise WrongValue((), f"must be a JSON object, not {reprlib.repr(text)}") from None
-    found: dict[str, str] = {}
-    for each in text.strip("; ").split(";"):
-        key, separator, name = each.partition("=")
-        if not separator or not name.strip():
-            raise WrongValue((), f"must be like 0 = off; 1 = on, not {reprlib.repr(text)}")
-        if key.strip() in found:
-            raise WrongValue((), f"must name {key.strip()} once, not twice")
-        found[key.strip()] = name.strip()
-    return found
-
-
-READERS: dict[str, Callable[[str], Any]] = {
-    **dict.fromkeys(POINT, str),
-    **dict.fromkeys(("address", "count"), whole_in),
-    **dict.fromkeys(("scale", "divisor", "offset", "interval", "minimum", "maximum"), number_in),
-    **dict.fromkeys(("plausible_minimum", "plausible_maximum"), number_in),
-    **dict.fromkeys(("states", "bits"), _names),
-    "table": _word(TABLE_WORDS),
-    "function": _function,
-    "type": lambda text: type_named(text) or _type_word(text),
-    "order": lambda text: ORDER_WORDS.get(plain(text), text),
-    "padding": lambda text: PADDINGS.get(plain(text), text),
-    "access": _word(ACCESS_WORDS),
-    "missing": _missing,
-    **dict.fromkeys(("never_falls", "border"), flag_in),
-    "scale_as": _word({word: word for word in SCALES}),
-    "byte": _word({word: word for word in BYTES}),
-}
-"""Kind of a column -> the reader that returns the argument of `Point`, or raises WrongValue."""
 
 
 # Table -> how references to it begin (PI-MBUS-300): a 5-digit one is an address, too.

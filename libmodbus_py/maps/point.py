@@ -74,6 +74,11 @@ class Point:
         border: True if no request may ask for cells before the point together with its own,
             because the device refuses that.
         group: the name of a group of points that can be selected together, up to 100 characters.
+        rewrite: the seconds after which a fleet writes the last value that it wrote again, and
+            again, 0.01..86400, for devices that need it; None for never.
+        initial: the value with which a simulated device begins, as `encode` takes it.
+        write_function: the functions that write the point: "single" for 5 and 6, "multiple" for 15
+            and 16; None for those of the client, or of the device of a fleet.
 
     Attributes:
         read: the `Read` of all cells, for a `Plan`.
@@ -113,6 +118,9 @@ class Point:
     interval: float | None = None
     border: bool = False
     group: str = ""
+    rewrite: float | None = None
+    initial: Any = None
+    write_function: Literal["single", "multiple"] | None = None
     read: Read = field(init=False, repr=False, compare=False)
     meaning: Meaning = field(init=False, repr=False, compare=False)
     _scaling: Scaling | None = field(init=False, repr=False, compare=False)

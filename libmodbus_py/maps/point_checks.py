@@ -12,7 +12,8 @@ from typing import Any
 from ..protocol.checks import integer, seconds, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue, placed
 from ..protocol.pdu.request import store
-from ..protocol.tables import TABLES, checked_table
+from ..protocol.plain import shortest
+from ..protocol.tables import TABLES, checked_table, checked_write_function
 from ..protocol.values import ValueType
 from .meaning import Meaning, Part, Scaling, number, part_of
 from .plan import Read
@@ -97,14 +98,25 @@ def check_point(point: Point) -> None:
         store(read, kind=_local(read.kind, point))
     if point.interval is not None:
         seconds("interval", point.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+    if point.rewrite is not None:
+        seconds("rewrite", point.rewrite, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+    if point.write_function is not None:
+        checked_write_function(point.write_function, ("single", "multiple"))
     if not isinstance(point.border, bool):
         raise WrongType("border", f"must be true or false, not {point.border!r}")
     store(point, access=_access(point), meaning=_meaning(point, read.kind))
+    if point.rewrite is not None and point.access == "read":
+        raise WrongValue("rewrite", "must be left out where access is read")
     for name in ("scale", "offset"):
         number(name, getattr(point, name))
     is_scaled = (point.scale, point.offset) != (1, 0)
     store(point, _scaling=Scaling(point.scale, point.offset) if is_scaled else None)
     _check_bounds(point, "minimum", "maximum")
+    if point.initial is not None and point.scale_from is None:
+        try:
+            point.cells_for([point.initial] if point.count == 1 else point.initial)
+        except (TypeError, ValueError) as error:
+            raise placed(error, ()).renamed(("initial",)) from None
 
 
 def _check_string(name: str | Path, value: object) -> None:
@@ -352,7 +364,8 @@ def _raws(
     if kind.name.startswith(HAVE_NO_VALUE) and isinstance(given, int) and given > high:
         return _raws_of_bits(point, kind, integer(path, given, int(low), most))
     try:
-        return [kind.decode(kind.encode(given))]
+        raw = kind.decode(kind.encode(given))
+        return [shortest(raw, kind.name) if isinstance(raw, float) else raw]
     except (TypeError, ValueError) as error:
         raise placed(error, ()).renamed(path) from None
 

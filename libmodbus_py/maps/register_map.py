@@ -10,18 +10,22 @@ import reprlib
 import unicodedata
 from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
 from os import PathLike
-from typing import Any, Protocol, TypeAlias, Unpack
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, Unpack
 
 from ..protocol import pdu
 from ..protocol.mistakes import WrongType, WrongValue, close_to
+from ..protocol.tables import WriteFunction, checked_write_function
 from .plan import PlanOptions
 from .point import Point
 from .point_plan import PointPlan, borders_of, scale_mistakes, sources_of
 
+if TYPE_CHECKING:
+    from .list_words import ListKeys, ListOptions  # most programs read no list
+
 # fmt: off
 __all__ = [
     "AnyMap", "BoundMap", "MapBinding", "RegisterMap", "attribute_names", "close_to", "load_map",
-    "map_of", "spelled",
+    "map_of", "map_with", "spelled",
 ]
 # fmt: on
 
@@ -75,6 +79,11 @@ class RegisterMap(Mapping[str, Point]):
     def __repr__(self) -> str:
         return f"<RegisterMap of {len(self)} points: {reprlib.repr(list(self))}>"
 
+    @property
+    def initial(self) -> dict[str, Any]:
+        """The initial values of points that have one, by name."""
+        return {name: each.initial for name, each in self.items() if each.initial is not None}
+
     def plan(self, names: Iterable[str] | None = None, **options: Unpack[PlanOptions]) -> PointPlan:
         """
         Return the plan that reads points; the plan made last is cached.
@@ -102,7 +111,7 @@ class RegisterMap(Mapping[str, Point]):
         self,
         values: Mapping[str, Any],
         *,
-        multiple: bool = False,
+        write_function: WriteFunction = "auto",
         sources: Mapping[str, Any] | None = None,
     ) -> list[pdu.Request[None]]:
         """
@@ -113,8 +122,10 @@ class RegisterMap(Mapping[str, Point]):
 
         Args:
             values: the values by name, as `Point.encode` takes them.
-            multiple: True to write even single coils and registers with functions 15 and 16,
-                for devices that lack functions 5 and 6.
+            write_function: "single" for functions 5 and 6, with a request for each coil or
+                register, so that a device sees a value of two registers in two halves; "multiple"
+                for 15 and 16; "auto" for 5 and 6 for single ones, 15 and 16 for several. Points
+                may name their own (`Point.write_function`).
             sources: the values that were read of the points of `scale_sources`, by name.
 
         Raises:
@@ -131,7 +142,7 @@ class RegisterMap(Mapping[str, Point]):
         ]
         from .writing import write_requests  # brings the functions that write
 
-        return write_requests(changes, multiple)
+        return write_requests(changes, checked_write_function(write_function))
 
     def scale_sources(self, values: Mapping[str, Any]) -> list[str]:
         """
@@ -220,28 +231,42 @@ def map_of(given: AnyMap, name: str = "map") -> RegisterMap:
     return load_map(given)
 
 
-def load_map(path: str | PathLike[str], *, columns: Mapping[str, str] | None = None) -> RegisterMap:
+def load_map(
+    path: str | PathLike[str],
+    *,
+    columns: Mapping[str, Any] | None = None,
+    **options: Unpack[ListKeys],
+) -> RegisterMap:
     """
     Return the register map of a file.
 
     Args:
         path: the path of the file. If it ends with ``.toml``, the file has a table ``[[point]]``
-            for each point, with the arguments of `Point` as keys. If it ends with ``.csv``,
-            ``.tsv`` or ``.txt``, it has a row for each point, and columns that are recognised by
-            their headings, as vendors name them. It may be as Excel saves it: in UTF-8, UTF-16 or
-            cp1252, with a title above the headings, and with decimal commas where semicolons
-            separate the cells.
+            for each point, with the arguments of `Point` as keys, and ``[defaults]`` for all. If it
+            ends with ``.csv``, ``.tsv``, ``.txt``, ``.md`` or ``.xlsx``, it is a list: it has a row
+            for each point, and columns that are recognised by their headings, as vendors name them.
         columns: the headings of columns that are not recognised, by the arguments of `Point` or
-            headings that are, such as ``{"name": "Bezeichnung"}``; only for files with columns.
+            headings that are, such as ``{"name": "Bezeichnung"}``; those under "nothing" are
+            ignored. Only for lists, as all that follow.
+        options: how a list is read, where it does not say it: `origin` ("iobroker", "modpoll",
+            "nibe" or "victron"), `encoding`, `sheet`, `only`, `types`, `first_address`, `table`,
+            `access`, `order`, `lengths` (``docs/how-to/register-lists.md``).
 
     Raises:
-        MapError: the file cannot be read, or contains a mistake. The message describes the first
-            one, with file, line, column and what is allowed.
+        MapError: the file cannot be read, contains a mistake, or has two meanings. The message
+            describes the first one, with file, line, column and what is allowed.
         ValueError: `columns` has a name that is no argument of `Point`, or the file no columns.
     """
+    from .list_words import ListOptions  # most programs read no list
+
+    return map_with(path, ListOptions(columns=columns or {}, **options))
+
+
+def map_with(path: str | PathLike[str], options: ListOptions) -> RegisterMap:
+    """Return the register map of a file; otherwise as `load_map`."""
     from .map_file import contents_of  # most programs read no file
 
-    contents = contents_of(path, most=1, columns=columns)
+    contents = contents_of(path, most=1, options=options)
     if contents.mistakes:
         raise contents.mistakes[0]
     return RegisterMap(contents.points.values())

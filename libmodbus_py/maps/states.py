@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from ..protocol.checks import integer, number
 from ..protocol.mistakes import Path, WrongValue
+from ..protocol.plain import shortest
 from ..protocol.values import ValueType
 
 __all__ = ["NumberSpan", "States", "check_spans", "state_key"]
@@ -99,8 +100,8 @@ def _number_of(
         key = _number_in(path, key, is_float=floats is not None)
     if floats is None:
         return integer(path, key, int(limits[0]), int(limits[1]))
-    # As registers hold it: 0.1 of a float32 is not that of a float64.
-    return float(floats.unpack(floats.pack(path, number(path, key, *limits))))
+    # As registers hold it: a float32 has fewer digits than a key may have.
+    return shortest(floats.unpack(floats.pack(path, number(path, key, *limits))), floats.name)
 
 
 def _number_in(path: Path, text: str, *, is_float: bool) -> int | float:

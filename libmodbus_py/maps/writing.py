@@ -7,15 +7,16 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 from ..protocol import pdu
 from ..protocol.mistakes import WrongValue
-from ..protocol.tables import TABLES
+from ..protocol.tables import TABLES, WriteFunction
 from .meaning import CellChange
 from .point import Point
 
-__all__ = ["check_cells", "check_overlaps", "write_requests"]
+__all__ = ["cell_requests", "check_cells", "check_overlaps", "write_requests"]
 
 # Table -> the requests that write one cell, and several.
 _WRITES: dict[str, tuple[Any, Any]] = {
@@ -24,13 +25,24 @@ _WRITES: dict[str, tuple[Any, Any]] = {
 }
 
 
+def cell_requests(
+    table: str, address: int, cells: Sequence[Any], function: WriteFunction
+) -> list[pdu.Request[None]]:
+    """Return the requests that write cells: one for all, or one for each with "single"."""
+    one, many = _WRITES[table]
+    if function == "multiple" or (function == "auto" and len(cells) > 1):
+        return [many(address, cells)]
+    return [one(address + at, cell) for at, cell in enumerate(cells)]
+
+
 @dataclass
 class _Run:
-    """Consecutive cells that one request writes."""
+    """Consecutive cells that are written with a function."""
 
     table: str
     address: int
     cells: list[Any]
+    function: WriteFunction
 
     @property
     def stop(self) -> int:
@@ -38,14 +50,13 @@ class _Run:
 
     def takes(self, other: _Run) -> bool:
         most = TABLES[self.table].most_written
-        touches = (other.table, other.address) == (self.table, self.stop)
+        end = self.table, self.stop, self.function
+        touches = (other.table, other.address, other.function) == end
         return touches and len(self.cells) + len(other.cells) <= most
 
-    def request(self, multiple: bool) -> pdu.Request[None]:
-        one, many = _WRITES[self.table]
-        if len(self.cells) == 1 and not multiple:
-            return one(self.address, self.cells[0])  # type: ignore[no-any-return]
-        return many(self.address, self.cells)  # type: ignore[no-any-return]
+    @property
+    def requests(self) -> list[pdu.Request[None]]:
+        return cell_requests(self.table, self.address, self.cells, self.function)
 
 
 @dataclass
@@ -53,55 +64,63 @@ class _Masked:
     """Bits of one register that are written; the others are left as they are."""
 
     address: int
+    function: WriteFunction
     bits: int = 0
     mask: int = 0
 
-    def request(self, multiple: bool) -> pdu.Request[None]:
+    @property
+    def requests(self) -> list[pdu.Request[None]]:
         if self.mask == 0xFFFF:
-            return _Run("holding_registers", self.address, [self.bits]).request(multiple)
-        return pdu.MaskWriteRegister(self.address, 0xFFFF & ~self.mask, self.bits)
+            return cell_requests("holding_registers", self.address, [self.bits], self.function)
+        return [pdu.MaskWriteRegister(self.address, 0xFFFF & ~self.mask, self.bits)]
 
 
 def write_requests(
-    changes: Iterable[tuple[Point, Any, Any]], multiple: bool
+    changes: Iterable[tuple[Point, Any, Any]], function: WriteFunction
 ) -> list[pdu.Request[None]]:
     """
     Return the requests that write values to points, in their order; all values are checked.
 
-    Neighbours are written with one request, parts of one register with one of function 22.
+    Neighbours are written with one request, parts of one register with one of function 22;
+    `function` is for the points that name none of their own.
     """
     runs: list[_Run | _Masked] = []
     masked: dict[int, _Masked] = {}
     made = [(point, point.change(value, source=source)) for point, value, source in changes]
     check_overlaps(made)
     for point, (cells, masks) in made:
+        own = point.write_function or function
         if masks is not None:
-            runs += _mask(point, cells, masks, masked)
+            runs += _mask(point, cells, masks, masked, own)
             continue
-        for piece in _pieces(point, cells):
+        for piece in _pieces(point, cells, own):
             last = runs[-1] if runs else None
             if isinstance(last, _Run) and last.takes(piece):
                 last.cells += piece.cells
             else:
                 runs.append(piece)
-    return [run.request(multiple) for run in runs]
+    return [*chain.from_iterable(run.requests for run in runs)]
 
 
 def _mask(
-    point: Point, cells: list[int], masks: list[int], masked: dict[int, _Masked]
+    point: Point,
+    cells: list[int],
+    masks: list[int],
+    masked: dict[int, _Masked],
+    function: WriteFunction,
 ) -> Iterator[_Masked]:
     """Add the bits of a point; yield the registers of which none was written before."""
     for address, bits, mask in zip(point.cells, cells, masks, strict=True):
         if not mask:
             continue
         if address not in masked:
-            masked[address] = _Masked(address)
+            masked[address] = _Masked(address, function)
             yield masked[address]
         masked[address].bits |= bits
         masked[address].mask |= mask
 
 
-def _pieces(point: Point, cells: list[Any]) -> Iterator[_Run]:
+def _pieces(point: Point, cells: list[Any], function: WriteFunction) -> Iterator[_Run]:
     """Yield cells that must stay together: a whole point if one request holds it, else a value."""
     most, size = TABLES[point.table].most_written, point.read.size
     if size > most:
@@ -110,7 +129,7 @@ def _pieces(point: Point, cells: list[Any]) -> Iterator[_Run]:
         )
     step = len(cells) if len(cells) <= most else size
     for at in range(0, len(cells), step):
-        yield _Run(point.table, point.address + at, cells[at : at + step])
+        yield _Run(point.table, point.address + at, cells[at : at + step], function)
 
 
 def check_overlaps(changes: Iterable[tuple[Point, CellChange]]) -> None:

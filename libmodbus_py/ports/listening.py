@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Self
 from ..protocol.errors import ModbusConnectionError
 from .greeting import Greeting, greeting_of
 from .hosts import own_address, reason, tcp_listener
+from .port import Silence
 from .sockets import TcpPort
 from .waiting import READ, Ready, Steps, of_system
 
@@ -38,7 +39,9 @@ class ListeningPort(TcpPort):
         """Return the port of a client for an endpoint."""
         count, texts = greeting_of("greeting", settings["greeting"] or "0 bytes")
         greeting = Greeting(count, texts, has_header=endpoint.framing == "tcp")
-        return cls(endpoint.host, endpoint.port, settings["keepalive"], greeting)
+        port = cls(endpoint.host, endpoint.port, settings["keepalive"], greeting)
+        port.silence = Silence(endpoint.options.get("silence") or 0.0)  # of a line behind it
+        return port
 
     def __init__(self, host: str, port: int, keepalive: float | None, greeting: Greeting) -> None:
         super().__init__(host, port, keepalive)

@@ -121,6 +121,11 @@ def _parity(_name: str, value: object) -> None:
     parity_of(value)
 
 
+def _flag(name: str, value: object) -> None:
+    if not isinstance(value, bool):
+        raise TypeError(f"{name} must be True or False, not {value!r}")
+
+
 RS485_MODES = ("kernel", "rts-up", "rts-down")
 
 GPIO_LINE = re.compile("gpio:(/.+)/([^/]+)")
@@ -243,11 +248,22 @@ class ConnectionOptions(TypedDict, total=False):
             durations(),
         ),
     ]
+    broadcast: Annotated[
+        bool,
+        Option(
+            "unit 0 of a serial line is a broadcast. False if a device answers as unit 0, as some "
+            "do that are alone on the line.",
+            SWITCH,
+            True,
+            _flag,
+        ),
+    ]
     request_spacing: Annotated[
         float,
         Option(
             "the least seconds between the starts of two requests. For devices that need a pause; "
-            "it does not count towards `timeout`.",
+            "it does not count towards `timeout`. A slow answer shortens the pause behind it; on "
+            "lines, `silence` counts from the end of the answer.",
             SECONDS,
             0.0,
             durations(),
@@ -271,6 +287,18 @@ class ConnectionOptions(TypedDict, total=False):
             NUMBER,
             3,
             integers(1, 1_000_000),
+        ),
+    ]
+    idle_close: Annotated[
+        float | None,
+        Option(
+            "seconds without a response after which the connection is closed, 0.1..86400, or None. "
+            "The next request makes a new one. For devices that close idle connections, or have "
+            "one for all clients. A blocking client closes it in `watch`, else before its next "
+            "request.",
+            SECONDS_OR_NONE,
+            None,
+            optional(durations(0.1)),
         ),
     ]
     max_pause: Annotated[
@@ -317,10 +345,34 @@ class ConnectionOptions(TypedDict, total=False):
         Literal["same", "any"],
         Option(
             'the units whose responses are accepted: "same", the one addressed, or "any". Some '
-            "TCP devices answer every request as unit 255.",
+            "TCP devices answer every request as unit 255. On a line only with one device.",
             _text("WHICH"),
             "same",
             one_of("same", "any"),
+        ),
+    ]
+    ids: Annotated[
+        Literal["check", "ignore"],
+        Option(
+            'the transaction ids of responses: "check", or "ignore" to accept any. For devices '
+            "that answer with wrong ones. Only with one request in flight; after a request without "
+            "an answer a new connection is made, so that a late answer is not taken for another.",
+            _text("WHICH"),
+            "check",
+            one_of("check", "ignore"),
+        ),
+    ]
+    write_function: Annotated[
+        Literal["auto", "single", "multiple"],
+        Option(
+            'the functions that write values: "single" for 5 and 6, "multiple" for 15 and 16, or '
+            '"auto". Of `write_map` and `write_value`, for devices that lack functions. With '
+            '"single", each coil and register has a request of its own, so that the device sees a '
+            'value of two registers in two halves. "auto" writes single coils and registers of '
+            "maps with 5 and 6, and several with 15 and 16.",
+            _text("WHICH"),
+            "auto",
+            one_of("auto", "single", "multiple"),
         ),
     ]
     delimiter: Annotated[
@@ -374,7 +426,7 @@ class SerialSettings(TypedDict, total=False):
     silence: Annotated[
         float | None,
         Option(
-            "seconds of silence between frames; unless given, 3.5 characters",
+            "seconds of silence before a request; unless given, 3.5 characters on serial lines",
             SECONDS,
             check=optional(durations(0, 1)),
         ),

@@ -80,7 +80,7 @@ def options_of(scheme: Scheme) -> Mapping[str, Option]:
     """Return the options that URLs of a scheme may contain, besides those of clients."""
     framing, transport = SCHEMES[scheme]
     if transport in ("tcp", "listen") and framing != "tcp":  # a line behind a converter
-        return {"echo": SERIAL_OPTIONS["echo"]}
+        return {name: SERIAL_OPTIONS[name] for name in ("echo", "silence")}
     return TRANSPORTS[transport].options
 
 

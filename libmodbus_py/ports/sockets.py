@@ -254,7 +254,9 @@ class TcpPort(HostPort, StreamPort):
     @classmethod
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
         """Return the port of a client for an endpoint."""
-        return cls(endpoint.host, endpoint.port, settings["keepalive"], settings["source"])
+        port = cls(endpoint.host, endpoint.port, settings["keepalive"], settings["source"])
+        port.silence = Silence(endpoint.options.get("silence") or 0.0)  # of a line behind it
+        return port
 
     def __init__(
         self, host: str, port: int, keepalive: float | None, source: str | None = None

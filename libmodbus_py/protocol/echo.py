@@ -7,11 +7,12 @@ compared with those that were sent, in their order, and equal ones are taken out
 Equal bytes alone do not prove an echo: the response to a write is equal to its request, and a
 master may send the same write again and again. Unless a user has set whether there is an echo, it
 is found out from *telling* frames only. Such a frame can be nothing else when it comes back: the
-request of a read, or of a write of several cells, at a client, because its response differs; a
-response that is no possible request at a server. If a telling frame comes back whole, there is an
-echo; if other bytes come in its place, there is none. Until then other frames that come back are
-left in, and decide nothing. An echo that was found out is disbelieved at the first frame that does
-not come back. Time is no evidence: converters keep bytes for longer than some masters wait.
+request of a read at a client (that of a write of several cells differs from its response, too, but
+some devices answer with the whole request); a response that is no possible request at a server. If
+a telling frame comes back whole, there is an echo; if other bytes come in its place, there is none.
+Until then other frames that come back are left in, and decide nothing. An echo that was found out
+is disbelieved at the first frame that does not come back. Time is no evidence: converters keep
+bytes for longer than some masters wait.
 
 A server on a serial port does not carry out its own response to a write: if the same request
 follows where the echo would, it sends only the first byte of the response. If that byte comes

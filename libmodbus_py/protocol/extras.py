@@ -35,6 +35,7 @@ EXTRAS: dict[str, Extra] = {
     "pytest": Extra("pytest>=7", "python3-pytest"),
     "nats": Extra("nats-py>=2.16", ""),
     "sunspec": Extra("pysunspec2>=1.3", ""),
+    "spreadsheets": Extra("openpyxl>=3.0", "python3-openpyxl"),
 }
 """Extra of pyproject.toml -> the package that it needs."""
 

@@ -126,10 +126,18 @@ class TcpFramer(Framer):
 
     A frame with a protocol other than 0 is an error. After a length outside 2..254 the start of
     the next frame is unknown, so that every later call raises a FrameError.
+
+    Args:
+        role: "client" if it receives responses: an exception is then taken without the byte that
+            some devices count too much in its header, if nothing more has come.
     """
 
     has_broadcast = False
     max_size = MAX_FRAME
+
+    def __init__(self, role: Role = "server") -> None:
+        super().__init__()
+        self._is_client = role == "client"
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, transaction = checked_frame(frame)
@@ -162,6 +170,9 @@ class TcpFramer(Framer):
             self.in_step = False
             add_error(self._found, error)
             self.rest.clear()
+        if self._is_client and _is_short_exception(self.rest):
+            self._found.append(_frame(self.rest))
+            self.rest.clear()
 
     def _scan_silence(self) -> None:
         """Ignore silence, which ends no frame on TCP."""
@@ -183,7 +194,19 @@ class UdpFramer(TcpFramer):
             if cut(datagram, 0, found, 1) == len(datagram):
                 self._found += found
                 return
+        if self._is_client and _is_short_exception(datagram):
+            self._found.append(_frame(datagram))
+            return
         self._found.append(FrameError("a datagram that is not one frame", received=datagram))
+
+
+def _is_short_exception(data: bytes | bytearray) -> bool:
+    """Return True for an exception, which has 3 bytes behind the length, with a length of 4."""
+    return len(data) == 9 and data[2:6] == b"\0\0\0\4" and data[FUNCTION] >= 0x80
+
+
+def _frame(data: bytes | bytearray) -> Frame:
+    return Frame(data[UNIT], bytes(data[FUNCTION:]), int.from_bytes(data[TRANSACTION]))
 
 
 class RtuFramer(Framer):
@@ -213,6 +236,7 @@ class RtuFramer(Framer):
         super().__init__()
         self.quiet = pause + ALLOWANCE
         self._cutter = RtuCutter(role, own)
+        self.find_response: Callable[..., bytes | None] = self._cutter.find_response
         self._usual = "request" if role == "server" else "response"
         self._in_run = False  # True if the bytes before the buffer were no frame
 
@@ -396,10 +420,10 @@ class AsciiFramer(Framer):
             del self.rest[:count]
 
 
-_FRAMERS: dict[str, Callable[[], Framer]] = {
+_FRAMERS: dict[str, Callable[[Role], Framer]] = {
     "tcp": TcpFramer,
     "udp": UdpFramer,
-    "ascii": AsciiFramer,
+    "ascii": lambda role: AsciiFramer(),
 }
 
 
@@ -421,7 +445,7 @@ def make_framer(
         return RtuFramer(role, pause, own)
     if framing not in _FRAMERS:
         raise ValueError(f'framing must be "tcp", "rtu", "ascii" or "udp", not {framing!r}')
-    return _FRAMERS[framing]()
+    return _FRAMERS[framing](role)
 
 
 _PDUS: dict[str, Callable[[bytes], bytes]] = {

@@ -12,7 +12,7 @@ import math
 import re
 import reprlib
 from collections.abc import Callable
-from itertools import count
+from struct import Struct
 from typing import TYPE_CHECKING, Any
 
 from .pdu import Request
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "BITS", "CONTROL", "bit_of", "clock_text", "decimal_of", "number_of", "plain", "text_of",
-    "time_of", "time_text", "units_of", "value_of", "without_controls",
+    "BITS", "CONTROL", "SHORT_FLOATS", "bit_of", "clock_text", "decimal_of", "number_of", "plain",
+    "shortest", "text_of", "time_of", "time_text", "units_of", "value_of", "without_controls",
 ]
 # fmt: on
 
@@ -105,22 +105,29 @@ def _family(kind: ValueType) -> str:
     return kind.name.rstrip("0123456789")
 
 
-# As many digits as every value keeps (IEEE 754); up to three more tell every two values apart.
-DIGITS = {"float16": 3, "float32": 6}
+# Type -> forms with as many digits as every value keeps (IEEE 754), and with more, of which the
+# last tell every two values apart; and what packs it. Python shows the shortest of float64.
+SHORT_FLOATS = {
+    "float16": (("%.3g", "%.4g", "%.5g"), Struct("e").pack),
+    "float32": (("%.6g", "%.7g", "%.8g", "%.9g"), Struct("f").pack),
+}
 
 
-def _shortest(value: float, kind: ValueType) -> str:
-    """The shortest number with the same bits: 3.14, not 3.140000104904175."""
-    fewest = DIGITS.get(kind.name)
-    # Python shows the shortest of float64. A nan's sign is in its bits, and in no text.
-    if fewest is None or not math.isfinite(value):
-        return str(value)
-    numbers = (float(f"{value:.{digits}g}") for digits in count(fewest))
-    return str(next(number for number in numbers if kind.encode(number) == kind.encode(value)))
+def shortest(value: float, name: str) -> float:
+    """Return the number with the fewest digits that a type has as this value: 230.1 for float32."""
+    if name not in SHORT_FLOATS or not math.isfinite(value):
+        return value
+    forms, pack = SHORT_FLOATS[name]
+    data = pack(value)
+    for form in forms:
+        number = float(form % value)
+        if pack(number) == data:
+            return number
+    return value
 
 
 SHOWN: dict[str, Callable[[Any, ValueType], str]] = {
-    "float": _shortest,
+    "float": lambda value, kind: str(shortest(value, kind.name)),
     "bits": lambda value, _: "".join(str(int(bit)) for bit in value),
     "string:": lambda value, _: repr(value),
 }

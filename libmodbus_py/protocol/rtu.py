@@ -123,6 +123,26 @@ class RtuCutter:
         self._is_lost = False  # nothing up to the next silence can be cut
         self._awaited: tuple[int, int] | None = None  # unit and function of a response
 
+    def find_response(
+        self, data: bytes, unit: int, function: int, *, is_over: bool
+    ) -> bytes | None:
+        """
+        Return the PDU of the first response of a unit and function, whatever is around it.
+
+        None if there is none; empty if one has begun that may still be completed, unless no more
+        bytes are waited for (`is_over`).
+        """
+        for at in range(len(data) - 1):
+            if data[at] == unit and data[at + 1] & 0x7F == function:
+                end = self._responses.at(data, at, at, SILENT)
+                if end > 0:
+                    return data[at + 1 : end - 2]
+                if end == UNFINISHED and not is_over:
+                    return b""
+                if is_one_adu(data[at:]):  # of another length than the function has
+                    return data[at + 1 : -2]
+        return None
+
     def is_one_frame(self, data: bytes) -> bool:
         """Return True if the data are one frame that is answered or awaited here, as most are."""
         if not self._is_fresh or self._scanners[0].at(data, 0, 0) != len(data):

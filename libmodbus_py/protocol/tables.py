@@ -11,7 +11,7 @@ import reprlib
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from operator import attrgetter
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 from . import pdu
 from .mistakes import WrongType, WrongValue
@@ -21,14 +21,20 @@ from .words import TABLE_WORDS, close_word, table_named
 # fmt: off
 __all__ = [
     "REGISTER_TABLES", "TABLES", "TABLE_SIZE", "RegisterTable", "Table", "WritableTable",
-    "check_writable", "checked_ranges", "checked_table", "contains", "joined", "register_table",
-    "touches", "without",
+    "WriteFunction", "check_writable", "checked_ranges", "checked_table", "checked_write_function",
+    "contains", "joined", "register_table", "touches", "without",
 ]
 # fmt: on
 
 WritableTable = Literal["holding_registers"]
 RegisterTable = Literal[WritableTable, "input_registers"]
 Table = Literal["coils", "discrete_inputs", RegisterTable]
+
+WriteFunction = Literal["auto", "single", "multiple"]
+"""
+The functions that write values: 5 and 6 for each cell ("single"), 15 and 16 ("multiple"); or the
+first for one cell and the others for several ("auto").
+"""
 
 
 class TableRules(NamedTuple):
@@ -62,6 +68,15 @@ def checked_table(table: object) -> Any:
         close = close_word(table, TABLES, TABLE_WORDS)
         raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {table!r}{close}")
     return name
+
+
+def checked_write_function(
+    value: object, allowed: tuple[str, ...] = get_args(WriteFunction)
+) -> Any:
+    """Return a value that is allowed, or raise ValueError."""
+    if value not in allowed:
+        raise WrongValue("write_function", f"must be one of {', '.join(allowed)}, not {value!r}")
+    return value
 
 
 def register_table(given: object) -> Any:

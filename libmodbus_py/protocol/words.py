@@ -21,7 +21,7 @@ from .mistakes import WrongValue, close_to
 __all__ = [
     "MAX_STRING_BYTES", "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "BitsType",
     "FloatType", "IntegerType", "Layout", "NumberType", "Order", "Reference", "StringType",
-    "TextOptions", "TextType", "TimeType", "TypeName", "by_word", "close_word", "order_named",
+    "TextOptions", "TextType", "TimeType", "TypeName", "close_word", "order_named",
     "parse_reference", "plain", "string_type", "table_named", "type_named",
 ]
 # fmt: on

@@ -13,8 +13,7 @@ The rules:
 
 1. As many requests are in flight as the client has room for, at least one.
 2. On a line without transaction ids a unit is not asked while its late answer may still come
-   (`Sender.ready_at`); requests to other units overtake it. Nor is any unit asked while
-   late answers to an earlier client of the same port may come (`replaces`).
+   (`Sender.ready_at`); requests to other units overtake it.
 3. A trial is sent when no other request waits. When that does not happen, it is sent after it
    waited for one timeout, but no two trials in a row.
 4. A trial that others wait for ends after the time of the slowest answers on this line, because
@@ -155,7 +154,6 @@ class SharedLine(ABC, Generic[Each]):
         self.is_closed: bool = False
         self._loop = asyncio.get_running_loop()
         self._has_ids = sender.has_ids
-        self._quiet_until = 0.0
         self._longest_wait = longest_wait
         self._most_trials = most_trials
         self._urgent, self._usual = make_queue(), make_queue()
@@ -238,10 +236,6 @@ class SharedLine(ABC, Generic[Each]):
         """Remove a request that waits; return False if it does not."""
         return any(queue.remove(each) for queue in (self._urgent, self._usual, self._trials))
 
-    def replaces(self, before: AsyncClient) -> None:
-        """Send nothing while late answers to another client of the same port may come."""
-        self._quiet_until = self._loop.time() + before.timeout
-
     def stop(self) -> list[Each]:
         """Send nothing any more; remove and return all requests that wait."""
         self.is_closed = True
@@ -283,7 +277,7 @@ class SharedLine(ABC, Generic[Each]):
     def _ready_at(self, each: Each) -> float:
         if self._has_ids:
             return 0.0
-        return max(self._quiet_until, self.sender.ready_at(each.unit, each.request.function))
+        return self.sender.ready_at(each.unit, each.request.function)
 
     def _pick(self, now: float) -> Each | None:
         """Remove and return the request to send now; None if none may be."""

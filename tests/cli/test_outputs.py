@@ -45,11 +45,11 @@ alarm,holding_registers,0,uint16,,,1
 flags,holding_registers,0,uint16,,3=hot; 2=cold,
 """
 
-COLUMNS = """Register;Parameter;Data Type;R/W;Factor;Vendor's
+COLUMNS = """Register;Parameter;Data Type;R/W;Multiplier;Vendor's
 40001;volts;U16;R;0.1;x
 40002;power;S32;RO;1;
 40003;setpoint;INT16;R/W;0.1;
-40010;serial;STR10;R;;
+40010;serial;string:10;R;;
 00001;run;bool;W;;
 """
 

@@ -109,7 +109,7 @@ ITEMS = [
     ("read h hr 0 --map none", "'none' is neither the path of a register map, which ends with"),
     ("read h hr 0 --map plant", "the examples are abb_b23, "),
     ("read h hr 0 --map /dev/null/none", "/dev/null/none"),
-    ("read h hr 0 --column name=x", "--column needs --map"),
+    ("read h hr 0 --column name=x", "--column, --from and --list need --map"),
     ("read h --group x", "--group needs --map FILE"),
     ("read h hr 0 --group x", "--group needs --map FILE"),
     (
@@ -122,7 +122,7 @@ TYPES = [
     ("read h coils 0 --type int16", "only holding, input, file have"),
     ("read h 10001 --type int16", "discrete inputs have no type"),
     ("read h coils 0 --type all", "coils have no type"),
-    ("read h hr 0 --type int8", "int16, int32, int64, uint16,"),
+    ("read h hr 0 --type int9", "int16, int32, int64, int8,"),
     ("read h hr 0 --type ''", "date96, eui48, string:N, not ''"),
     ("read h hr 0 --type flaot32", "did you mean float32"),
     ("read h hr 0:flaot32", "did you mean float32"),
@@ -258,7 +258,7 @@ SERVERS = [
     ("serve 127.0.0.1:0 --page x", "--page: must be HOST:PORT, such as 127.0.0.1:8080"),
     ("serve 127.0.0.1:0 --page-token file", "--page-token needs --page"),
     ("serve 127.0.0.1:0 --page 127.0.0.1:0", "a new one is printed on a terminal only"),
-    ("serve 127.0.0.1:0 --column name=x", "--column needs --map"),
+    ("serve 127.0.0.1:0 --column name=x", "--column, --from and --list need --map"),
     (
         "serve 127.0.0.1:0 --map nosuch",
         "'nosuch' is neither the path of a register map, which ends",

@@ -104,6 +104,51 @@ def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
         assert values(context) == VALUES
 
 
+@pytest.mark.parametrize("scheme", ["tcp", "tls", "udp", "unix"])
+def test_an_exception_whose_length_counts_a_byte_too_much_is_taken(
+    world: World, scheme: str
+) -> None:
+    """wlcrs/tmodbus#146: exceptions of 9 bytes whose header says 4 in place of 3."""
+    refused = tcp(b"\x83\x02", length=4)
+    peer = world.peer(scheme, answering(refused, refused, good_tcp))
+    with world.connect(peer.url) as context:
+        for _ in range(2):
+            with world.lasting(0, 0.01), pytest.raises(IllegalDataAddress):
+                values(context)
+        assert values(context) == VALUES
+    assert peer.connections <= 1
+
+
+def test_the_byte_that_follows_such_an_exception_is_dropped(world: World) -> None:
+    def refuse(request: bytes, write: Write) -> None:
+        write(mbap(request, b"\x83\x02", length=4))
+        write(b"\0", after=0.1)
+        peer.on_request = answering(good_tcp)
+
+    peer = world.peer("tcp", refuse)
+    with world.connect(peer.url, retries=1) as context:
+        with pytest.raises(IllegalDataAddress):
+            values(context)
+        world.sleep(0.2)
+        for _ in range(3):
+            assert values(context) == VALUES
+    assert peer.connections == 1
+
+
+def test_a_write_whose_echo_has_a_byte_more_was_carried_out(world: World) -> None:
+    """IndustrialShields/arduino-Tools40#7: function 6 is answered with a stray byte, counted."""
+    peer = world.peer("tcp", answering(lambda request: [mbap(request, request[7:] + b"\6")]))
+    with world.connect(peer.url) as context:
+        context.write_register(0, 7)
+        context.write_coil(0, True)
+    peer.on_request = answering(lambda request: [mbap(request, b"\x06\0\0\0\x08\6")])
+    with (
+        world.connect(peer.url) as context,
+        pytest.raises(InvalidResponse, match="6 bytes: 06 00 00 00 08 06"),
+    ):
+        context.write_register(0, 7)
+
+
 def test_tcp_answer_followed_by_garbage(world: World) -> None:
     def with_garbage(request: bytes) -> list[bytes]:
         return [mbap(request, GOOD) + b"\xde\xad\xbe\xef"]
@@ -183,8 +228,6 @@ def test_serial_error_and_next_request_succeeds(world: World, name: str, scheme:
     bad, good = FRAMES[scheme](body, spoil), FRAMES[scheme](GOOD_SERIAL)
     # What answers another unit or function does not end the wait, for the own answer may follow.
     waited = TIMEOUT if "other" in name else 0.0
-    # Without an answer the line must have been quiet for a time-out before the unit is asked again.
-    quiet = 0.0 if issubclass(error, ExceptionResponse) else TIMEOUT
     unit = world.peer(scheme, answering(good, bad, good))
     with world.connect(unit.url, timeout=TIMEOUT) as context:
         assert values(context) == VALUES
@@ -195,7 +238,8 @@ def test_serial_error_and_next_request_succeeds(world: World, name: str, scheme:
         assert caught.value.answers_another is (name in ANOTHERS)
         if name == "unknown exception":
             assert caught.value.code == 0x77  # type: ignore[attr-defined]
-        with world.lasting(quiet, more=ON_LINE):
+        # The unit is silent for a few times its slowest answer; then its answer is held.
+        with world.lasting(0.0, more=7 * ON_LINE):
             assert values(context) == VALUES
 
 
@@ -312,6 +356,8 @@ def test_what_came_meanwhile_is_no_answer_to_the_next_request(world: World) -> N
         write(answer(b"\1\3\0\x63", "rtu+tcp"), after=0.05)
 
     with world.client_of("rtu+tcp", twice, timeout=1.0) as client:
+        client.connect()
+        world.compute(0.1)  # of the line nothing is known, and answers to others are over
         for address in range(5):
             assert read(client, address) == address
             world.compute(0.1)

@@ -14,13 +14,12 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
-    FrameError,
     IllegalDataAddress,
     ModbusConnectionError,
     ModbusTimeoutError,
     pdu,
 )
-from libmodbus_py.client.call import NOT_ASKED, Batch, Timeouts, raised
+from libmodbus_py.client.call import Batch, Timeouts, raised
 from libmodbus_py.client.reconnecting import State
 from libmodbus_py.ports.trace import Traced
 from tests.support.cases import each_case
@@ -185,21 +184,6 @@ def test_a_batch_that_failed_while_it_waited_can_be_left() -> None:
     talk.come(tcp(talk.sent[0]))
     talk.cancel(batch)
     assert talk.is_at_rest
-
-
-def test_only_one_request_of_a_batch_fails_at_once_where_a_line_does_not_fall_silent() -> None:
-    """The next one has its own time to wait for silence."""
-    talk = Talk(LINE, timeout=1)
-    talk.ask(1)
-    talk.wait(1)
-    batch = talk.ask(2, 3, go_on=True)
-    for _ in range(9):
-        talk.come(b"\xff")
-        talk.wait(0.25)
-        if kinds(batch)[0] is FrameError:
-            break
-    assert kinds(batch) == [FrameError, NOT_ASKED]
-    assert len(talk.sent) == 1
 
 
 # --- who is interrupted ----------------------------------------------------------------------

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 
-from libmodbus_py import FrameError, InvalidResponse, ModbusTimeoutError, pdu
+from libmodbus_py import FrameError, IllegalDataAddress, InvalidResponse, ModbusTimeoutError, pdu
 from tests.support.cases import each_case
 from tests.support.talk import LINE, Talk, kinds, rtu, value
 
@@ -118,6 +118,31 @@ def test_the_request_that_comes_back_does_not_end_the_wait() -> None:
     talk.wait(1)
     assert kinds(batch) == [ModbusTimeoutError]  # the first one has shown that requests come back
     assert "echo=True?" in str(batch.outcomes[0])
+
+
+# Noise before a whole answer, the answer, and noise behind it.
+NOISY = [
+    ("00", rtu("04 83 02"), "00"),  # minimalmodbus#61
+    ("00", rtu("04 03 02 6D60"), "00"),  # eModbus#40
+    ("00", rtu("04 03 02 6D60"), ""),  # libmodbus#304
+    ("", rtu("04 03 02 6D60"), "00 00 00"),  # home-assistant/core#69742
+    ("FF FE", rtu("04 03 02 6D60"), "F0"),
+    ("04", rtu("04 03 02 6D60"), "04"),
+    ("55 04 03 F0", rtu("04 03 02 6D60"), "00"),  # as if a long answer had begun
+]
+
+
+@each_case(("before", "frame", "behind"), NOISY)
+@each_case("url", [LINE, "rtu+tcp://192.0.2.1"])
+def test_an_answer_between_noise_is_taken_as_soon_as_the_line_is_quiet(
+    before: str, frame: bytes, behind: str, url: str
+) -> None:
+    talk = Talk(url, timeout=1)
+    batch = talk.ask(1, unit=4)
+    talk.come(bytes.fromhex(before) + frame + bytes.fromhex(behind))
+    # Only where another answer may have begun before it, the end of the time is waited for.
+    talk.wait(1 if before.startswith("55") else 0.05)
+    assert kinds(batch) == [[0x6D60] if frame[1] == 3 else IllegalDataAddress]
 
 
 # --- what does -------------------------------------------------------------------------

@@ -104,10 +104,12 @@ def test_a_value_that_is_equal_to_its_request_is_taken_where_no_echo_is() -> Non
     taken_for_a_value(talk)
 
 
-TELLING = [
-    (pdu.ReadInputRegisters(7, 1), "01 04 02 0009", [9]),
+SEVERAL = [
     (pdu.WriteCoils(7, (True,)), "01 0F 0007 0001", None),
     (pdu.WriteRegisters(7, (9,)), "01 10 0007 0001", None),
+]
+TELLING = [
+    (pdu.ReadInputRegisters(7, 1), "01 04 02 0009", [9]),
     (pdu.ReadWriteRegisters(7, 1, 7, (9,)), "01 17 02 0009", [9]),
 ]
 
@@ -125,6 +127,30 @@ def test_frames_that_can_be_no_answer_tell_of_an_echo(
     assert talk.statistics.echoes == 1
     talk.come(rtu(body) if url == LINE else ascii_frame(body))
     assert batch.outcomes == [result]
+
+
+@each_case(("request_", "body", "result"), SEVERAL)
+@each_case("url", [LINE, ASCII])
+def test_a_write_of_several_cells_that_comes_back_shows_no_echo(
+    request_: Any, body: str, result: object, url: str
+) -> None:
+    """Some devices answer functions 15 and 16 with the whole request."""
+    make = rtu if url == LINE else ascii_frame
+    talk = Talk(url, timeout=1)
+    batch = talk.ask(request_)
+    talk.come(talk.sent[-1])
+    talk.wait(0.1)
+    assert not batch.is_done
+    talk.come(make(body))
+    talk.wait(0.05)  # the end of the request may be the beginning of another frame
+    assert batch.outcomes == [result]
+    talk.ask(request_)
+    talk.come(talk.sent[-1])
+    talk.wait(1)
+    batch = talk.ask(WRITE)
+    talk.come(make("01 06 0001 0002"))
+    assert batch.outcomes == [None]
+    assert talk.statistics.echoes == 0
 
 
 @each_case("request_", [WRITE, pdu.WriteCoil(1, True), pdu.Diagnostics(0, b"\1\2")])
@@ -169,9 +195,9 @@ def test_half_an_echo_is_not_taken_over_to_a_new_connection() -> None:
     batch = talk.ask(7)
     talk.wait_for(3)  # until the answer that the unit owes would be over
     talk.come(value(7)[:4])
-    talk.wait(0.5)
-    talk.come(value(7)[4:])
     talk.wait(0.1)
+    talk.come(value(7)[4:])
+    talk.wait(0.2)
     assert batch.outcomes == [[7]]
 
 

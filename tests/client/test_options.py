@@ -31,6 +31,10 @@ REQUEST = pdu.ReadHoldingRegisters(5, 1)
         ("max_pause", [-1]),
         ("keepalive", [0]),
         ("accept_unit", ["all"]),
+        ("write_function", ["both", 16, None]),
+        ("broadcast", [0, None]),
+        ("ids", ["any", None]),
+        ("idle_close", [0, -1]),
         ("delimiter", [0x3A]),
         ("trace", [1]),
         ("on_state", [1]),
@@ -52,7 +56,8 @@ def test_bad_option_is_named(world: World, option: str, values: list[Any]) -> No
         ("rtu:///dev/x?max_in_flight=16", "max_in_flight"),
         ("rtu+tcp://h?max_in_flight=2", "max_in_flight"),
         ("rtu+udp://h?max_in_flight=2", "max_in_flight"),
-        ("rtu+tcp://h?accept_unit=any", "accept_unit"),
+        ("rtu+tcp://h?ids=ignore", "ids"),
+        ("tcp://h?ids=ignore&max_in_flight=2", "max_in_flight"),
     ],
 )
 def test_bad_url_is_named(world: World, url: Any, named: str) -> None:

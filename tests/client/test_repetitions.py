@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
-    FrameError,
     IllegalDataAddress,
     InvalidResponse,
     ModbusConnectionError,
@@ -44,21 +43,6 @@ def test_they_are_spaced_as_all_requests_are() -> None:
     talk.come(*[tcp(each, "83 06") for each in talk.sent])
     talk.wait(2)
     assert [round(at, 3) for at in talk.times] == [0, 0.25, 0.5, 0.75, 1.0, 1.25]
-
-
-def test_one_that_cannot_be_sent_again_leaves_the_line_to_the_next_of_its_batch() -> None:
-    talk = Talk(LINE, timeout=1, retries=1)
-    batch = talk.ask(1, 2, go_on=True)
-    talk.wait(1)
-    while kinds(batch)[0] is not FrameError:
-        talk.come(b"\xff")
-        talk.wait(0.25)
-        assert talk.now < 9
-    talk.wait_for(2)
-    talk.come(value(2))
-    talk.wait(1)  # held, because the answer to the first one may still come
-    assert kinds(batch) == [FrameError, [2]]
-    assert talk.is_at_rest
 
 
 def values(talk: Talk) -> list[int]:

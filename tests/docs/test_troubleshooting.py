@@ -41,6 +41,7 @@ RTU: dict[str, Came] = {
     "this looks like ascii://": lambda request: ascii_frame(ANSWER),
     "unit 18 answered": lambda request: rtu("12 03 06 022B 0000 0064"),
     "function 4 was answered, not 3": lambda request: rtu("11 04 06 022B 0000 0064"),
+    "answered with a response of 5 bytes: 03 00 02 17 81": lambda request: rtu("11 03 0002 1781"),
     "answered with 4 bytes of data": lambda request: rtu("11 03 04 022B 0000"),
 }
 ASCII: dict[str, Came] = {"this looks like rtu://": lambda request: GOOD}
@@ -51,7 +52,7 @@ TCP: dict[str, Came | None] = {
     'unit 255 answered; accept_unit="any" would take it': (
         lambda request: mbap(request, bytes.fromhex("0306022B00000064"), unit=255)
     ),
-    ": id 77, not 1": (
+    ': id 77, not 1; ids="ignore" would take it': (
         lambda request: mbap(request, bytes.fromhex("0306022B00000064"), transaction=77)
     ),
 }

@@ -5,12 +5,13 @@ What raw values mean: no value, states, named bits, parts of registers, and scal
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from libmodbus_py import NoValue, Point, RegisterMap
@@ -61,6 +62,11 @@ MEANT = [
     ({"missing": -32768, "type": "int16"}, [0x8000], MISSING),
     ({"missing": 0, "type": "uint32"}, [0, 0], MISSING),
     ({"missing": -9999.9, "type": "float32"}, [0xC61C, 0x3F9A], MISSING),
+    ({"type": "float32"}, [0x4366, 0x199A], Judged(230.1)),
+    ({"type": "float32", "order": "CDAB"}, [0x199A, 0x4366], Judged(230.1)),
+    ({"type": "float32", "scale": 0.1}, [0x4366, 0x199A], Judged(23.01)),
+    ({"type": "float32", "offset": -0.1}, [0x4366, 0x199A], Judged(230)),
+    ({"type": "float16"}, [0x5B31], Judged(230.1)),
     ({"missing": 0, "type": "unix32"}, [0, 0], MISSING),
     ({"missing": 3, "bit": "4..7"}, [0x3A], MISSING),
     ({"missing": 65535, "count": 2}, [65535, 7], Judged([None, 7], "good", "Missing")),
@@ -134,6 +140,22 @@ def test_cells_mean_values(keys: dict[str, Any], cells: list[Any], judged: Judge
     made = point(**keys)
     assert made.judge(cells) == judged
     assert made.decode(cells) == judged.value
+
+
+@given(st.integers(0, 0xFFFF_FFFF))
+@example(0x7F7F_FFFF)  # the largest
+@example(1)
+def test_a_float_is_the_shortest_number_that_the_device_has_as_it(bits: int) -> None:
+    cells = [bits >> 16, bits & 0xFFFF]
+    value = point(type="float32").decode(cells)
+    exactly = struct.unpack(">f", bits.to_bytes(4, "big"))[0]
+    if value is None:
+        assert math.isnan(exactly)
+        return
+    assert point(type="float32").encode(value) == cells
+    shorter = (float(f"{exactly:.{digits}g}") for digits in range(1, len(repr(value))))
+    assert value in [exactly, *shorter]
+    assert len(repr(value)) <= len(repr(exactly))
 
 
 def test_a_plan_means_the_same_as_its_points() -> None:

@@ -123,15 +123,21 @@ def test_values_are_written_and_neighbours_together(
         assert plc.read_map(METER, ["setpoint"]) == {"setpoint": 30.0}
 
 
+MULTIPLE, SINGLE = {"write_function": "multiple"}, {"write_function": "single"}
+
 WRITES = [
     ({"key": 1}, {}, [pdu.WriteRegister(120, 1)]),
-    ({"key": 1}, {"multiple": True}, [pdu.WriteRegisters(120, [1])]),
+    ({"key": 1}, MULTIPLE, [pdu.WriteRegisters(120, [1])]),
     ({"run": 1}, {}, [pdu.WriteCoil(7, True)]),
-    ({"run": False}, {"multiple": True}, [pdu.WriteCoils(7, [False])]),
+    ({"run": False}, MULTIPLE, [pdu.WriteCoils(7, [False])]),
+    ({"run": False}, SINGLE, [pdu.WriteCoil(7, False)]),
     ({"name": "ab", "setpoint": 5}, {}, [
         pdu.WriteRegister(100, 50), pdu.WriteRegisters(103, [0x6162, 0, 0]),
     ]),
     ({"energy": 0.001, "setpoint": 5}, {}, [pdu.WriteRegisters(100, [50, 1, 0])]),
+    ({"energy": 0.001, "setpoint": 5}, SINGLE, [
+        pdu.WriteRegister(100, 50), pdu.WriteRegister(101, 1), pdu.WriteRegister(102, 0),
+    ]),
 ]  # fmt: skip
 
 

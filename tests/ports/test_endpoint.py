@@ -86,6 +86,11 @@ CLIENT_QUERIES: list[tuple[str, Any]] = [
     ("source=192.0.2.5:40000", "192.0.2.5:40000"),
     ("greeting=20%20bytes,0x0d0a", "20 bytes,0x0d0a"),
     ("accept_unit=any", "any"),
+    ("write_function=single", "single"),
+    ("broadcast=0", False),
+    ("ids=ignore", "ignore"),
+    ("idle_close=5", 5.0),
+    ("idle_close=none", None),
     ("delimiter=10", 10),
     ("delimiter=0x0D", 13),
 ]
@@ -278,10 +283,11 @@ NUMBERS, SECONDS = st.integers(0, 10**9), st.floats(0, 1e300)
 VALUES: dict[str, st.SearchStrategy[Any]] = {
     **dict.fromkeys(SECURITY_OPTIONS, NAMES),
     **dict.fromkeys(("rs485", "accept_unit", "source", "greeting"), NAMES),
-    **dict.fromkeys(("echo",), st.booleans()),
+    **dict.fromkeys(("write_function", "ids"), NAMES),
+    **dict.fromkeys(("echo", "broadcast"), st.booleans()),
     **dict.fromkeys(("rts_delay", "silence", "timeout", "turnaround"), SECONDS),
     **dict.fromkeys(("request_spacing", "connect_delay", "max_pause"), SECONDS),
-    "keepalive": st.none() | SECONDS,
+    **dict.fromkeys(("keepalive", "idle_close"), st.none() | SECONDS),
     "parity": st.sampled_from("NEO"),
 }
 

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from libmodbus_py import ModbusTimeoutError
-from libmodbus_py.client.asynchronous import AsyncClient
 from libmodbus_py.client.sender import Sender
 from libmodbus_py.pdu import ReadCoils
 from libmodbus_py.services import line as shared_line
@@ -220,18 +219,6 @@ async def test_a_unit_that_owes_an_answer_is_not_asked_and_others_are() -> None:
     assert line.log == [6]
     await asyncio.sleep(0.2)
     assert line.log == [6, 5]
-
-
-@simulated
-async def test_a_line_that_replaces_another_one_waits_for_its_timeout_unless_it_has_ids() -> None:
-    for owing, at_once in (({}, []), (None, [1])):
-        line = Line(owing=owing)
-        line.replaces(cast(AsyncClient, Client(1, None)))
-        line.put(1)
-        await asyncio.sleep(TIMEOUT - 0.01)
-        assert line.log == at_once
-        await asyncio.sleep(0.02)
-        assert line.log == [1]
 
 
 @simulated

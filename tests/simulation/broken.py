@@ -12,8 +12,9 @@ from typing import Any
 from unittest.mock import patch
 
 from libmodbus_py.client.asyncio_driver import AsyncioDriver
+from libmodbus_py.client.history import Pair
 from libmodbus_py.client.ids import Ids
-from libmodbus_py.client.line import Line, Pair
+from libmodbus_py.client.line import Line
 from libmodbus_py.protocol.errors import InvalidResponse
 from libmodbus_py.protocol.framing import Frame
 from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState

@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 from unittest.mock import patch
 
 from libmodbus_py.client import handle
+from libmodbus_py.client.history import forget_lines
 from libmodbus_py.ports import tls
 from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.ports.port import Port
@@ -56,6 +57,7 @@ class Network:
     """Hosts and lines in memory; the seed decides all that happens."""
 
     def __init__(self, seed: int = 0) -> None:
+        forget_lines()  # which belong to another clock
         self.events: Events = Events(seed)
         self._seed = seed
         self.descriptors: Descriptors = Descriptors()

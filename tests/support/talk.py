@@ -15,6 +15,7 @@ import pytest
 from libmodbus_py import ModbusConnectionError, pdu
 from libmodbus_py.client.call import Batch, Call, Timeouts
 from libmodbus_py.client.connection import Transactions
+from libmodbus_py.client.history import forget_lines
 from libmodbus_py.client.options import checked_options
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.making import make_port
@@ -31,7 +32,9 @@ class Talk:
     What a driver does, with a clock that the test moves.
 
     Args:
-        url: whose connection; nothing is opened.
+        url: whose connection; nothing is opened. The line has been open for long; `is_new` for one
+            that was just opened.
+        after: another client, which was closed in the same process.
         options: of the client; 16 may be in flight where frames carry ids.
 
     Attributes:
@@ -39,7 +42,17 @@ class Talk:
         sent: all ADUs that went out, oldest first, and `times` when.
     """
 
-    def __init__(self, url: str = TCP, *, is_open: bool = True, **options: Any) -> None:
+    def __init__(
+        self,
+        url: str = TCP,
+        *,
+        is_open: bool = True,
+        is_new: bool = False,
+        after: Talk | None = None,
+        **options: Any,
+    ) -> None:
+        if after is None:
+            forget_lines()
         endpoint = parse(url)
         most = 16 if endpoint.framing in ("tcp", "udp") else 1
         given = {"max_in_flight": most, **options}
@@ -54,7 +67,8 @@ class Talk:
         self.timeouts = Timeouts(
             self.settings["timeout"], self.settings["retries"], self.settings["busy_retries"]
         )
-        self.now = 0.0
+        self.now = after.now if after else 0.0
+        self.is_new = is_new
         self.sent: list[bytes] = []
         self.times: list[float] = []
         if is_open:
@@ -63,6 +77,8 @@ class Talk:
     def open(self) -> None:
         self.life.connecting()
         self.connection.opened(self.now)
+        if not self.is_new:
+            self.matching._is_opened = self.matching._is_unknown = False
         self.start()
 
     def fail(self) -> None:
@@ -169,8 +185,9 @@ class Talk:
     def wait_for(self, count: int) -> None:
         """Until so many requests were sent."""
         while len(self.sent) < count:
-            self.wait(0.01)
-            assert self.now < 1000, f"{len(self.sent)} of {count} requests were sent"
+            at = self.matching.alarm
+            assert at < 1000, f"{len(self.sent)} of {count} requests were sent"
+            self.wait_until(at)
 
     @property
     def has_ids(self) -> bool:

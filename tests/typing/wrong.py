@@ -29,6 +29,10 @@ from libmodbus_py.listen import Separator, listen
 Client("tcp://192.0.2.10", timout=1.0)  # wrong
 Client("tcp://192.0.2.10", unit="17")  # wrong
 Client("tcp://192.0.2.10", accept_unit="all")  # wrong
+Client("tcp://192.0.2.10", write_function=16)  # wrong
+Client("tcp://192.0.2.10", ids="any")  # wrong
+Client("tcp://192.0.2.10", idle_close="5")  # wrong
+Client("tcp://192.0.2.10", broadcast=0)  # wrong
 Client("tcp://192.0.2.10", 502)  # wrong
 Client("tcp://192.0.2.10", trace="wire.log")  # wrong
 Client("rtu:///dev/ttyUSB0", parity="mark")  # wrong

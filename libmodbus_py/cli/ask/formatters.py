@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 from ...maps.meaning import no_value
 from ...protocol.errors import ModbusError
-from ...protocol.plain import clock_text, plain, text_of, time_text
+from ...protocol.plain import SHORT_FLOATS, clock_text, plain, shortest, text_of, time_text
 from ...protocol.values import Interpretation, ValueType, readings, value_type
 from ..output import Redrawn, print_csv, print_json
 from .items import ALL, HEX, REGISTERS, Item, reason_of
@@ -121,16 +121,19 @@ def _of_type(item: Item, kind: ValueType, cells: list[int]) -> _Shown:
     rows = []
     # What JSON has no numbers for: the values are null, and their texts stand here.
     texts = {}
+    numbers: list[Any] = []
     for at, value in enumerate(values):
         where = item.number(at * item.size)
         if isinstance(value, ValueError):
             rows.append(ValueText(where, "-", "", f"({no_value(where, kind, value).reason})"))
+            numbers.append(None)
         else:
             rows.append(ValueText(where, *_texts(value, kind)))
+            is_short = kind.name in SHORT_FLOATS
+            numbers.append(shortest(value, kind.name) if is_short else value)
         if isinstance(value, ValueError) or (isinstance(value, float) and not math.isfinite(value)):
             texts[str(item.address + item.base + at * item.size)] = str(value)
-    numbers = plain([None if isinstance(value, ValueError) else value for value in values])
-    fields = {"type": kind.name, "order": kind.order, "values": numbers}
+    fields = {"type": kind.name, "order": kind.order, "values": plain(numbers)}
     return rows, {**fields, "no_value": texts} if texts else fields
 
 

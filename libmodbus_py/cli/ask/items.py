@@ -26,6 +26,7 @@ from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE, TABLES
 from ...protocol.values import ValueType, parse_reference, value_type
 from ...protocol.words import REFERENCE_TABLES, close_word, plain, table_named
 from ...protocol.words import TABLE_WORDS as VENDORS
+from ..arguments import list_keys
 from ..main import advice
 
 if TYPE_CHECKING:
@@ -309,13 +310,13 @@ def _table_word(text: str) -> str:
 def map_of(options: argparse.Namespace) -> RegisterMap | None:
     """Load the register map of --map: a file, or an example by its name; None without it."""
     if options.map is None:
-        if options.columns:
-            raise ValueError("--column needs --map")
+        if list_keys(options):
+            raise ValueError("--column, --from and --list need --map")
         return None
     from ...maps.register_map import load_map
     from ...tools.simulator.example_files import map_file
 
-    return load_map(map_file(options.map), columns=dict(options.columns))
+    return load_map(map_file(options.map), **list_keys(options))
 
 
 def reason_of(error: ModbusError, item: Item) -> str:

@@ -18,6 +18,7 @@ __all__ = ["add_command"]
 CHECK = "check register maps, and print their points and requests"
 LIST = "list the register maps that come with the package"
 CLASS = "write a Python class for a register map, in which type checkers find wrong names"
+IMPORT = "make a map of the register list of a vendor or another program, and say what was read"
 FROM_DEVICE = "find the addresses of a device by reading, and write a map of them"
 FROM_SUNSPEC = "find the SunSpec models of a device, and write a map of their points"
 
@@ -28,9 +29,9 @@ TO_FILL_IN = ", in which names, types and units remain to be filled in"
 EXAMPLES = """\
 examples:
   libmodbus-py map check meter.csv --device 192.0.2.10
+  libmodbus-py map import registers.xlsx -o meter.toml
   libmodbus-py map from-device /dev/ttyUSB0 -b 9600 -p none -u 7 -o meter.csv
-  libmodbus-py map class meter.csv -o meter.py
-  libmodbus-py map from-device "tcp://192.0.2.10?unit=17" > meter.toml"""
+  libmodbus-py map class meter.csv -o meter.py"""
 
 OF_CHECK = f"""\
 The exit code is 0 if all files are right, 2 if one contains a mistake, 1 if
@@ -43,6 +44,17 @@ examples:
   libmodbus-py map check meter.csv --device /dev/ttyUSB0 -b 9600 -p none
 
 {arguments.URLS}"""
+
+OF_IMPORT = """\
+FILE is a table in CSV, TSV, Markdown or .xlsx. Rows that a map cannot say are
+left out, and named. The exit code is 0 if there are none, 1 if there are, and
+2 if the headings have no meaning, or two.
+
+examples:
+  libmodbus-py map import registers.xlsx -o meter.toml
+  libmodbus-py map import f1145.csv --from nibe -o pump.toml
+  libmodbus-py map import zaehler.csv --encoding cp1252 --column scale=Faktor
+  libmodbus-py map import holding.tsv --from iobroker --list table=holding"""
 
 OF_LIST = """\
 The exit code is 0, or 1 if nothing has the words of --search.
@@ -112,14 +124,18 @@ def add_command(command: argparse.ArgumentParser) -> None:
 
     check = add("check", CHECK, OF_CHECK)
     declare(check, f"FILE ...\n  {OF_FILE}", file={"dest": "files", "complete": maps})
-    arguments.add_columns(check, rare="")
+    arguments.add_columns(check, rare="", encoding=True)
     declare(check, DEVICE)
     arguments.add_requests(check)
+    imported = add("import", IMPORT, OF_IMPORT)
+    declare(imported, "FILE\n  the list")
+    arguments.add_columns(imported, rare="", encoding=True)
+    declare(imported, OF_OUTPUT)
     search = {"action": "store", "nargs": "+", "default": [], "complete": names_of_maps}
     declare(add("list", LIST, OF_LIST, "; --map takes their names"), SEARCH, search=search)
     made = add("class", CLASS, OF_CLASS)
     declare(made, f"FILE\n  {OF_FILE}", file={"complete": maps})
-    arguments.add_columns(made, rare="")
+    arguments.add_columns(made, rare="", encoding=True)
     declare(made, OF_CLASS_OUTPUT)
     device = add("from-device", FROM_DEVICE, OF_DEVICE, TO_FILL_IN)
     declare(device, f"{arguments.URL}{OF_OUTPUT}")
@@ -139,6 +155,7 @@ def _run(name: str, options: argparse.Namespace) -> int:
     run = {
         "check": map_actions.check,
         "class": map_actions.class_of,
+        "import": map_actions.import_list,
         "from-device": map_actions.from_device,
         "from-sunspec": map_actions.from_sunspec,
     }

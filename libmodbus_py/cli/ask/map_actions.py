@@ -13,10 +13,11 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from ...client.blocking import Client
-from ...maps.map_file import contents_of, remarks
+from ...maps.list_words import ListOptions
+from ...maps.map_file import MapError, contents_of, remarks
 from ...maps.meaning import NoValue
 from ...maps.point import Point
-from ...maps.point_plan import borders_of
+from ...maps.point_plan import borders_of, scale_mistakes
 from ...maps.register_map import RegisterMap, load_map
 from ...ports.endpoint import parse
 from ...protocol.errors import ExceptionResponse, ModbusError
@@ -24,14 +25,17 @@ from ...protocol.tables import TABLES
 from ...tools.files.map_texts import MARK, class_text, csv_text, toml_text
 from ...tools.scan.search import Extent, search
 from ...tools.simulator.example_files import map_file
-from ..arguments import OF_CLIENTS, connected, endpoint_of, refuse_given
+from ..arguments import OF_CLIENTS, connected, endpoint_of, list_keys, refuse_given
 from ..main import INTERRUPTED, CommandError
 from ..output import PROGRAM, Status, complain, counted, missing, progress, written_to
 
-__all__ = ["check", "class_of", "from_device", "from_sunspec"]
+__all__ = ["check", "class_of", "from_device", "from_sunspec", "import_list"]
 
 MOST_MISTAKES = 20
 """Mistakes in a file that are printed, at most."""
+
+# A list has no more.
+MOST_ROWS = 1_000_000
 
 # With more cells the file would be too long, so points are ranges instead.
 MOST_CELLS = 4000
@@ -44,18 +48,18 @@ def check(options: argparse.Namespace) -> int:
     Print what each file contains, or its mistakes on stderr, and what a device lacks of it; return
     2 after a mistake, 1 if the device lacks something.
     """
-    columns = dict(options.columns)
+    said = ListOptions(**list_keys(options))
     if options.device is None:
         refuse_given(options, OF_CLIENTS, "needs --device")
-        return max([_check_file(file, columns) for file in options.files])
+        return max([_check_file(file, said) for file in options.files])
     options.url = options.device
     with closing(connected(options)) as context:
-        return max([_check_file(file, columns, context) for file in options.files])
+        return max([_check_file(file, said, context) for file in options.files])
 
 
-def _check_file(file: str, columns: dict[str, str], context: Client | None = None) -> int:
+def _check_file(file: str, said: ListOptions, context: Client | None = None) -> int:
     try:
-        contents = contents_of(map_file(file), MOST_MISTAKES, columns)
+        contents = contents_of(map_file(file), MOST_MISTAKES, said)
     except ValueError as error:
         complain(str(error))
         return 2
@@ -67,7 +71,7 @@ def _check_file(file: str, columns: dict[str, str], context: Client | None = Non
         return 2
     points = RegisterMap(contents.points.values())
     print(f"{file}: {counted(len(points), 'point')}")
-    for line in [*_tables(points), *remarks(contents)]:
+    for line in [*_tables(points), *_more(points), *remarks(contents)]:
         print(f"  {line}")
     return 0 if context is None else _check_device(points, context)
 
@@ -87,6 +91,18 @@ def _tables(points: RegisterMap) -> Iterator[str]:
         for each in requests:
             if each.function == function:
                 yield f"  read {each.address} {each.count}"
+
+
+def _more(points: RegisterMap) -> Iterator[str]:
+    """Yield a line for what the requests do not show of points."""
+    if points.initial:
+        yield f"{counted(len(points.initial), 'point')} with initial values"
+    for point in points.values():
+        if point.rewrite is not None:
+            yield f"{point.name} is written again each {point.rewrite:g} s"
+        if point.states is not None and any(isinstance(key, str) for key in point.states):
+            names = ", ".join(f"{key} = {name}" for key, name in point.states.items())
+            yield f"{point.name}: {names}"
 
 
 def _check_device(points: RegisterMap, context: Client) -> int:
@@ -113,9 +129,39 @@ def _check_device(points: RegisterMap, context: Client) -> int:
     return 1 if failed else 0
 
 
+def import_list(options: argparse.Namespace) -> int:
+    """Write a map of a list, and say what was understood; return 1 if something is left out."""
+    _check_output(options.output, TEXTS)
+    contents = contents_of(options.file, MOST_ROWS, ListOptions(**list_keys(options)))
+    points, mistakes = contents.points, contents.mistakes
+    if not points:
+        for mistake in mistakes[:MOST_MISTAKES]:
+            complain(str(mistake))
+        return 2
+    while wrong := dict(scale_mistakes(points)):
+        for name, error in wrong.items():
+            del points[name]
+            mistakes.append(MapError.of(error, contents.place(name)))
+    lines = [
+        ", ".join(f"{kind} is {head}" for kind, head in contents.columns.items() if kind != head),
+        *contents.notes,
+        *(f"left out: {mistake.in_file('')}" for mistake in mistakes[:MOST_MISTAKES]),
+        *([f"and {len(mistakes) - MOST_MISTAKES} more"] if len(mistakes) > MOST_MISTAKES else []),
+    ]
+    _write(
+        options.output,
+        [f"# {PurePath(options.file).name}, read by {PROGRAM}", ""],
+        [*points.values()],
+        f", {len(mistakes)} left out" if mistakes else "",
+    )
+    for line in filter(None, lines):
+        print(f"  {line}", file=sys.stderr)
+    return 1 if mistakes else 0
+
+
 def class_of(options: argparse.Namespace) -> int:
     """Write a class for a register map to a file, or print it."""
-    map = load_map(map_file(options.file), columns=dict(options.columns))
+    map = load_map(map_file(options.file), **list_keys(options))
     text = class_text(map, PurePath(options.file).stem)
     _check_output(options.output, [".py"], MARK)
     if options.output is None:

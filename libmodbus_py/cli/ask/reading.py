@@ -47,7 +47,7 @@ RECORDS = 121
 class _ItemPlan(Plan):
     """A plan of items whose results are cells; `others` are the requests for files and queues."""
 
-    def __init__(self, items: Sequence[Item], borders: Borders) -> None:
+    def __init__(self, items: Sequence[Item], borders: Borders, max_registers: int) -> None:
         self._others = {
             at: _requests(item)
             for at, item in enumerate(items)
@@ -55,7 +55,7 @@ class _ItemPlan(Plan):
         }
         self.others = [each for requests in self._others.values() for each in requests]
         reads = {at: item.read for at, item in enumerate(items) if at not in self._others}
-        super().__init__(reads, borders=borders)
+        super().__init__(reads, borders=borders, max_registers=max_registers)
 
     def cells(self, answers: Sequence[Any], others: Sequence[Any]) -> dict[int, Any]:
         """Return the cells of each item by its index, or the error in place of them."""
@@ -98,8 +98,8 @@ class Reader:
         self.items: list[Item] = words.all_items(options.group or ())
         self.unit = unit
         self._sources = words.sources_of(self.items)
-        self._borders = words.borders()
-        self._plan = _ItemPlan([*self._sources, *self.items], self._borders)
+        self._limits: tuple[Borders, int] = words.borders(), options.max_registers
+        self._plan = _ItemPlan([*self._sources, *self.items], *self._limits)
         points = [item.point for item in self.items]
         own = [None if point is None else point.interval for point in points]
         self._pace = PointIntervals(own, options.watch or ONCE_S)
@@ -138,7 +138,7 @@ class Reader:
         """Read the items with some indexes, None for all, and the points that scale them."""
         indexes = tuple(range(len(self.items))) if due is None else due
         items = [*self._sources, *(self.items[at] for at in indexes)]
-        plan = self._plan if due is None else _ItemPlan(items, self._borders)
+        plan = self._plan if due is None else _ItemPlan(items, *self._limits)
         status = Status(after=STATUS_AFTER_S)
         ask = partial(self._answers, context, status)
         try:

@@ -83,6 +83,11 @@ rare --padding C
     character that fills up text
 """
 
+OF_REQUESTS = """
+rare --max-registers N
+    the most registers of one request, for devices that accept only short ones
+"""
+
 OF_WATCH = """
 --watch [SECONDS]
     poll until Ctrl-C, each second unless given; on a terminal in a table
@@ -116,6 +121,7 @@ def _add_read(command: argparse.ArgumentParser) -> None:
     command.description, command.epilog = READ, f"{READING}\n\n{arguments.URLS}"
     declare(command, f"{arguments.URL}{OF_READ}", what={"complete": names})
     _add_item_arguments(command, ", or all, which shows every interpretation")
+    declare(command, OF_REQUESTS, max_registers={"default": 125})
     group = command.add_argument_group("output")
     form = group.add_mutually_exclusive_group()
     declare(form, "--hex\n  print registers in hexadecimal")

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...client.blocking import Client
 from ...maps.typed import typed_register, typed_value
+from ...maps.writing import cell_requests
 from ...protocol import pdu
-from ...protocol.errors import ModbusError
+from ...protocol.errors import IllegalFunction, ModbusError
 from ...protocol.framing import Frame, make_framer
 from ...protocol.plain import bit_of, number_of, value_of
 from ...protocol.tables import TABLES
@@ -25,10 +26,19 @@ from .items import Item, Words, reason_of
 
 if TYPE_CHECKING:
     from ...maps.register_map import RegisterMap
+    from ...protocol.tables import WriteFunction
 
 __all__ = ["write"]
 
 Request = pdu.Request[Any]
+
+OTHERS = {
+    5: "; --multiple writes with function 15",
+    6: "; --multiple writes with function 16",
+    15: "; --write-function single writes with function 5",
+    16: "; --write-function single writes with function 6",
+}
+"""Function that a device may lack -> how to write with another one."""
 
 
 class Write(NamedTuple):
@@ -48,7 +58,9 @@ def write(options: argparse.Namespace) -> int:
         _show(options, [request for _, request in requests])
         return 0
     endpoint = endpoint_of(options)
-    is_broadcast = not endpoint.has_transactions and endpoint.client_options.get("unit") == 0
+    client = endpoint.client_options
+    has_broadcast = not endpoint.has_transactions and client.get("broadcast", True)
+    is_broadcast = has_broadcast and client.get("unit") == 0
     if options.verify and is_broadcast:
         raise ValueError("--verify cannot be used with unit 0: nothing answers a broadcast")
     with closing(connected(options)) as context:
@@ -57,7 +69,8 @@ def write(options: argparse.Namespace) -> int:
                 result = context.execute(request)
             except ModbusError as error:
                 earlier = f"; carried out before: {counted(done, 'request')}" * bool(done)
-                raise CommandError(f"{reason_of(error, item)}{earlier}") from None
+                hint = OTHERS.get(request.function, "") * isinstance(error, IllegalFunction)
+                raise CommandError(f"{reason_of(error, item)}{hint}{earlier}") from None
             if isinstance(request, pdu.ReadWriteRegisters):
                 first = Item("holding_registers", request.read_address, base=item.base)
                 print("\n".join(aligned([result_of(first, result)])))
@@ -110,7 +123,7 @@ def _writes(options: argparse.Namespace, words: Words) -> list[Write]:
         if words.map is not None and item.point is not None:
             requests = _point_requests(options, words.map, item, texts)
         else:
-            requests = [_request(options, item, texts)]
+            requests = _requests(options, item, texts)
         found.append(Write(item, texts, requests))
     if len(found) > 1 and (options.mask or options.and_read):
         raise ValueError("--mask and --and-read allow one item only")
@@ -140,10 +153,15 @@ def _point_requests(
     if names:
         with closing(connected(options)) as context:
             scales = context.read_map(points, names)
-    return [*points.writes(wanted, multiple=options.multiple, sources=scales)]
+    return [*points.writes(wanted, write_function=_function(options), sources=scales)]
 
 
-def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Request:
+def _function(options: argparse.Namespace) -> WriteFunction:
+    client = endpoint_of(options).client_options
+    return "multiple" if options.multiple else client.get("write_function", "auto")
+
+
+def _requests(options: argparse.Namespace, item: Item, texts: list[str]) -> list[Request]:
     if item.table in ("discrete_inputs", "input_registers", "fifo_queue"):
         raise ValueError(f"{item.table.replace('_', ' ')} can only be read")
     for flag, is_set in (("--mask", options.mask), ("--and-read", options.and_read)):
@@ -153,27 +171,24 @@ def _request(options: argparse.Namespace, item: Item, texts: list[str]) -> Reque
         raise ValueError("--mask and values exclude each other")
     if options.mask:
         masks = [number_of("mask", text) for text in options.mask]
-        return pdu.MaskWriteRegister(item.address, *masks)
+        return [pdu.MaskWriteRegister(item.address, *masks)]
     if not texts:
         raise ValueError(f"there is no value to write to {item.label()}")
     if item.is_range and len(texts) != item.count:
         raise ValueError(f"the range from {item.label()} on needs {item.count} values")
     if item.table == "coils":
-        bits = tuple(bit_of(text) for text in texts)
-        is_one = len(bits) == 1 and not options.multiple
-        return pdu.WriteCoil(item.address, *bits) if is_one else pdu.WriteCoils(item.address, bits)
+        bits = [bit_of(text) for text in texts]
+        return [*cell_requests("coils", item.address, bits, _function(options))]
     if item.kind is None:
         values = tuple(map(_register, texts))
     else:
         values = tuple(item.kind.encode_many([value_of(text, item.kind) for text in texts]))
     if options.and_read:
         first, count = map(number_of, ("address", "count"), options.and_read)
-        return pdu.ReadWriteRegisters(first - item.base, count, item.address, values)
+        return [pdu.ReadWriteRegisters(first - item.base, count, item.address, values)]
     if item.table == "file":
-        return pdu.WriteFileRecords(((item.file, item.address, values),))
-    if len(values) == 1 and not options.multiple:
-        return pdu.WriteRegister(item.address, values[0])
-    return pdu.WriteRegisters(item.address, values)
+        return [pdu.WriteFileRecords(((item.file, item.address, values),))]
+    return [*cell_requests("holding_registers", item.address, values, _function(options))]
 
 
 def _register(text: str) -> int:

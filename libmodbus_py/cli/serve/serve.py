@@ -15,6 +15,7 @@ from typing import Any
 
 from ...device.device import Device
 from ...device.mapping import Mapping
+from ...maps.list_words import ListOptions
 from ...protocol.logs import HarmlessLogger
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...server.server import Server
@@ -81,7 +82,7 @@ def add_command(command: argparse.ArgumentParser) -> None:
     example = {"const": "", "complete": lambda **_: [*example_files.DEVICES]}
     source = command.add_mutually_exclusive_group()
     declare(source, SOURCES, example=example, map={"complete": arguments.maps})
-    arguments.add_columns(command)
+    arguments.add_columns(command, encoding=True)
     arguments.add_units(
         command, "without --device and --example: units that exist, such as 1-10,17 (all)"
     )
@@ -138,10 +139,10 @@ def _serve(options: argparse.Namespace) -> int:
 
 def _simulation(options: argparse.Namespace, path: str | None) -> device_file.Simulation | None:
     if options.map is not None:
-        columns = dict(options.columns)
-        return device_file.mapped_simulation(options.map, options.units or (), columns)
-    if options.columns:
-        raise ValueError("--column needs --map")
+        said = ListOptions(**arguments.list_keys(options))
+        return device_file.mapped_simulation(options.map, options.units or (), said)
+    if arguments.list_keys(options):
+        raise ValueError("--column, --from and --list need --map")
     return None if path is None else device_file.load(path)
 
 

@@ -250,7 +250,7 @@ class Request(Generic[Result]):
         return self._decode_response(pdu)
 
     def _decode_misfit(self, pdu: bytes, length: int | None) -> Result:
-        raise self._invalid(f"a response of {len(pdu)} bytes")
+        raise self._invalid(f"a response of {len(pdu)} bytes: {in_hex(pdu)}")
 
     def _decode_response(self, pdu: bytes) -> Result:
         raise NotImplementedError
@@ -305,7 +305,11 @@ def arguments(request: Request[Any]) -> dict[str, Any]:
 
 
 class Echoed(Request[None]):
-    """A write whose response repeats the first bytes of the request."""
+    """
+    A write whose response repeats the first bytes of the request.
+
+    Bytes behind the echo, which some devices send, are ignored: the write was carried out.
+    """
 
     __slots__ = ()
     may_be_broadcast = True
@@ -314,6 +318,10 @@ class Echoed(Request[None]):
 
     def encode_response(self, result: None = None) -> bytes:
         return self.encode()[: self.echoed]
+
+    def _decode_misfit(self, pdu: bytes, length: int | None) -> None:
+        if not pdu.startswith(self.encode_response()):
+            super()._decode_misfit(pdu, length)
 
     def _decode_response(self, pdu: bytes) -> None:
         if pdu != self.encode_response():

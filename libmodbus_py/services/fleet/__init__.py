@@ -11,6 +11,7 @@ From the fleet file to the wire, and back::
     readings       values of devices, the choice of those that are reported, and those that wait
     journal        readings on the disk, a folder of its own
     outputs        the destinations of readings, a folder of its own
+    rewriting      values that are written again every so many seconds
     commands       writes to named points that are received over an output
     statistics     counters, and the last readings, for metrics
     shown_fleet    values and devices as the live page shows them, and lines on a terminal

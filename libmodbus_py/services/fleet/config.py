@@ -25,6 +25,7 @@ from ...ports.making import make_port
 from ...protocol.checks import integer, number, seconds
 from ...protocol.json_text import json_text
 from ...protocol.mistakes import Mistake, WrongType, WrongValue, inside, item, named_arguments
+from ...protocol.tables import WriteFunction, checked_write_function
 
 # fmt: off
 __all__ = [
@@ -59,6 +60,8 @@ class DeviceConfig:
         timeout: seconds for one request; None for the timeout of the URL.
         spacing: seconds between a response of the device and the next request to it; a pause
             for all devices of a line is ``request_spacing`` in its URL.
+        write_function: the functions that write its points: "auto", "single" or "multiple"; None
+            for those of the URL.
         on_change: True to report only values that changed.
         dead_bands: by name of a point, by how much a value must differ from the last one
             reported.
@@ -86,6 +89,7 @@ class DeviceConfig:
     interval: float = 10.0
     timeout: float | None = None
     spacing: float = 0.0
+    write_function: WriteFunction | None = None
     on_change: bool = False
     dead_bands: Mapping[str, float] = field(default_factory=dict)
     labels: Mapping[str, str] = field(default_factory=dict)
@@ -103,10 +107,10 @@ class DeviceConfig:
         change("endpoint", endpoint)
         change("connection_key", key)
         integer("unit", self.unit, 0, 255)
-        if self.unit == 0 and not endpoint.has_transactions:
-            raise WrongValue(
-                "unit", "must not be 0 on this transport: no device answers a broadcast"
-            )
+        is_broadcast = endpoint.client_options.get("broadcast", not endpoint.has_transactions)
+        if self.unit == 0 and is_broadcast:
+            reason = "must not be 0 on this transport without broadcast=0 in its URL"
+            raise WrongValue("unit", f"{reason}: no device answers a broadcast")
         if not isinstance(self.map, RegisterMap):
             raise WrongType("map", f"must be a RegisterMap, not {type(self.map).__name__}")
         points = [each for each in self.map.values() if each.access != "write"]
@@ -122,6 +126,8 @@ class DeviceConfig:
         if self.timeout is not None:
             seconds("timeout", self.timeout)
         seconds("spacing", self.spacing, low=0)
+        if self.write_function is not None:
+            checked_write_function(self.write_function)
         flag(("on_change",), self.on_change)
         for name, band in _table("dead_bands", self.dead_bands).items():
             if name not in self.names:

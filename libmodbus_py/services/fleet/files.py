@@ -18,11 +18,12 @@ from pathlib import Path as FilePath
 from typing import Any, cast
 
 from ...files.csv_text import CELLS, CsvRow, CsvText, number_in
-from ...files.schema import REQUIRED, Key, Keys, keys_of, table, tables
+from ...files.schema import REQUIRED, Key, Keys, keys_of, table, tables, text
 from ...files.texts import FileError, FilePlace, line_of, load_file, read_table, read_toml
+from ...maps.list_words import LIST, ListOptions, options_of
 from ...maps.map_file import POINT
 from ...maps.point_plan import scale_mistakes
-from ...maps.register_map import RegisterMap, load_map
+from ...maps.register_map import RegisterMap, map_with
 from ...protocol.mistakes import (
     Mistake,
     Path,
@@ -172,7 +173,7 @@ class _Reader:
         path = self._folder / given["devices"]
         self._sources.add(file_at(str(path)))
         with inside("devices"):
-            content, note = read_table(path, FleetFileError)
+            content, note = read_table(path, FleetFileError, given.get("encoding"))
         try:
             text = table_of(content)
             skipped = f"rows above the headings that are skipped: {text.skipped}"
@@ -189,24 +190,24 @@ class _Reader:
         bands = usual.pop("dead_bands", {})
         keys = {**usual, **given}
         keys["labels"] = {**usual.get("labels", {}), **given.get("labels", {})}
-        columns = keys.pop("columns", {})
+        options = options_of({key: keys.pop(key) for key in ("columns", "list") if key in keys})
         for key in DEVICE.values():
             if key.default is REQUIRED and key.name not in keys:
                 raise WrongValue(key.name, "is missing")
         if not isinstance(keys["map"], RegisterMap):
             base = folder if "map" in given else self._folder
             with inside("map"):
-                keys["map"] = self._map(base / map_file(keys["map"]), columns)
+                keys["map"] = self._map(base / map_file(keys["map"]), options)
         device = DeviceConfig(**keys)
         # The default bands are those of the points that the device reads.
         bands = {name: band for name, band in bands.items() if name in device.names}
         return replace(device, dead_bands={**bands, **device.dead_bands}) if bands else device
 
-    def _map(self, path: FilePath, columns: Mapping[str, str]) -> RegisterMap:
-        key = path, repr(columns)
+    def _map(self, path: FilePath, options: ListOptions) -> RegisterMap:
+        key = path, repr(options)
         if key not in self._maps:
             self._sources.add(file_at(str(path)))
-            self._maps[key] = load_map(path, columns=columns)
+            self._maps[key] = map_with(path, options)
         return self._maps[key]
 
     # --- journal and outputs ----------------------------------------------------------------
@@ -281,7 +282,7 @@ def _filled(key: str, value: Any) -> Any:
 def _keys_of_table(given: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of a table [[device]], whose points are its map."""
     keys: dict[str, Any] = TABLE.read((), given)
-    if "point" in keys and keys.keys() & {"map", "columns"}:
+    if "point" in keys and keys.keys() & {"map", "columns", "list"}:
         raise WrongValue.about("point", "the device has a map already")
     if "point" in keys:
         keys["map"] = keys.pop("point")
@@ -298,7 +299,7 @@ def table_of(text: str) -> CsvText:
     def is_column(heading: str) -> bool:
         return heading in columns or heading.startswith(LABEL)
 
-    found = CsvText(text, is_column, FleetFileError, names_first=True)
+    found = CsvText(text, is_column, FleetFileError)
     headings = found.head.cells
     for at, heading in enumerate(headings):
         reason = ""
@@ -358,7 +359,7 @@ def _points(path: Path, given: object) -> RegisterMap:
 
 def _columns(path: Path, given: object) -> dict[str, str]:
     for key, heading in table(path, given).items():
-        if not isinstance(heading, str):
+        if not isinstance(heading, str) and key != "nothing":
             raise WrongType((*path, key), f"must be the heading of a column, not {heading!r}")
     return cast(dict[str, str], given)
 
@@ -383,16 +384,19 @@ POINTS = Key("point", _points, "a table for each point, [[device.point]], instea
 
 COLUMNS = Key("columns", _columns, "headings of a map that are not recognised, by their meaning")
 
-TABLE = (DEVICE | Keys([COLUMNS, POINTS])).optional()
+OF_LIST = Key("list", LIST.read, "what a list does not say of itself, as for load_map")
 
-DEFAULTS = (DEVICE.but("name") | Keys([COLUMNS])).optional()
+TABLE = (DEVICE | Keys([COLUMNS, OF_LIST, POINTS])).optional()
+
+DEFAULTS = (DEVICE.but("name") | Keys([COLUMNS, OF_LIST])).optional()
 
 # fmt: off
 FILE = Keys([
     Key("journal", _file_name, "a file that keeps readings for outputs that are away"),
     Key("keep", text="how long the journal keeps readings, such as 90 days"),
     Key("journal_size", text="the size of the journal, such as 2 GB"),
-    Key("devices", _file_name, "a file of devices in CSV"),
+    Key("devices", _file_name, "a file of devices in CSV, Markdown or .xlsx"),
+    Key("encoding", text, "the encoding of that file, UTF-8 unless it is given"),
     Key("defaults", DEFAULTS.read, "defaults of the keys of devices"),
     Key("device", tables, "a table for each device: [[device]]"),
     Key("output", _output_tables,

@@ -8,6 +8,7 @@ import asyncio
 import math
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import partial
 from hashlib import blake2b
 from heapq import heapify, heappop, heappush
 from itertools import count
@@ -28,6 +29,7 @@ from .outputs.output import Output
 from .poller import DeviceState, FleetLine, MayAsk, Poller, offline
 from .readings import MOST_KEPT, Buffer
 from .receivers import Receivers
+from .rewriting import Rewrites
 from .statistics import FleetStatistics
 
 __all__ = ["Fleet", "first_time", "next_time"]
@@ -117,6 +119,7 @@ class Fleet:
         self._lines: dict[str, FleetLine] = {}
         self._pollers: dict[str, Poller] = {}
         self._closing = KeptTasks()
+        self._rewrites: dict[str, Rewrites] = {}
         self._loop: asyncio.AbstractEventLoop | None = None
         # True to poll each device once; the devices that are still to be polled then.
         self._once = False
@@ -253,14 +256,13 @@ class Fleet:
             self._end(poller)
         urls = {each.connection_key: each.endpoint.url for each in after.values()}
         ended = [key for key, line in self._lines.items() if line.url != urls.get(key)]
-        former = {key: self._end_line(key) for key in ended}
+        for key in ended:
+            self._end_line(key)
         self._plans = [plan for plan in self._plans if plan[2].name in self._pollers]
         heapify(self._plans)
         for device in after.values():
             if device.name not in self._pollers:
                 self._begin(device)
-        for key in former.keys() & self._lines.keys():
-            self._lines[key].replaces(former[key].client)
         self._end_if_all_polled()
 
     def take_back(self) -> None:
@@ -300,6 +302,8 @@ class Fleet:
 
     def _end(self, poller: Poller) -> None:
         del self._pollers[poller.name]
+        if (rewrites := self._rewrites.pop(poller.name, None)) is not None:
+            rewrites.end()
         line = self._lines[poller.config.connection_key]
         del line.pollers[poller.name]
         line.withdraw(poller)
@@ -307,13 +311,12 @@ class Fleet:
         self._count(poller.state, -1)
         self.statistics.devices -= 1
 
-    def _end_line(self, key: str) -> FleetLine:
+    def _end_line(self, key: str) -> None:
         line = self._lines[key]
         for poller in list(line.pollers.values()):
             self._end(poller)
         del self._lines[key]
         self._closing.begin(line.close())
-        return line
 
     # --- polls ----------------------------------------------------------------------------------
 
@@ -409,6 +412,7 @@ class Fleet:
         Args:
             device: the name of the device.
             values: as for `write_map` of the clients; times may be text (ISO 8601), as in JSON.
+                Those of points with `rewrite` are written again, until the next write.
 
         Raises:
             KeyError: the fleet has no device of this name.
@@ -422,5 +426,14 @@ class Fleet:
         for name in points.keys() & wanted.keys():
             with inside(name):
                 wanted[name] = json_value(points[name], wanted[name])
+        if device not in self._rewrites:
+            self._rewrites[device] = Rewrites(
+                device, points, partial(self._send, poller), self._closing
+            )
+        await self._rewrites[device].write(wanted)
+
+    async def _send(self, poller: Poller, values: Mapping[str, Any]) -> None:
         line = self._lines[poller.config.connection_key]
-        await line.sender_of(poller).client.for_unit(poller.unit).write_map(points, wanted)
+        function = poller.config.write_function
+        plc = line.sender_of(poller).client.for_unit(poller.unit, write_function=function)
+        await plc.write_map(poller.config.map, values)

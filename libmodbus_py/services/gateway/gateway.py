@@ -162,10 +162,7 @@ class Gateway(Serving):
                 ways[unit] = ResolvedRoute(lines[key], device_unit, route)
         dispatcher.lines, dispatcher.routes = list(lines.values()), ways
         self.traffic.lines = {line.url: line.statistics for line in lines.values()}
-        ports = {line.endpoint.key: line for line in lines.values()}
         for line in before.values():
-            if line.endpoint.key in ports:
-                ports[line.endpoint.key].replaces(line.client)
             self._closing.begin(line.close())
 
     def _unit_statistics(self, unit: int) -> UnitStatistics | None:

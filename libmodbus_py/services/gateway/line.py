@@ -103,6 +103,8 @@ class RequestBytes(pdu.Request[bytes]):
     def decode_response(self, pdu: bytes) -> bytes:
         if self.known is not None:
             self.known.decode_response(pdu)
+            if self.may_be_broadcast:  # a write, whose echo may have bytes behind it
+                return pdu[: type(self.known).response_length(pdu) or None]
         elif not pdu or pdu[0] != self.function:
             raise self._refusal(pdu)
         return pdu
@@ -232,7 +234,7 @@ class GatewayLine(SharedLine[Forwarded]):
         self.url: str = str(endpoint)
         self.endpoint: Endpoint = endpoint
         self.statistics: LineStatistics = LineStatistics(self.url, self.client.statistics)
-        self._has_broadcast = not self.sender.has_ids
+        self._has_broadcast = self.sender.has_broadcast
         self._writes_first = options.writes_first
         self._silent = SilentUnits(self.client.timeout)
         self._cache = Cache()

@@ -51,6 +51,8 @@ def _cell(value: Any) -> Any:
         return _shown(value)
     if isinstance(value, str) and value in WORD_OF:
         return WORD_OF[value]
+    if isinstance(value, list):
+        return json.dumps(value)
     if isinstance(value, tuple):
         return "; ".join(map(str, value))
     if not isinstance(value, Mapping):

@@ -11,7 +11,7 @@ a range does not allow.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from os import PathLike, fspath
 from os.path import dirname
 from typing import Any
@@ -33,6 +33,7 @@ from ...files.schema import (
     whole,
 )
 from ...files.texts import FileError, load_file, read_toml, shown_key
+from ...maps.list_words import LIST, ListOptions
 from ...protocol.checks import integer
 from ...protocol.mistakes import Path, WrongValue, close_to, placed
 from ...protocol.pdu.interface import OBJECT_NAMES
@@ -131,6 +132,8 @@ UNIT = Keys(
         Key("identification", _identification, "the response to function 43/14"),
         Key("defaults", DEFAULTS.read, "keys of points of the unit without their own"),
         Key("map", _maps, "paths of register maps; the device has all their points"),
+        Key("columns", table, "headings of the maps that are not recognised, by their meaning"),
+        Key("list", LIST.read, "what a list does not say of itself, as for load_map"),
         Key("values", table, "initial values of points of the maps, by name"),
         Key("moves", table, "how points of the maps change, by name"),
         *(Key(name, tables, "a table for each point, or run of records") for name in CONTENTS),
@@ -206,7 +209,7 @@ def parse(
 
 
 def mapped_simulation(
-    map: str, units: Iterable[int] = (), columns: Mapping[str, str] | None = None
+    map: str, units: Iterable[int] = (), options: ListOptions | None = None
 ) -> Simulation:
     """
     Return a simulation of devices that have the points of a register map, all zero.
@@ -214,14 +217,14 @@ def mapped_simulation(
     Args:
         map: path of the map, or the name of one that comes with the package.
         units: the units, 0..247 or 255; empty for one device that answers every unit.
-        columns: as for `load_map`.
+        options: how a list is read.
 
     Raises:
         DeviceFileError: the map cannot be read or contains a mistake, or a unit is wrong.
     """
     described = [{"id": unit, "map": map} for unit in units] or [{"map": map}]
     try:
-        return _simulation({"unit": described}, Maps("", columns), time.monotonic)
+        return _simulation({"unit": described}, Maps("", options), time.monotonic)
     except (TypeError, ValueError) as error:
         mistake = placed(error, ())
         # There is no file whose keys the path could name.

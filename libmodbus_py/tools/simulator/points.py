@@ -12,10 +12,11 @@ from typing import Any
 
 from ...files.schema import REQUIRED, Key, Keys, a_list, keys_of, whole
 from ...files.texts import shown_key
+from ...maps.list_words import ListOptions, options_of
 from ...maps.map_file import POINT
 from ...maps.point import Point
 from ...maps.point_plan import scale_mistakes
-from ...maps.register_map import RegisterMap, close_to, load_map
+from ...maps.register_map import RegisterMap, close_to, map_with
 from ...protocol.mistakes import Path, WrongValue, inside, path_text
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLES
@@ -37,8 +38,8 @@ VALUES = Keys(
     ]
 )
 
-POINT_KEYS = POINT.but("table")
-"""The keys of a point; the name of the list is its table."""
+POINT_KEYS = POINT.but("table", "initial")
+"""The keys of a point; the name of the list is its table, its `value` the initial one."""
 
 TYPING = POINT.only("type", "order", "encoding", "padding")
 
@@ -80,24 +81,27 @@ CONTENTS: dict[str, Keys] = {
 class Maps:
     """The register maps of one device file, each read once; paths are relative to its folder."""
 
-    def __init__(self, folder: str, columns: Mapping[str, str] | None = None) -> None:
+    def __init__(self, folder: str, options: ListOptions | None = None) -> None:
         self._folder = folder
-        self._columns = columns
-        self._maps: dict[str, RegisterMap] = {}
+        self._options = options
+        self._maps: dict[tuple[str, str], RegisterMap] = {}
 
     @property
     def files(self) -> tuple[str, ...]:
         """The paths of the maps that were read, or could not be."""
-        return tuple(self._maps)
+        return tuple(dict.fromkeys(path for path, _ in self._maps))
 
-    def get(self, where: Path, name: str) -> RegisterMap:
+    def get(self, where: Path, name: str, unit: Mapping[str, Any]) -> RegisterMap:
         """Return a map that the key at a path names: a file, or one of the package."""
+        with inside(*where[:2]):
+            options = self._options or options_of(unit)
         with inside(*where):
             path = os.path.normpath(os.path.join(self._folder, map_file(name)))
-            if path not in self._maps:
-                self._maps[path] = RegisterMap(())
-                self._maps[path] = load_map(path, columns=self._columns)
-        return self._maps[path]
+            key = path, repr(options)
+            if key not in self._maps:
+                self._maps[key] = RegisterMap(())
+                self._maps[key] = map_with(path, options)
+        return self._maps[key]
 
 
 def points_of(path: Path, unit: Mapping[str, Any], maps: Maps) -> list[SimulatedPoint]:
@@ -168,7 +172,7 @@ def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[
     """Yield the points of all maps of a unit."""
     points: dict[str, Point] = {}
     for where, name in unit.get("map", ()):
-        for point in maps.get(where, name).values():
+        for point in maps.get(where, name, unit).values():
             if point.name in points:
                 raise WrongValue.about(where, f"an earlier map has a point {point.name}, too")
             points[point.name] = point
@@ -192,7 +196,8 @@ def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[
             source = (*source, *read)
             behaviour = next(iter(read.items()))
         where = (*path, "map", key)
-        yield SimulatedPoint(where, point, values.get(name), behaviour, source, is_mapped=True)
+        value = None if behaviour else values.get(name, point.initial)
+        yield SimulatedPoint(where, point, value, behaviour, source, is_mapped=True)
 
 
 def _check_overlaps(points: Iterable[SimulatedPoint]) -> None:

@@ -47,6 +47,9 @@ def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
     requests = [line for line in done.err.splitlines() if " > " in line]
     assert len(requests) == 6  # 600 registers of 125, and 100 coils of 2000
     assert "holding 500    500\n" in done.out
+    done = run("read", url, "holding", "0", "100", "--max-registers", "30", "-v")
+    assert done.err.count(" > ") == 4
+    assert run("read", url, "holding", "0", "--max-registers", "0").code == 2
     done = run("read", url, "file:4", "0", "200", "--type", "uint32", "--json", "-v")
     assert json.loads(done.out)["values"] == [0x70008, 0x90000, *[0] * 198]
     lengths = [int(line[-5:].replace(" ", ""), 16) for line in done.err.splitlines()[::2]]

@@ -24,6 +24,8 @@ def frames(err: str) -> list[str]:
         # Sections 6.5, 6.6, 6.11, 6.12, 6.16 and 6.17.
         ("holding 1 3", ["06 00 01 00 03"]),
         ("holding 1 3 --multiple", ["10 00 01 00 01 02 00 03"]),
+        ("holding 1 3 4 --write-function single", ["06 00 01 00 03", "06 00 02 00 04"]),
+        ("coils 7 on --write-function multiple", ["0f 00 07 00 01 01 01"]),
         ("coils 7 on", ["05 00 07 ff 00"]),
         ("coils 7 on --multiple", ["0f 00 07 00 01 01 01"]),
         ("holding 4 --mask 0xF2 0x25", ["16 00 04 00 f2 00 25"]),
@@ -193,3 +195,11 @@ def test_a_cell_that_cannot_be_read_fails() -> None:
 
 def refusing(access: Access) -> None:
     raise IllegalDataAddress
+
+
+def test_a_device_that_lacks_a_function_is_told_how_to_be_written() -> None:
+    with FakeServer(lambda request: [mbap(request, bytes([request[7] | 0x80, 1]))]) as device:
+        done = run("write", device.url, "holding", "1", "3")
+        assert "illegal function (exception 1); --multiple writes with function 16" in done.err
+        done = run("write", device.url, "coils", "1", "on", "off")
+        assert "--write-function single writes with function 5" in done.err

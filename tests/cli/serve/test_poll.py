@@ -116,7 +116,7 @@ def test_all_mistakes_in_devices_are_printed(fleet: Path) -> None:
 def test_it_is_said_how_a_list_of_devices_was_read(fleet: Path) -> None:
     rows = "Geräte;\nname;url\ndrei;tcp://127.0.0.1:1\n"
     (fleet.parent / "list.csv").write_bytes(rows.encode("cp1252"))
-    fleet.write_text('devices = "list.csv"\n' + fleet.read_text())
+    fleet.write_text('devices = "list.csv"\nencoding = "cp1252"\n' + fleet.read_text())
     said = run("poll", fleet, "--check").err.splitlines()
     assert "list.csv: read as cp1252" in said[0]
     assert said[1].endswith("list.csv: rows above the headings that are skipped: 1")

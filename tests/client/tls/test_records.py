@@ -170,13 +170,16 @@ def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:
     done = threading.Event()
 
     def script(peer: Peer) -> None:
+        if done.is_set():  # the others are sent once more
+            assert len([peer.request() for _ in range(3)]) == 3
+            return
         asked = [peer.request() for _ in range(4)]
+        done.set()
         peer.sock.sendall(peer.sealed(echo(asked[0])) + peer.end())
-        done.wait(300)
+        peer.sock.recv(1)
 
     with talking(script, client={"timeout": 600, "max_in_flight": 8}) as (_, plc):
         found = plc.execute_many(reads(4), return_exceptions=True)
-        done.set()
         assert found[0] == [0]
         assert [type(each) for each in found[1:]] == [ModbusConnectionError] * 3
         assert "closed by the other side" in str(found[1])

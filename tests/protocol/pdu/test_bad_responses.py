@@ -25,12 +25,25 @@ every_request = each_case("request_", [request for request, _ in ALL])
 
 class TestBadResponses:
     @each_case(("request_", "good"), ANSWERED)
-    def test_empty_cut_and_prolonged_responses_are_invalid(
+    def test_cut_responses_are_invalid_and_the_error_shows_them(
         self, request_: pdu.Request[Any], good: bytes
     ) -> None:
-        for bad in (*(good[:end] for end in range(len(good))), good + b"\0"):
-            with pytest.raises(errors.InvalidResponse):
-                request_.decode_response(bad)
+        for end in range(len(good)):
+            with pytest.raises(errors.InvalidResponse) as caught:
+                request_.decode_response(good[:end])
+            assert errors.in_hex(good[:end]) in str(caught.value)
+
+    @each_case(("request_", "good"), [each for each in ANSWERED if not each[0].may_be_broadcast])
+    def test_prolonged_responses_are_invalid(self, request_: pdu.Request[Any], good: bytes) -> None:
+        with pytest.raises(errors.InvalidResponse):
+            request_.decode_response(good + b"\0")
+
+    @each_case(("request_", "good"), [each for each in ANSWERED if each[0].may_be_broadcast])
+    def test_bytes_behind_an_echo_are_ignored(
+        self, request_: pdu.Request[Any], good: bytes
+    ) -> None:
+        """IndustrialShields/arduino-Tools40#7: a stray byte behind the echo is counted."""
+        request_.decode_response(good + b"\6")
 
     @each_case(("request_", "good"), ALL)
     def test_other_function_is_invalid_and_the_error_names_the_request(

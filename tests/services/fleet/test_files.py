@@ -4,6 +4,7 @@ Fleet files: what they say, and what is wrong with them: file, line, key, what i
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import tomllib
@@ -208,7 +209,7 @@ WRONG_KEYS_OF_A_BROKER = {
 
 # Above SIMPLE.
 WRONG_TABLES = [
-    ("x = 3", 1, "x: no such key; allowed are journal, keep, journal_size, devices, defaults,"),
+    ("x = 3", 1, "x: no such key; allowed are journal, keep, journal_size, devices, encoding,"),
     ("devices = 'none.csv'", 1, "devices: cannot read"),
     ("devices = ['a']", 1, "devices must be the name of a file, not"),
     ("[defaults]\nname = 'x'", 2, "defaults.name: no such key"),
@@ -309,7 +310,7 @@ SPREADSHEET = "Geräte 2026;;;\n\nname;url;map;interval;labels.site\na;tcp://h;m
     ("data", "said"),
     [
         (SPREADSHEET.encode(), []),
-        (SPREADSHEET.encode("cp1252"), ["read as cp1252, because it is not UTF-8"]),
+        (SPREADSHEET.encode("cp1252"), ["read as cp1252"]),
         (SPREADSHEET.encode("utf-16"), ["read as utf-16, because it is not UTF-8"]),
         (b"sep=;\r\n" + SPREADSHEET.encode("utf-8-sig")[3:].replace(b"\n", b"\r\n"), []),
     ],
@@ -318,13 +319,29 @@ SPREADSHEET = "Geräte 2026;;;\n\nname;url;map;interval;labels.site\na;tcp://h;m
 def test_a_list_of_devices_is_read_as_spreadsheets_save_it(
     tmp_path: Path, data: bytes, said: list[str]
 ) -> None:
-    path = written(tmp_path, 'devices = "more.csv"')
+    encoding = 'encoding = "cp1252"\n' if "read as cp1252" in said else ""
+    path = written(tmp_path, f'{encoding}devices = "more.csv"')
     (tmp_path / "more.csv").write_bytes(data)
     file = load(path)
     (device,) = file.devices
     assert (device.interval, device.labels) == (1.5, {"site": "Köln"})
     notes = [*said, "rows above the headings that are skipped: 1"]
     assert file.notes == tuple(f"{tmp_path / 'more.csv'}: {each}" for each in notes)
+
+
+def test_a_list_of_devices_is_a_table_in_markdown_or_a_spreadsheet(tmp_path: Path) -> None:
+    (tmp_path / "more.md").write_text(
+        "# Pumps\n\n| name | url | map | unit |\n|---|---|---|--:|\n"
+        "| a | tcp://192.0.2.1 | sdm120 | 7 |\n"
+    )
+    openpyxl = importlib.import_module("openpyxl")  # which has no types
+    book = openpyxl.Workbook()
+    book.active.append(["name", "url", "map", "unit"])
+    book.active.append(["a", "tcp://192.0.2.1", "sdm120", 7])
+    book.save(tmp_path / "more.xlsx")
+    for name in ("more.md", "more.xlsx"):
+        (device,) = load(written(tmp_path, f'devices = "{name}"')).devices
+        assert (device.name, device.unit) == ("a", 7)
 
 
 def test_all_mistakes_in_devices_are_found_at_once(tmp_path: Path) -> None:
@@ -349,14 +366,14 @@ def test_no_more_than_a_page_of_mistakes_is_found(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("where", ["[[device]]", "[defaults]"])
 def test_columns_of_a_map_are_named(tmp_path: Path, where: str) -> None:
-    points = MAP.replace("name,", "Bezeichnung,", 1)
-    named = "columns = {name = 'Bezeichnung'}\n"
+    points = MAP.replace("name,", "Mesure,", 1)
+    named = "columns = {name = 'Mesure'}\n"
     fleet = SIMPLE + named if where == "[[device]]" else f"[defaults]\n{named}{SIMPLE}"
     (device,) = load(written(tmp_path, fleet, points=points)).devices
     assert "voltage" in device.map
     with pytest.raises(FleetFileError, match="no column name"):
         load(written(tmp_path, SIMPLE, points=points))
-    wrong = fleet.replace("'Bezeichnung'", "7")
+    wrong = fleet.replace("'Mesure'", "7")
     with pytest.raises(FleetFileError, match=r"columns\.name must be the heading of a column"):
         load(written(tmp_path, wrong, points=points))
 

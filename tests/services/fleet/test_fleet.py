@@ -12,10 +12,8 @@ from dataclasses import replace
 
 import pytest
 
-from libmodbus_py import (
-    Fleet,
-    Server,
-)
+from libmodbus_py import Device, Fleet, Mapping, Point, RegisterMap, Server
+from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.fleet.poller import FleetLine, Poller
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.services.fleet.fleets import (
@@ -294,6 +292,39 @@ async def test_what_may_not_be_asked_is_neither_sent_nor_told() -> None:
 
 
 # --- writes ------------------------------------------------------------------------------
+
+
+@in_simulated_time
+async def test_the_last_value_of_a_point_is_written_again_until_the_next(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    period = 30
+    points = [Point("power", "holding_registers", 2, rewrite=period, maximum=100)]
+    device = Device(Mapping(holding_registers=range(4)))
+    registers = device.mapping.holding_registers
+    async with Server({1: device}).serving("tcp://127.0.0.1:0") as running:
+        config = DeviceConfig("a", running.urls[0], RegisterMap(points), interval=1000)
+        async with polling(config) as (fleet, _):
+            await fleet.write("a", {"power": 50})
+            for _ in range(2):  # the watchdog of the device falls back
+                registers[2] = 0
+                await asyncio.sleep(period - 1)
+                assert registers[2] == 0
+                await asyncio.sleep(period / 15)
+                assert registers[2] == 50
+            with pytest.raises(ValueError, match="100"):
+                await fleet.write("a", {"power": 101})
+            registers[2] = 0
+            await asyncio.sleep(period + 1)
+            assert registers[2] == 50
+            await fleet.write("a", {"power": 60})
+            registers[2] = 0
+            await asyncio.sleep(period + 1)
+            assert registers[2] == 60
+        registers[2] = 0
+        await asyncio.sleep(3 * period)
+        assert registers[2] == 0
+    assert caplog.records == []
 
 
 @in_simulated_time

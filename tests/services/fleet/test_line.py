@@ -172,7 +172,7 @@ class TestSilentDevices:
             plant.silent.add(9)
             await asyncio.sleep(5)
             plant.silent.clear()
-            plant.delays[9] = 0.4
+            plant.delays[9] = 0.15
             tried = len(plant.times(9))
             while plant.fleet.devices["device 9"].state is not DeviceState.UP:
                 await asyncio.sleep(0.1)

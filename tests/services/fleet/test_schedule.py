@@ -118,7 +118,7 @@ async def test_a_poll_is_as_late_as_the_one_before_it_takes() -> None:
         assert len(late) >= 3
         assert sum(statistics.lateness) in (len(plant.asked), len(plant.asked) - 1)
         assert 0 <= statistics.late_seconds <= 0.25 * len(plant.asked)
-        assert statistics.worst <= 0.25
+        assert statistics.worst <= 0.65  # the first answer is held for twice its time
         assert statistics.within(LATENESS_BOUNDS[-1]) == 1.0
 
 

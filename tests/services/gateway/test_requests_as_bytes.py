@@ -83,3 +83,11 @@ def test_a_response_to_a_read_is_passed_on_if_its_length_fits(request: str, resp
             asked.decode_response(response_pdu)
     with pytest.raises(ExceptionResponse):
         asked.decode_response(bytes([good[0] | 0x80, 2]))
+
+
+@each_case("request", ["05 0001 FF00", "06 0001 0007", "10 0001 0001 02 0007", "16 0001 FFFF 0000"])
+def test_bytes_behind_an_echo_are_not_forwarded(request: str) -> None:
+    """On a line they would have a wrong CRC."""
+    asked = bytes.fromhex(request)
+    echo = asked[: 7 if asked[0] == 0x16 else 5]
+    assert request_of(asked).decode_response(echo + b"\6") == echo

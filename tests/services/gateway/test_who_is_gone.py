@@ -169,8 +169,8 @@ def test_what_is_silent_costs_the_reads_of_others_one_timeout_at_most(
         assert {str(answer)[:4] for answer in answers} == {"0302"}
         assert plant.unit(unit).timeouts + plant.unit(unit).given_up > 1
         assert max(took) < timeouts * (TIMEOUT + 6 * plant.delay)
-        # Each trial after it costs no more than an answer of the others.
-        assert len([each for each in took if each > 0.9 * TIMEOUT]) <= len(readers)
+        # Each trial after it costs no more than an answer of the others, but for one in sixteen.
+        assert len([each for each in took if each > 0.9 * TIMEOUT]) <= 2 * len(readers)
 
     plant.run(main)
 

@@ -17,7 +17,7 @@ import pytest
 
 from libmodbus_py.protocol.framing import Frame, make_framer
 from tests.support import peers as fake
-from tests.support.peers import FakeServer, FakeUnit, dead
+from tests.support.peers import FakeServer, FakeUnit, LinePeer, dead
 from tests.support.scripted import Scripted, Write, answer, echo, ignore, run
 
 theirs: Any = pytest.importorskip(
@@ -34,7 +34,7 @@ def tcp(port: int, timeout: float = LONG, **times: float) -> Any:
     return backend.ModbusConnection(params, timeout=timeout, **times)
 
 
-def on_line(line: FakeUnit) -> Any:
+def on_line(line: LinePeer) -> Any:
     return backend.ModbusConnection(theirs.ModbusSerialParams(device=line.path), timeout=SHORT)
 
 
@@ -339,3 +339,27 @@ async def test_a_unit_that_needs_longer_gets_a_new_link(server: Scripted, connec
     assert not unit.connected
     assert connection.last_error == ""
     assert connection.statistics.connects == 2
+
+
+def test_a_unit_whose_late_answer_may_come_holds_up_no_other_unit() -> None:
+    asked: list[int] = []
+
+    def answer_for_2(request: bytes, write: fake.Write) -> None:
+        asked.append(request[0])
+        if request[0] == 2:
+            write(fake.answer(request, "rtu"))
+
+    async def go() -> None:
+        with LinePeer(answer_for_2) as line:
+            connection = on_line(line)
+            with pytest.raises(theirs.ModbusTimeoutError):
+                await read(connection)
+            again = asyncio.create_task(read(connection))
+            await asyncio.sleep(0)
+            assert await connection.for_unit(2).read_holding_registers(7, 1) == [7]
+            assert asked == [1, 2]
+            with pytest.raises(theirs.ModbusTimeoutError):
+                await again
+            await connection.close()
+
+    run(go())

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import runpy
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,9 @@ EXAMPLES: dict[str, dict[str, Any]] = {
     "interval": {"interval": 60.5},
     "border": {"border": True},
     "group": {"group": "slow"},
+    "rewrite": {"rewrite": 30},
+    "initial": {"initial": [1, 2], "count": 2},
+    "write_function": {"write_function": "multiple"},
 }
 
 SCALE = Point("sf", H, 100, access="read")
@@ -125,4 +128,6 @@ def test_a_format_has_the_key(
     tmp_path_factory: pytest.TempPathFactory, form: str, key: str
 ) -> None:
     points = points_of(key)
+    if form == "device file":  # where it is called `value`
+        points = [replace(each, initial=None) for each in points]
     assert FORMATS[form](tmp_path_factory.mktemp("file"), points) == points

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import MapError, Point, RegisterMap, load_map
+from libmodbus_py.maps.list_words import ListOptions
 from libmodbus_py.maps.map_file import contents_of, remarks
 from libmodbus_py.tools.files.map_texts import csv_text, toml_text
 from tests.support.cases import each_case
@@ -38,7 +39,7 @@ TABLES = [
         ],
     ),
     (  # Excel in Germany: a mark of order, semicolons, carriage returns, a quoted heading
-        "\ufeff\"Register\nAddress\";Parameter;Data Type;R/W;Factor;Units;Comment\r\n"
+        "\ufeff\"Register\nAddress\";Parameter;Data Type;R/W;Multiplier;Units;Comment\r\n"
         "40001;Spannung L1;U16;R;0.1;V;\"a;b \"\"c\"\"\"\r\n"
         "\r\n"
         "30012;Leistung;S32;RO;;W;\r\n",
@@ -53,7 +54,7 @@ TABLES = [
     ),
     (  # tabs, a comment, function codes, IEC types, a divisor, spaces that do not break
         "# meter, revision 2\n"
-        "Tag\tFC\tAddr\tFormat\tDivisor\tMin\tMax\n"
+        "Tag\tFC\tAddr\tFormat\tDivisor\tMinimum\tMaximum\n"
         "energy\u00a0total\t03\t1F40h\tUDINT\t1000\t\t\n"
         "limit\t3/6/16\t100\tREAL\t\t-5\t5.5\n"
         "door\tFC02\t9\tBOOL\t\t\t\n"
@@ -69,8 +70,8 @@ TABLES = [
         "label|Register|type|Comment|Remarks|Since\n"
         "a|00001||x|y|1999\n"
         "b|100002|bool|||\n"
-        "c|300003|STR10|||\n"
-        "d|465536|string[4]|||\n".replace("465536", "465535"),
+        "c|300003|string:10|||\n"
+        "d|465536|String:4|||\n".replace("465536", "465535"),
         [
             Point("a", "coils", 0, description="x"),
             Point("b", "discrete_inputs", 1),
@@ -110,6 +111,33 @@ TABLES = [
             Point("total", H, 6, type="uint32", missing=0),
         ],
     ),
+    (  # comments with quotes, which are no cells; a comment within a cell, which is part of it
+        "name,table,address,description\n"
+        "# units are: \"kWh\",\"W\" and, as \"\n"
+        "a,holding,0,\"first\n# second\"\n"
+        "  # \"b,holding,1,\n"
+        "c,holding,2,\n",
+        [Point("a", H, 0, description="first # second"), Point("c", H, 2)],
+    ),
+    (  # numbers of rows below a mere #
+        "#,Name,Table,Address,Type\n1,volt,holding,0,U16\n2,amp,holding,1,S16\n",
+        [Point("volt", H, 0), Point("amp", H, 1, type="int16")],
+    ),
+    (  # Markdown, with text around, a bar in a cell, and decimal commas
+        "# Meter\n\nAll registers of *revision 2*.\n\n"
+        "| Name | Table | Address | Type | Scale | Note |\n"
+        "|:---|---|--:|:-:|---|---|\n"
+        "| volt | holding | 0 | `U16` | 0,1 | a \\| b |\n"
+        "| **amp** | holding | 1 | S16 | 1e-2 |  |\n\nThe end.\n",
+        [
+            Point("volt", H, 0, scale=0.1, description="a | b"),
+            Point("amp", H, 1, type="int16", scale=0.01),
+        ],
+    ),
+    (  # decimal commas between tabs
+        "name\ttable\taddress\tscale\na\tholding\t0\t0,1\n",
+        [Point("a", H, 0, scale=0.1)],
+    ),
 ]  # fmt: skip
 
 
@@ -119,7 +147,7 @@ GERMAN = (
     "Bezeichnung;Register;Datentyp;Faktor;Einheit\r\n"
     "Außentemperatur;40001;S16;0,1;°C\r\nZählerstand;40002;U32;-2,5e-3;kWh\r\n"
 )
-NAMED = {"name": "Bezeichnung", "type": "datentyp", "scale factor": "Faktor", "unit": "Einheit"}
+NAMED = {"scale": "Faktor"}
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
@@ -127,15 +155,20 @@ NAMED = {"name": "Bezeichnung", "type": "datentyp", "scale factor": "Faktor", "u
 def test_a_spreadsheet_as_excel_saves_it(tmp_path: Path, encoding: str, begin: str) -> None:
     path = tmp_path / "Zähler.csv"
     path.write_bytes((begin + GERMAN).encode(encoding))
-    assert list(load_map(path, columns=NAMED).values()) == [
+    said = {"encoding": encoding} if encoding == "cp1252" else {}
+    assert list(load_map(path, columns=NAMED, **said).values()) == [
         Point("Außentemperatur", H, 0, type="int16", scale=0.1, units="°C"),
         Point("Zählerstand", H, 1, type="uint32", scale=-0.0025, units="kWh"),
     ]
-    notes = contents_of(path, 1, NAMED).notes
-    is_utf_8 = encoding.startswith("utf-8")
+    notes = contents_of(path, 1, ListOptions(columns=NAMED, **said)).notes
+    of_encoding = {
+        "utf-16": ["read as utf-16, because it is not UTF-8"],
+        "cp1252": ["read as cp1252"],
+    }
     assert notes == [
-        *([] if is_utf_8 else [f"read as {encoding}, because it is not UTF-8"]),
+        *of_encoding.get(encoding, []),
         "rows above the headings that are skipped: 1",
+        "Register has references: 40001 is holding register 0",
     ]
 
 
@@ -148,7 +181,7 @@ def test_a_column_that_is_named_must_be_there(tmp_path: Path) -> None:
         load_map(path, columns={"faktor": "Faktor"})
     toml = tmp_path / "map.toml"
     toml.write_text("")
-    with pytest.raises(ValueError, match="columns are for CSV"):
+    with pytest.raises(ValueError, match="columns and such are for lists"):
         load_map(toml, columns={"name": "Bezeichnung"})
 
 
@@ -174,8 +207,8 @@ def test_a_wrong_file_is_told_what_is_wrong(kind: str, tmp_path: Path, refused: 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(MapError, match=r"^cannot read .*meter\.csv: No such file or directory$"):
         load_map(tmp_path / "meter.csv")
-    with pytest.raises(MapError, match=r"meter\.xlsx: a register map must end with one of \.toml"):
-        load_map(str(tmp_path / "meter.xlsx"))
+    with pytest.raises(MapError, match=r"meter\.ods: a register map must end with one of \.toml"):
+        load_map(str(tmp_path / "meter.ods"))
     (tmp_path / "dir.csv").mkdir()
     with pytest.raises(MapError, match=r"^cannot read .*dir\.csv: Is a directory$"):
         load_map(tmp_path / "dir.csv")

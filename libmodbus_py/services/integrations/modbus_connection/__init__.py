@@ -36,6 +36,7 @@ except ImportError as error:
 
 from ....client.asynchronous import AsyncClient
 from ....client.reconnecting import State
+from ....client.sender import Sender
 from ....client.statistics import Statistics
 from ....ports.endpoint import Endpoint, parse
 from ....ports.hosts import split_host_and_port
@@ -162,6 +163,7 @@ class ModbusConnection(theirs.ModbusConnection):
         """Connect, wait until no other request is under way, and send a request."""
         try:
             await self.connect()
+            await self._fall_silent(unit)
             async with self._pacer.paced(unit):
                 await self.connect()  # again, if the connection was lost meanwhile
                 try:
@@ -177,6 +179,16 @@ class ModbusConnection(theirs.ModbusConnection):
             made = converted(error, operation)
             self.last_error = str(made)
             raise made from error
+
+    async def _fall_silent(self, unit: int) -> None:
+        """Wait while late answers of a unit may come, one timeout at the most; others may ask."""
+        loop = asyncio.get_running_loop()
+        until = loop.time() + self._timeout
+        while self._client is not None and loop.time() < until:
+            ready_at = Sender(self._client).ready_at(unit)
+            if ready_at <= loop.time():
+                break
+            await asyncio.sleep(min(ready_at, until) - loop.time())
 
     def handle(self, unit: int) -> AsyncClient:
         """Return a handle of the current client for a unit, or raise ModbusConnectionError."""

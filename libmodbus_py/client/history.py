@@ -1,0 +1,122 @@
+"""
+The history of each line, for the life of the process, whichever client asks.
+
+A unit that owes an answer sends it to the next client of its line. So the clients of one line share
+its history, those that follow each other and those that ask at the same time in different threads,
+as a converter allows. Nothing here needs a lock: each change is a single one, and two threads that
+make the same change set a time or a mark that either of them may set. A forked child has a copy.
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+from os.path import realpath
+from typing import TYPE_CHECKING
+
+from .answers import Answers
+
+if TYPE_CHECKING:
+    from ..ports.endpoint import Endpoint
+    from .call import Call
+
+__all__ = ["History", "Pair", "forget_lines", "history_of"]
+
+# The most lines that are remembered, those opened first are forgotten first.
+REMEMBERED_LINES = 256
+
+
+class Pair:
+    """The states of a unit and a function; times are those of time.monotonic()."""
+
+    is_doubted: bool = False
+    silence: float = 0.0  # in DOUBT, how many seconds it must be silent
+    # True if the last request was answered, but the time for HOLD was too short.
+    is_answered: bool = False
+    # True if the last answers may be those to the requests before; else known at `checked_at`.
+    is_shifted: bool = False
+    _owed: weakref.ref[Call] | None = None
+
+    def __init__(self, now: float, interval: float = math.inf) -> None:
+        # After so many seconds an answer is checked again: doubled each time.
+        self.interval: float = interval
+        self.heard_at: float = now  # when a frame of it came last
+        self.checked_at: float = now
+
+    @property
+    def quiet_at(self) -> float:
+        """In DOUBT, when it has been silent for long enough."""
+        return self.heard_at + self.silence
+
+    @property
+    def owed(self) -> Call | None:
+        """The request whose answer may still come; None if others may come, too."""
+        return None if self._owed is None else self._owed()
+
+    def doubt(self, now: float, silence: float, owed: Call | None = None) -> None:
+        """Begin to doubt, or doubt more."""
+        is_single = owed is not None and (not self.is_doubted or owed is self.owed)
+        self._owed = weakref.ref(owed) if owed is not None and is_single else None
+        self.is_doubted = True
+        self.silence = silence
+        self.interval = 0.0
+        self.heard(now)
+
+    def heard(self, now: float) -> None:
+        """Count the silence anew."""
+        self.is_answered = False
+        self.heard_at = now
+
+    def check(self, now: float, took: float = 0.0) -> None:
+        """Note that no other answer follows the last one, `took` seconds after its request."""
+        self.is_doubted = self.is_answered = self.is_shifted = False
+        self.checked_at = now
+        self.interval = max(2 * self.interval, took)
+
+    def is_due(self, now: float, longest: float) -> bool:
+        """Return True if the next answer is to be checked."""
+        return now > self.checked_at + min(longest, self.interval)
+
+
+class History:
+    """
+    The history of one line.
+
+    Attributes:
+        units: of each unit the states of its functions.
+        answers: the earlier answers, and how long they took.
+        repeating: the units of which a frame came without a request.
+    """
+
+    def __init__(self) -> None:
+        self.units: dict[int, dict[int, Pair]] = {}
+        self.answers: Answers = Answers()
+        self.repeating: set[int] = set()
+
+    def pair(self, unit: int, function: int, now: float, *, is_unknown: bool = False) -> Pair:
+        """Return the states of a unit and a function; if `is_unknown`, its first answer is held."""
+        pair = self.units.get(unit, {}).get(function)
+        if pair is None:
+            pair = Pair(now, 0.0 if is_unknown else math.inf)
+            pair = self.units.setdefault(unit, {}).setdefault(function, pair)
+        return pair
+
+    def pairs_of(self, unit: int) -> list[tuple[int, Pair]]:
+        """Return the functions of a unit, and the states of each."""
+        return list(self.units.get(unit, {}).items())
+
+
+_histories: dict[tuple[str, str], History] = {}
+
+forget_lines = _histories.clear
+"""Forget all lines, as a new process does."""
+
+
+def history_of(endpoint: Endpoint) -> History:
+    """Return the history of the line at an endpoint; its framing and settings do not matter."""
+    kind, address = endpoint.key
+    key = kind, realpath(address) if endpoint.has_path else address
+    history = _histories.setdefault(key, History())
+    for oldest in list(_histories)[:-REMEMBERED_LINES]:
+        _histories.pop(oldest, None)
+    return history

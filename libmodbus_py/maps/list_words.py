@@ -1,0 +1,262 @@
+"""
+The words of register lists, from ``list_words.toml``, and the options that say how one is read.
+
+What a word means is looked up in this order: what the options say, what the origin of the list
+means by it, what every vendor means.
+"""
+
+from __future__ import annotations
+
+import tomllib
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path as FilePath
+from typing import Any, TypedDict
+
+from ..files.csv_text import CsvRow
+from ..files.schema import keys_of
+from ..protocol.checks import integer
+from ..protocol.mistakes import WrongType, WrongValue, close_to, inside, named_arguments
+from ..protocol.pdu.request import store
+from ..protocol.words import ORDER_WORDS, TABLE_WORDS, order_named, plain, table_named
+
+# fmt: off
+__all__ = [
+    "LIST", "MODPOLL", "REFERENCE", "ListKeys", "ListOptions", "Origin", "flat_rows", "options_of",
+    "word_of", "words",
+]
+# fmt: on
+
+REFERENCE = "reference"
+"""In place of a first address: each address is a reference, such as 40123."""
+
+LENGTHS = ("bytes", "registers")
+"""The units that the number behind the type of a text may count."""
+
+
+class ListKeys(TypedDict, total=False):
+    """The options of `ListOptions` but for its columns, as keyword arguments."""
+
+    origin: str
+    encoding: str
+    sheet: str
+    only: Mapping[str, str]
+    types: Mapping[str, str]
+    first_address: int | str
+    table: str
+    access: str
+    order: str
+    lengths: str
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The meanings of words in the lists of an origin; ``list_words.toml`` explains each."""
+
+    about: str = ""
+    signs: tuple[str, ...] = ()
+    known_by: tuple[str, ...] = ()
+    columns: Mapping[str, str] = field(default_factory=dict)
+    headings: Mapping[int, list[str]] = field(default_factory=dict)
+    types: Mapping[str, str] = field(default_factory=dict)
+    accesses: Mapping[str, str] = field(default_factory=dict)
+    first_address: int | str | None = None
+    table: str | None = None
+    order: str | None = None
+    lengths: str | None = None
+    missing: str | None = None
+    is_sloppy: bool = False
+
+
+def word_of(text: str) -> str:
+    """Return a heading or a word of a cell as the tables have it: "Data_Type " is "data type"."""
+    return plain(unicodedata.normalize("NFKC", text))
+
+
+class ListWords:
+    """The tables of ``list_words.toml``, each from word to meaning."""
+
+    def __init__(self, content: Mapping[str, Any]) -> None:
+        self.headings: Mapping[str, str] = {
+            word: kind
+            for kind, languages in content["headings"].items()
+            for text in (kind, *languages.values())
+            for word in _split(text)
+        }
+        self.ambiguous: Mapping[str, str] = _by_word(content["ambiguous"])
+        self.choices: Mapping[str, Mapping[str, str]] = content["choices"]
+        self.alarming: Mapping[str, str] = _by_word(content["alarming"])
+        self.harmless: frozenset[str] = frozenset(_split(content["harmless"]["words"]))
+        self.numbered: frozenset[str] = frozenset(_split(content["numbered"]["words"]))
+        self.tables: Mapping[str, str] = TABLE_WORDS | _by_word(content["tables"])
+        self.accesses: Mapping[str, str] = _by_word(content["accesses"])
+        self.types: Mapping[str, str] = _by_word(content["types"])
+        self.ambiguous_types: Mapping[str, str] = _by_word(content["ambiguous_types"])
+        self.origins: Mapping[str, Origin] = {
+            name: Origin(**{key: _keyed(value) for key, value in described.items()})
+            for name, described in content["origins"].items()
+        }
+
+
+def _split(text: str) -> list[str]:
+    return [word_of(word) for word in text.split(",") if word.strip()]
+
+
+def _by_word(meanings: Mapping[str, str]) -> dict[str, str]:
+    return {word: meaning for meaning, text in meanings.items() for word in _split(text)}
+
+
+def _keyed(value: Any) -> Any:
+    """Return a table with its keys as words, or as numbers of columns; other values as they are."""
+    if not isinstance(value, Mapping):
+        return value
+    return {
+        int(key) if isinstance(each, list) else word_of(key): each for key, each in value.items()
+    }
+
+
+@cache
+def words() -> ListWords:
+    """Return the words of register lists, which are read once."""
+    text = FilePath(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+    return ListWords(tomllib.loads(text))
+
+
+@named_arguments
+@dataclass(frozen=True)
+class ListOptions:
+    """
+    The options of reading a list that does not say all, or means its words in its own way.
+
+    Args:
+        columns: kind of a column -> its heading, such as ``{"name": "Bezeichnung"}``. The kind
+            "nothing" may have several headings, in a list: those that are ignored.
+        origin: whose list it is: "iobroker", "modpoll", "nibe" or "victron".
+        encoding: the encoding of the text; UTF-8, or UTF-16 with a mark, unless it is given.
+        sheet: the name of the sheet of a spreadsheet; the first one unless it is given.
+        only: heading -> the cell of the rows that are read, such as ``{"deviceId": "200"}``.
+        types: word of a type -> the type that it means here, such as ``{"long": "int32"}``; an
+            order may follow, as in "float32 CDAB".
+        first_address: what the list calls address 0, such as 1; or "reference".
+        table: the table of all points, if no column says it.
+        access: the access of all points, if no column says it.
+        order: the order of all points, if no column says it.
+        lengths: what the 8 of ``string[8]`` counts: "bytes" or "registers".
+
+    Raises:
+        TypeError, ValueError: an argument is none of these; the message begins with its name.
+    """
+
+    columns: Mapping[str, Any] = field(default_factory=dict)
+    origin: str | None = None
+    encoding: str | None = None
+    sheet: str | None = None
+    only: Mapping[str, str] = field(default_factory=dict)
+    types: Mapping[str, str] = field(default_factory=dict)
+    first_address: int | str | None = None
+    table: str | None = None
+    access: str | None = None
+    order: str | None = None
+    lengths: str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("columns", "only", "types"):
+            if not isinstance(getattr(self, name), Mapping):
+                raise WrongType(name, f"must be a mapping, not {getattr(self, name)!r}")
+        choices = {
+            "origin": words().origins,
+            "lengths": LENGTHS,
+            "access": ("read", "write", "read_write"),
+        }
+        for name, allowed in choices.items():
+            value = getattr(self, name)
+            if value is not None and value not in allowed:
+                wanted = f"must be one of {', '.join(allowed)}, not {value!r}"
+                raise WrongValue(name, wanted + close_to(value, allowed))
+        if self.table is not None:
+            store(self, table=_named("table", table_named(self.table), self.table, TABLE_WORDS))
+        if self.order is not None:
+            store(self, order=_named("order", order_named(self.order), self.order, ORDER_WORDS))
+        if self.first_address not in (None, REFERENCE):
+            if isinstance(self.first_address, str) and self.first_address.isdecimal():
+                store(self, first_address=int(self.first_address))
+            integer("first_address", self.first_address, 0, 0xFFFF * 10)
+
+    def with_origin_of(self, headings: Iterable[str]) -> ListOptions:
+        """Return the options with the origin of lists that have such headings, if one has."""
+        cells = {word_of(heading) for heading in headings}
+        for name, origin in words().origins.items():
+            if any(cells.issuperset(_split(text)) for text in origin.known_by):
+                return replace(self, origin=name)
+        return self
+
+    @property
+    def of_origin(self) -> Origin:
+        """The meanings of words in lists of its origin."""
+        return Origin() if self.origin is None else words().origins[self.origin]
+
+    @property
+    def is_empty(self) -> bool:
+        """True if nothing is said."""
+        return self == ListOptions()
+
+
+LIST = keys_of(ListOptions).but("columns")
+"""The options but for `columns`, as keys of files."""
+
+
+def options_of(given: Mapping[str, Any]) -> ListOptions:
+    """Return the options that the keys `columns` and `list` of a table in a file say."""
+    with inside("list"):
+        return ListOptions(columns=given.get("columns", {}), **given.get("list", {}))
+
+
+def _named(name: str, found: str | None, text: object, meanings: Mapping[str, str]) -> str:
+    if found is None:
+        allowed = ", ".join(dict.fromkeys(meanings.values()))
+        raise WrongValue(name, f"must be one of {allowed}, not {text!r}")
+    return found
+
+
+# --- configurations of modpoll in Python, whose rows are of three kinds ---------------------------
+
+MODPOLL = ["device", "table", "order", "name", "address", "type", "access", "units", "scale"]
+"""The cells of the rows that `flat_rows` returns."""
+
+# The order of bytes in a register, then that of registers.
+ORDERS = {"BE_BE": "ABCD", "BE_LE": "CDAB", "LE_BE": "BADC", "LE_LE": "DCBA"}
+
+
+def flat_rows(rows: Iterable[CsvRow]) -> Iterator[CsvRow]:
+    """
+    Yield a row with all that is said of it for each point of modpoll. An older form names the
+    device in each poll::
+
+        device,NAME,UNIT                    poll,DEVICE,UNIT,START,SIZE,TABLE,ORDER
+        poll,TABLE,START,SIZE,ORDER         ref,NAME,UNITS,ADDRESS,TYPE,ACCESS,SCALE
+        ref,NAME,ADDRESS,TYPE,ACCESS,UNITS,SCALE
+    """
+    device = table = order = ""
+    is_old = False
+    for line, cells in rows:
+        cells = [*cells, *[""] * 7]
+        kind = cells[0].casefold()
+        if "device" in kind:
+            device = cells[1]
+        elif "poll" in kind:
+            is_old = word_of(cells[1]) not in words().tables
+            if is_old:
+                device, table, order = cells[1], cells[5], cells[6]
+            else:
+                table, order = cells[1], cells[4]
+        elif "ref" in kind:
+            if is_old:
+                _, name, units, address, type_, access, scale = cells[:7]
+            else:
+                _, name, address, type_, access, units, scale = cells[:7]
+            order = ORDERS.get(order.upper(), order)
+            yield CsvRow(
+                line, [device, table, order, name, address, type_, access or "r", units, scale]
+            )

@@ -1,0 +1,468 @@
+"""
+Register lists as vendors and programs write them: which column is what, which rows are read, and
+what each says of a point.
+
+Nothing is guessed: a heading or a word with two meanings, and a column that would change values but
+is not known, are mistakes, which name the option that says what is meant.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+from ..files.csv_text import CsvRow, CsvText, number_in
+from ..files.texts import FileError, FilePlace
+from ..protocol.mistakes import Path, WrongValue, close_to, inside
+from ..protocol.values import value_type
+from ..protocol.words import plain
+from .list_cells import RAW, READERS, address_in, type_keys
+from .list_words import MODPOLL, REFERENCE, ListOptions, flat_rows, word_of, words
+from .meaning import Scaling
+
+__all__ = ["MapEntry", "MapError", "RegisterList"]
+
+NOTHING = "nothing"
+"""The kind of columns that are ignored."""
+
+CHANGE_VALUES = ("type", "order", "scale", "divisor", "units", "access")
+"""Kinds of which no second column is ignored."""
+
+LAST_OF_BYTE = {"int8": -128, "uint8": 255}
+"""Type that SunSpec lacks -> what it would take for no value."""
+
+# How many of a list are named in a message.
+MOST_NAMED = 12
+
+
+HEADINGS_OF_KINDS = {word_of(kind): kind for kind in READERS}
+"""Headings that are kinds themselves."""
+
+_KEYS = HEADINGS_OF_KINDS.keys() - {"device"}
+
+
+class MapError(FileError):
+    """A file is not a valid register map; the message names file, line, column or key."""
+
+
+class MapEntry(NamedTuple):
+    """The description of one point in a file, not yet checked."""
+
+    path: Path  # of the point in the file; empty in a list, where a row is a point
+    place: Callable[[Path], FilePlace]  # of a path in the file
+    keys: Callable[[], Mapping[str, Any]]  # the arguments of `Point`, or a TypeError or ValueError
+
+
+class ListColumn(NamedTuple):
+    """A column that says something: where it is, its heading, and the base of its addresses."""
+
+    at: int
+    heading: str
+    base: int = 0  # 10 or 16, or 0 if the heading does not say it
+
+
+class RegisterList:
+    """
+    The text of a list, and what its columns mean.
+
+    Args:
+        text: the text, as CSV or Markdown.
+        options: how it is read.
+
+    Attributes:
+        notes: how it was read, and what is ignored.
+
+    Raises:
+        MapError: the headings have no meaning, or two.
+        ValueError: an option names a column or a row that a list cannot have.
+    """
+
+    def __init__(self, text: str, options: ListOptions) -> None:
+        self._content = text
+        self._options = options
+        self._origin = options.of_origin
+        self.notes: list[str] = []
+        columns = dict(options.columns)
+        self._ignored = {word_of(each) for each in _several(columns.pop(NOTHING, ()))}
+        self._headings = {
+            HEADINGS_OF_KINDS.get(word_of(kind), words().headings.get(word_of(kind), kind)): heading
+            for kind, heading in columns.items()
+        }
+        for kind in self._headings:
+            if kind not in READERS:
+                allowed = ", ".join((*READERS, NOTHING))
+                hint = close_to(kind, READERS)
+                raise ValueError(f"columns must name some of {allowed}, not {kind!r}{hint}")
+        headings = (
+            HEADINGS_OF_KINDS.keys()
+            | words().headings.keys()
+            | words().ambiguous.keys()
+            | self._origin.columns.keys()
+            | {word_of(heading) for heading in self._headings.values()}
+        )
+        is_modpoll = options.origin == "modpoll"
+        self._text = CsvText(
+            text, lambda cell: word_of(cell) in headings, MapError, headings=MODPOLL * is_modpoll
+        )
+        if options.origin is None:
+            self._options = options.with_origin_of(self._text.head.cells)
+            self._origin = self._options.of_origin
+        if self._options.origin != options.origin:
+            self.notes.append(f"read as a list of {self._options.origin}, whose headings it has")
+        self._give_headings()
+        if self._text.skipped:
+            self.notes.append(f"rows above the headings that are skipped: {self._text.skipped}")
+        self._columns = self._find_columns()
+        rows = [*(flat_rows(self._text.rows()) if is_modpoll else self._text.rows())]
+        self._rows = list(self._selected(rows))
+        self._tells_table = {"table", "function"} & self._columns.keys() or self._table
+        self._check_addresses()
+        self._names = self._read_names()
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Kind of each column that says something -> its heading."""
+        return {kind: column.heading for kind, column in self._columns.items()}
+
+    def entries(self) -> Iterator[MapEntry]:
+        """Yield the entry of each row."""
+        for row in self._rows:
+            yield MapEntry((), partial(self._place, row), partial(self._keys, row))
+
+    # --- columns ---------------------------------------------------------------------------
+
+    def _give_headings(self) -> None:
+        """Use the headings of the origin for a list that has none."""
+        head = self._text.head
+        headings = self._origin.headings.get(len(head.cells))
+        if headings and not any(word_of(cell) in words().headings for cell in head.cells):
+            self._text.head = CsvRow(0, headings)
+            self._text.skipped = 0
+
+    def _find_columns(self) -> dict[str, ListColumn]:
+        head = self._text.head
+        cells = [" ".join(cell.split()) for cell in head.cells]
+        by_heading = {word_of(heading): kind for kind, heading in self._headings.items()}
+        for key, heading in self._headings.items():
+            if word_of(heading) not in map(word_of, cells):
+                raise self._error(f"no column {heading}, which is named for {key}")
+        columns: dict[str, ListColumn] = {}
+        ignored = []
+        kind: str | None
+        # Headings that are the names of keys come before other words.
+        headings = [(at, heading) for at, heading in enumerate(cells) if heading]
+        for at, heading in sorted(headings, key=lambda each: word_of(each[1]) not in _KEYS):
+            word, base = _without_base(word_of(heading))
+            kind = by_heading.get(word_of(heading)) or self._kind(heading, word)
+            if kind is None:
+                ignored.append(heading)
+                continue
+            if kind in ("address_hex", "address_dec"):
+                kind, base = "address", 16 if kind.endswith("hex") else 10
+            if kind not in columns:
+                columns[kind] = ListColumn(at, heading, base)
+            elif kind == "address" and base != columns[kind].base and base:
+                if base == 10:  # one in hexadecimal beside it says the same
+                    columns[kind] = ListColumn(at, heading, base)
+            elif kind == "description" or (
+                word_of(columns[kind].heading) in _KEYS and kind not in CHANGE_VALUES
+            ):
+                ignored.append(heading)
+            else:
+                both = f"columns {columns[kind].heading} and {heading} both hold the {kind}"
+                raise self._error(f"{both}: say which, as in {_column(kind, heading)}")
+        for key in ("name", "address"):
+            if key not in columns:
+                usual = [word for word, meaning in words().headings.items() if meaning == key]
+                some = ", ".join(usual[:MOST_NAMED])
+                raise self._error(f"no column {key}; it may be called {some} ...")
+        if ignored:
+            self.notes.append(f"columns that mean nothing here: {', '.join(ignored)}")
+        return columns
+
+    def _kind(self, heading: str, word: str) -> str | None:
+        """Return the kind of a heading that is not named in the options; None if it has none."""
+        if word_of(heading) in self._ignored:
+            return None
+        for text in (word_of(heading), word, word.removeprefix("modbus ")):
+            if text in self._origin.columns:
+                return self._origin.columns[text] or None
+            kind = HEADINGS_OF_KINDS.get(text, words().headings.get(text))
+            if kind in self._headings:
+                return None  # another column is said to hold it
+            if kind is not None:
+                return kind
+        if (key := words().ambiguous.get(word)) is not None:
+            choices = words().choices[key]
+            if not choices.keys().isdisjoint(self._headings):
+                return None
+            meanings = ", or ".join(
+                f"{_column(kind, heading)} if {text}" for kind, text in choices.items()
+            )
+            raise self._error(f"column {heading} has two meanings: say {meanings}")
+        alarming = words().alarming
+        parts = [*word.split(), *(each for each in alarming if not each.isascii() and each in word)]
+        kinds = [alarming[part] for part in parts if part in alarming]
+        if kinds and word not in words().harmless and kinds[0] not in self._headings:
+            advice = f"{_column(kinds[0], heading)}, or {_column(NOTHING, heading)} to ignore it"
+            raise self._error(f"column {heading} is not known: say {advice}")
+        return None
+
+    def _error(self, reason: str) -> MapError:
+        if self._options.origin is None:
+            origins = words().origins.items()
+            reason += "".join(
+                f"; --from {name} reads such lists"
+                for name, origin in origins
+                if any(sign in self._content for sign in origin.signs)
+            )
+        return MapError((), reason, place=FilePlace(line=self._text.head.line or None))
+
+    # --- rows ------------------------------------------------------------------------------
+
+    def _selected(self, rows: list[CsvRow]) -> Iterator[CsvRow]:
+        """Yield the rows of one device that have a cell in a column that means something."""
+        filters = {}
+        cells = [word_of(cell) for cell in self._text.head.cells]
+        for heading, value in self._options.only.items():
+            if word_of(heading) not in cells:
+                raise self._error(f"no column {heading}, which is named in only")
+            filters[cells.index(word_of(heading))] = str(value)
+        device = self._columns.get("device")
+        if device is not None and device.at not in filters:
+            values = dict.fromkeys(_cell(row, device.at) for row in rows)
+            values.pop("", None)
+            if len(values) > 1:
+                some = ", ".join([*values][:MOST_NAMED]) + " ..." * (len(values) > MOST_NAMED)
+                example = f"--list 'only={device.heading}={next(iter(values))}'"
+                reason = f"column {device.heading} has several devices, {some}"
+                raise self._error(f"{reason}: say one, as in {example}")
+        count = 0
+        for row in rows:
+            if row.cells == self._text.head.cells:
+                continue  # the headings again, on another page
+            if all(_cell(row, at) == value for at, value in filters.items()) and any(
+                _cell(row, column.at) for column in self._columns.values()
+            ):
+                count += 1
+                yield row
+        if filters and not count:
+            raise self._error(f"no row has {dict(self._options.only)}")
+
+    @property
+    def _table(self) -> str | None:
+        return self._options.table or self._origin.table
+
+    @property
+    def _first_address(self) -> int | str | None:
+        """The address 0 as the list calls it; None if nothing says it."""
+        options, origin = self._options, self._origin
+        if options.first_address is not None:
+            return options.first_address
+        return origin.first_address if self._tells_table else None
+
+    def _check_addresses(self) -> None:
+        """Refuse addresses that may count from 0 or from 1, or be references."""
+        column, origin = self._columns["address"], self._options.origin
+        if not self._tells_table and self._first_address != REFERENCE:
+            if self._first_address is not None or origin == "iobroker":
+                tables = "holding_registers, input_registers, coils or discrete_inputs"
+                reason = f"say --list table= one of {tables}"
+                also = "" if self._first_address is not None else _OR_REFERENCE
+                raise self._error(f"no column has the table: {reason}{also}")
+            self.notes.append(f"{column.heading} has references: 40001 is holding register 0")
+        word = _without_base(word_of(column.heading))[0]
+        if self._first_address is not None or not self._tells_table or word in _KEYS:
+            return
+        is_numbered = any(part in words().numbered for part in (word, *word.split()))
+        if is_numbered and "addr" not in word:
+            reason = f"column {column.heading} may count from 0 or from 1"
+            raise self._error(f"{reason}: say --list first_address=0, =1 or =reference")
+        cells = [_cell(row, column.at) for row in self._rows]
+        numbers = [int(cell) for cell in cells if re.fullmatch("[0-9]{5}", cell)]
+        if cells and len(numbers) == len(cells) and all(map(_is_reference, numbers)):
+            reason = f"column {column.heading} may have references, such as {numbers[0]}"
+            raise self._error(f"{reason}: say --list first_address=0 or =reference")
+
+    def _read_names(self) -> dict[int, str]:
+        """Return the name of each row by its line; those that an origin repeats get the address."""
+        at = self._columns["name"].at
+        names = {row.line: " ".join(_cell(row, at).split()) for row in self._rows}
+        counts = Counter(names.values())
+        if self._options.origin is None:
+            return names
+        repeated = [row for row in self._rows if counts[names[row.line]] > 1 and names[row.line]]
+        for row in repeated:
+            names[row.line] += f" {_cell(row, self._columns['address'].at)}"
+        if repeated:
+            lines = ", ".join(str(row.line) for row in repeated[:MOST_NAMED])
+            more = " ..." * (len(repeated) > MOST_NAMED)
+            self.notes.append(f"names that occur twice have their address behind: {lines}{more}")
+        return names
+
+    def _place(self, row: CsvRow, path: Path) -> FilePlace:
+        kind = str(path[0]) if path else ""
+        kinds = [kind, *(raw for raw, name in RAW.items() if name == kind)]
+        heading = next((self._columns[k].heading for k in kinds if k in self._columns), "")
+        return FilePlace(line=row.line, column=heading)
+
+    # --- the arguments of a point -------------------------------------------------------------
+
+    def _keys(self, row: CsvRow) -> dict[str, Any]:
+        cells = [" ".join(cell.split()) for cell in self._text.cells(row)]
+        texts = {
+            kind: cells[column.at]
+            for kind, column in self._columns.items()
+            if column.at < len(cells) and cells[column.at]
+        }
+        keys: dict[str, Any] = {}
+        for kind, text in texts.items():
+            with inside(kind):
+                keys[kind] = self._read(kind, text)
+        texts["name"] = self._names[row.line]
+        keys |= {"name": texts["name"]} if texts["name"] else {}
+        _settle_table(keys, texts)
+        self._settle_address(keys, texts)
+        self._settle_type(keys, texts)
+        self._settle_scale(keys)
+        keys.setdefault("access", keys.pop("writable", None) or self._options.access)
+        keys.pop("device", None)
+        keys |= keys.pop("units_or_states", {})
+        return {key: value for key, value in keys.items() if value is not None}
+
+    def _read(self, kind: str, text: str) -> Any:
+        if kind == "access" and word_of(text) in self._origin.accesses:
+            return self._origin.accesses[word_of(text)]
+        read = READERS[kind]
+        is_number = read is number_in or kind == "initial"
+        return read(self._text.number_cell(text) if is_number else text)
+
+    def _settle_address(self, keys: dict[str, Any], texts: Mapping[str, str]) -> None:
+        keys.setdefault("table", self._table)
+        if "address" not in texts:
+            return
+        with inside("address"):
+            first = self._first_address
+            is_reference = first == REFERENCE or not self._tells_table
+            base = self._columns["address"].base or (0 if first is None else 10)
+            table, address, size = address_in(texts["address"], base, is_reference=is_reference)
+            if table and keys["table"] not in (None, table):
+                raise WrongValue((), f"{texts['address']} is none of {keys['table']}")
+            if isinstance(first, int) and not table:
+                address -= first
+            if address < 0:
+                raise WrongValue((), f"{texts['address']} is below the first address, {first}")
+            keys["address"] = address
+        keys["table"] = keys["table"] or table
+        if size is not None:
+            keys.setdefault("registers", size)
+
+    def _settle_type(self, keys: dict[str, Any], texts: Mapping[str, str]) -> None:
+        registers, size = keys.pop("registers", None), keys.pop("bytes", None)
+        if str(keys["table"]).endswith("registers"):
+            keys.setdefault("order", self._options.order or self._origin.order)
+            if "type" in texts or "" in self._origin.types:
+                with inside("type"):
+                    keys |= type_keys(texts.get("type", ""), self._options, registers, size)
+        elif "type" in texts:
+            with inside("type"):
+                keys |= type_keys(texts["type"], self._options, registers, size)
+                keys.pop("order", None)
+        if "initial" in texts and str(keys.get("type")).startswith(("string", "eui")):
+            keys["initial"] = texts["initial"]
+        if keys.get("type") == "bool":
+            if str(keys["table"]).endswith("registers"):
+                reason = "of registers must not be bool; bits16 gives those of one"
+                raise WrongValue("type", reason)
+            del keys["type"]
+        if self._origin.missing and str(keys.get("type")).startswith(("int", "uint")):
+            keys.setdefault("missing", LAST_OF_BYTE.get(keys["type"], self._origin.missing))
+        if keys.get("missing") == "sunspec" and plain(texts.get("type", "")).startswith("acc"):
+            keys["missing"] = [0]  # of accumulators, 0 means "not implemented"
+        if registers is not None and not self._origin.is_sloppy and "type" in keys:
+            width = value_type(keys["type"]).registers * keys.get("count", 1)
+            if width != registers:
+                reason = f"{keys['type']} has {width}, and the list says {registers}"
+                raise WrongValue.about("registers", reason)
+
+    def _settle_scale(self, keys: dict[str, Any]) -> None:
+        for kind in ("scale", "divisor"):
+            if self._origin.is_sloppy and not keys.get(kind, 1):
+                del keys[kind]
+        if formula := keys.pop("formula", None):
+            keys.pop("offset", None)
+            keys.pop("scale", None)
+            keys |= formula
+        if "divisor" in keys:
+            if "scale" in keys:
+                raise WrongValue("divisor", "cannot be given together with a scale")
+            if not keys["divisor"]:
+                raise WrongValue("divisor", "must not be 0")
+            scale = 1 / keys.pop("divisor")
+            keys["scale"] = int(scale) if scale.is_integer() else scale
+        if (address := keys.pop("scale_address", None)) is not None:
+            at = self._columns["address"].at
+            sources = [row for row in self._rows if _cell(row, at) == address]
+            if not sources:
+                raise WrongValue("formula", f"no row has the address {address}")
+            keys["scale_from"] = self._names[sources[0].line]
+        scale, offset = keys.get("scale", 1), keys.get("offset", 0)
+        raws = {kind: keys.pop(kind) for kind in RAW if kind in keys}
+        if raws.get("raw_minimum") == raws.get("raw_maximum") == 0:
+            del raws["raw_minimum"], raws["raw_maximum"]  # which name no bounds
+        if raws.get("raw_initial") == 0:
+            del raws["raw_initial"]  # with which devices begin anyway
+        for kind, raw in raws.items():
+            keys[RAW[kind]] = scaled(raw, scale, offset)
+        if scale < 0 and "raw_minimum" in raws and "raw_maximum" in raws:
+            keys["minimum"], keys["maximum"] = keys["maximum"], keys["minimum"]
+
+
+def scaled(raw: float, scale: float, offset: float) -> float:
+    """Return the value of a raw number."""
+    return raw if (scale, offset) == (1, 0) else Scaling(scale, offset).to_value(raw)
+
+
+def _column(kind: str, heading: str) -> str:
+    """Return the option that says what a heading means."""
+    return f"--column {kind}={heading}" if " " not in heading else f"--column '{kind}={heading}'"
+
+
+# The first digits of references say the table; otherwise addresses count from 0.
+_OR_REFERENCE = ", whose addresses count from 0, or first_address=reference"
+
+
+def _several(value: Any) -> list[str]:
+    return [value] if isinstance(value, str) else list(value)
+
+
+def _cell(row: CsvRow, at: int) -> str:
+    return row.cells[at] if at < len(row.cells) else ""
+
+
+def _without_base(word: str) -> tuple[str, int]:
+    """Return a heading without the base of its numbers, which is 0 if it does not say it."""
+    for ends, base in ((_HEX, 16), (_DEC, 10)):
+        for end in ends:
+            if word.endswith(end) and word != end.strip():
+                return word.removesuffix(end).strip(), base
+            if word.startswith(f"{end.strip()} "):
+                return word.removeprefix(f"{end.strip()} "), base
+    return word, 0
+
+
+_HEX = (" hex", " hexadecimal", " 0x", "十六进制", " hexadezimal")
+_DEC = (" dec", " decimal", "十进制", " dezimal", " décimal")
+
+
+def _is_reference(number: int) -> bool:
+    return 30001 <= number <= 49999
+
+
+def _settle_table(keys: dict[str, Any], texts: Mapping[str, str]) -> None:
+    table = keys.pop("function", None)
+    if table and keys.setdefault("table", table) != table:
+        raise WrongValue("function", f"{texts['function']} is none of {keys['table']}")

@@ -1,0 +1,148 @@
+"""
+Whoever asks one device for several things waits for a silent one only once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from libmodbus_py import (
+    GatewayTargetFailedToRespond,
+    ModbusConnectionError,
+    ModbusTimeoutError,
+    Plan,
+    Point,
+    RegisterMap,
+    pdu,
+)
+from libmodbus_py.client.history import forget_lines
+from tests.support.cases import each_case
+from tests.support.clients import World
+from tests.support.peers import Write, address_of, answer, ignore, mbap
+
+ITEMS = {f"p{at}": ("holding_registers", 10 * at, 1) for at in range(6)}
+
+POINTS = RegisterMap([Point(f"p{at}", "holding_registers", 10 * at) for at in range(6)])
+
+READS: list[Callable[[Any], dict[str, Any]]] = [
+    lambda plc: plc.read_many(ITEMS, return_exceptions=True),  # type: ignore[no-any-return]
+    lambda plc: plc.read_many(Plan(ITEMS), return_exceptions=True),  # type: ignore[no-any-return]
+    lambda plc: plc.read_map(POINTS, return_exceptions=True),  # type: ignore[no-any-return]
+    lambda plc: next(plc.watch(ITEMS, every=60)),
+    lambda plc: next(plc.watch(POINTS, every=60)),
+]
+"""All that reads several items of a device."""
+
+
+def silent_about(*addresses: int) -> Callable[[bytes, Write], None]:
+    """Return what answers a read over TCP with its address, except those of some addresses."""
+
+    def on_request(request: bytes, write: Write) -> None:
+        if int.from_bytes(address_of(request, "tcp"), "big") not in addresses:
+            write(answer(request, "tcp"))
+
+    return on_request
+
+
+def values(found: dict[str, Any]) -> set[str]:
+    return {name for name, value in found.items() if not isinstance(value, Exception)}
+
+
+@each_case("scheme", ["tcp", "rtu", "rtu+tcp", "udp"])
+@each_case("read", READS)
+def test_a_silent_device_costs_one_timeout(
+    world: World, scheme: str, read: Callable[[Any], dict[str, Any]]
+) -> None:
+    forget_lines()
+    peer = world.peer(scheme, ignore)
+    with world.connect(peer.url, timeout=0.5) as plc:
+        before = len(peer.requests)
+        with world.lasting(0.5):
+            found = read(plc)
+        assert len(peer.requests) == before + 1
+        assert {*map(type, found.values())} == {ModbusTimeoutError}
+        assert str(found["p0"]).endswith("address=0, count=1): no answer within 0.5 s")
+        assert str(found["p5"]) == (
+            "unit 1, function 3, ReadHoldingRegisters(address=50, count=1): given up after "
+            "ReadHoldingRegisters(address=0, count=1): no answer within 0.5 s"
+        )
+        assert (found["p5"].sent, found["p5"].endpoint) == (b"", plc.url)
+
+
+def test_repetitions_are_made_of_the_first_request_only(world: World) -> None:
+    peer = world.peer("tcp", ignore)
+    with world.connect(peer.url, timeout=0.5, retries=2) as plc, world.lasting(1.5):
+        plc.read_map(POINTS, return_exceptions=True)
+    assert len(peer.requests) == 3
+
+
+def test_requests_in_flight_together_end_together(world: World) -> None:
+    peer = world.peer("tcp", ignore)
+    with world.connect(peer.url, timeout=0.5, max_in_flight=3) as plc:
+        with world.lasting(0.5):
+            found = plc.read_map(POINTS, return_exceptions=True)
+        assert not values(found)
+        assert len(peer.requests) == 3
+        assert found["p2"].sent
+        peer.on_request = silent_about()
+        assert values(plc.read_map(POINTS, return_exceptions=True)) == {*ITEMS}
+
+
+def test_a_gateway_that_answers_for_a_silent_unit_is_asked_once(world: World) -> None:
+    def refuse(request: bytes, write: Write) -> None:
+        write(mbap(request, b"\x83\x0b"), after=0.3)
+
+    peer = world.peer("tcp", refuse)
+    with world.connect(peer.url) as plc, world.lasting(0.3):
+        found = plc.read_map(POINTS, return_exceptions=True)
+    assert {*map(type, found.values())} == {GatewayTargetFailedToRespond}
+    assert len(peer.requests) == 1
+
+
+def test_a_device_that_is_silent_about_its_first_registers_is_asked_for_the_others(
+    world: World,
+) -> None:
+    with world.client_of("tcp", silent_about(0), timeout=0.5) as plc:
+        assert not values(plc.read_map(POINTS, return_exceptions=True))
+        for _ in range(3):
+            with world.lasting(0.5):
+                found = plc.read_map(POINTS, return_exceptions=True)
+            assert values(found) == {"p1", "p2", "p3", "p4", "p5"}
+
+
+def test_a_device_that_answered_is_asked_for_all(world: World) -> None:
+    with world.client_of("tcp", silent_about(20, 40), timeout=0.5) as plc, world.lasting(1.0):
+        found = plc.read_many(ITEMS, return_exceptions=True)
+    assert values(found) == {"p0", "p1", "p3", "p5"}
+
+
+def test_requests_of_the_caller_are_all_sent(world: World) -> None:
+    requests = [pdu.ReadHoldingRegisters(at, 1) for at in range(3)]
+    with world.client_of("tcp", ignore, timeout=0.5) as plc, world.lasting(1.5):
+        found = plc.execute_many(requests, return_exceptions=True)
+    assert {*map(type, found)} == {ModbusTimeoutError}
+
+
+def test_a_lost_connection_ends_only_its_request(world: World) -> None:
+    closes = iter([True])
+
+    def on_request(request: bytes, write: Write) -> None:
+        write(None if next(closes, False) else answer(request, "tcp"))
+
+    with world.client_of("tcp", on_request) as plc:
+        found = plc.read_map(POINTS, return_exceptions=True)
+    assert isinstance(found["p0"], ModbusConnectionError)
+    assert values(found) == {"p1", "p2", "p3", "p4", "p5"}
+
+
+def test_without_return_exceptions_the_first_error_is_raised(world: World) -> None:
+    for read in (lambda plc: plc.read_many(ITEMS), lambda plc: plc.read_map(POINTS)):
+        with (
+            world.client_of("tcp", ignore, timeout=0.5) as plc,
+            world.lasting(0.5),
+            pytest.raises(ModbusTimeoutError, match="address=0"),
+        ):
+            read(plc)

@@ -1,0 +1,128 @@
+"""
+Devices that lack the functions that write one cell, or those that write several.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from libmodbus_py import IllegalFunction, Point, RegisterMap
+from tests.support.cases import each_case
+from tests.support.clients import World
+from tests.support.peers import OnRequest, Write, mbap
+
+SINGLE, MULTIPLE = (5, 6), (15, 16)
+
+POINTS = RegisterMap(
+    [
+        Point("run", "coils", 0),
+        Point("setpoint", "holding_registers", 3, scale=0.1),
+        Point("energy", "holding_registers", 4, type="uint32"),
+        Point("mode", "holding_registers", 9, bit="0..3"),
+    ]
+)
+
+
+def knowing(*functions: int) -> OnRequest:
+    """Return what carries out these functions, and refuses all others as a small device does."""
+
+    def on_request(request: bytes, write: Write) -> None:
+        function = request[7]
+        if function == 3:
+            write(mbap(request, b"\3\2\0\x50"))
+        elif function in functions:
+            write(mbap(request, request[7:12]))
+        else:
+            write(mbap(request, bytes([function | 0x80, 1])))
+
+    return on_request
+
+
+def sent(peer: Any) -> list[str]:
+    """Return the PDUs of the requests that were not refused, without reads."""
+    carried = [request for request in peer.requests if request[7] not in (3, 22)]
+    return [request[7:].hex() for request in carried]
+
+
+RUN, VALUES = {"run": True}, {"setpoint": 0.7, "energy": 0x10002}
+
+# The option, the functions that the device has, what is written, and what is sent.
+WRITES: list[tuple[str, tuple[int, ...], dict[str, Any], list[str]]] = [
+    ("single", SINGLE, RUN, ["050000ff00"]),
+    ("single", SINGLE, VALUES, ["0600030007", "0600040001", "0600050002"]),
+    ("multiple", MULTIPLE, RUN, ["0f000000010101"]),
+    ("multiple", MULTIPLE, {"setpoint": 0.7}, ["10000300010200 07".replace(" ", "")]),
+    ("multiple", MULTIPLE, VALUES, ["100003000306000700010002"]),
+    ("auto", SINGLE, {"setpoint": 0.7}, ["0600030007"]),
+    ("auto", MULTIPLE, {"setpoint": 0.7}, ["0600030007", "1000030001020007"]),
+    ("auto", MULTIPLE, RUN, ["050000ff00", "0f000000010101"]),
+    ("auto", MULTIPLE, VALUES, ["100003000306000700010002"]),
+    ("auto", SINGLE, {"mode": 2}, ["0600090052"]),
+    ("auto", MULTIPLE, {"mode": 2}, ["0600090052", "1000090001020052"]),
+    ("multiple", MULTIPLE, {"mode": 2}, ["1000090001020052"]),
+]
+
+
+@each_case(("option", "functions", "values", "expected"), WRITES)
+def test_a_map_is_written_with_the_functions_that_the_device_has(
+    world: World, option: str, functions: tuple[int, ...], values: Any, expected: list[str]
+) -> None:
+    peer = world.peer("tcp", knowing(*functions))
+    with world.connect(peer.url, write_function=option) as plc:
+        plc.write_map(POINTS, values)
+    assert sent(peer) == expected
+
+
+@each_case(
+    ("option", "functions", "expected"),
+    [
+        ("auto", MULTIPLE, ["1000030002043f800000"]),
+        ("multiple", MULTIPLE, ["1000030002043f800000"]),
+        ("single", SINGLE, ["0600033f80", "0600040000"]),
+    ],
+)
+def test_so_are_values(
+    world: World, option: str, functions: tuple[int, ...], expected: list[str]
+) -> None:
+    peer = world.peer("tcp", knowing(*functions))
+    with world.connect(f"{peer.url}?write_function={option}") as plc:
+        plc.write_value("holding_registers", 3, 1.0, "float32")
+        plc.write_values("holding_registers", 3, [1.0], "float32")
+        with pytest.raises(ValueError, match="address"):
+            plc.write_value("holding_registers", 65535, 1.0, "float32")
+    assert sent(peer) == 2 * expected
+
+
+def test_what_a_device_refuses_with_both_functions_is_refused(world: World) -> None:
+    with (
+        world.client_of("tcp", knowing()) as plc,
+        pytest.raises(IllegalFunction, match="Registers"),
+    ):
+        plc.write_map(POINTS, {"setpoint": 0.7})
+    for option in ("single", "multiple"):
+        peer = world.peer("tcp", knowing())
+        with world.connect(peer.url, write_function=option) as plc:
+            with pytest.raises(IllegalFunction):
+                plc.write_map(POINTS, VALUES)
+            assert len(peer.requests) == 1
+
+
+def test_a_unit_and_a_point_have_their_own(world: World) -> None:
+    peer = world.peer("tcp", knowing(*SINGLE, *MULTIPLE))
+    own = RegisterMap(
+        [
+            Point("a", "holding_registers", 0, write_function="single"),
+            Point("b", "holding_registers", 1),
+            Point("c", "holding_registers", 2, write_function="multiple"),
+        ]
+    )
+    with world.connect(peer.url) as plc:
+        plc.for_unit(2, write_function="multiple").write_map(POINTS, {"setpoint": 0.7})
+        plc.write_map(own, {"a": 1, "b": 2, "c": 3})
+        with pytest.raises(ValueError, match="write_function must be one of auto, single, mul"):
+            plc.for_unit(2, write_function="many")
+    assert sent(peer) == ["1000030001020007", "0600000001", "0600010002", "1000020001020003"]
+    with pytest.raises(ValueError, match="write_function must be one of single, multiple, not 16"):
+        Point("a", "holding_registers", 0, write_function=16)  # type: ignore[arg-type]
