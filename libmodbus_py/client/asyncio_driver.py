@@ -2,7 +2,7 @@
 The driver of asyncio clients: one reader and one timer for a connection.
 
 A caller owns neither a task, a timer nor the connection, but only its call or batch, and a
-`Caller`. Cancelling the caller removes only these two.
+`TaskCaller`. Cancelling the caller removes only these two.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from ..ports.waiting_async import Alarm, run_async
 from ..protocol.checks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
 from .call import Batch, Call
-from .caller import Caller
 from .connection import Transactions
 from .reconnecting import State
+from .task_caller import TaskCaller
 
 if TYPE_CHECKING:
     from ..ports.port import Port
@@ -77,12 +77,12 @@ class AsyncioDriver:
                     await self._closed.wait()
         return self._life.state is not State.CLOSED
 
-    def run(self, job: Call | Batch) -> Caller:
+    def run(self, job: Call | Batch) -> TaskCaller:
         """Send requests; the caller awaits at once what is returned, until they are over."""
         loop = asyncio.get_running_loop()
         if loop is not self._loop:
             self._bind()
-        caller = Caller(loop, job, self.withdraw)
+        caller = TaskCaller(loop, job, self.withdraw)
         self._submit(job, caller.go_on)
         return caller
 
@@ -125,7 +125,7 @@ class AsyncioDriver:
             self._enter(self._abandon, job)
 
     def _note_end(self, job: Call | Batch) -> None:
-        """Tell the caller of requests that are over, when the state is consistent."""
+        """Note the caller of requests that are over, for `_tell`."""
         caller = self._callers.pop(job, None)
         if caller is not None:
             self._ended.append(caller)

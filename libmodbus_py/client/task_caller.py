@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .call import Batch, Call
 
-__all__ = ["Caller"]
+__all__ = ["TaskCaller"]
 
 
-class Caller:
+class TaskCaller:
     """
-    To be awaited once, by the task that submits a job; what a task needs of a Future.
+    The part of a Future that a task needs which submits a job, and awaits this until it is over.
 
     `withdraw` is called with the job if the task goes away before the job is over.
     """
@@ -36,7 +36,7 @@ class Caller:
         self._loop = loop
         self._job = job
         self._withdraw = withdraw
-        self._resume: Callable[[Caller], object] | None = None  # of the task, while it waits
+        self._resume: Callable[[Any], object] | None = None  # of the task, while it waits
         self._cancelled: CancelledError | None = None
 
     def go_on(self) -> None:
@@ -49,7 +49,7 @@ class Caller:
         else:
             self._loop.call_soon(resume, self, context=self._context)
 
-    def __await__(self) -> Generator[Caller, None, None]:
+    def __await__(self) -> Generator[TaskCaller, None, None]:
         job = self._job
         try:
             if not job.is_done:
@@ -64,7 +64,7 @@ class Caller:
     def get_loop(self) -> AbstractEventLoop:
         return self._loop
 
-    def add_done_callback(self, resume: Callable[[Caller], object], *, context: Context) -> None:
+    def add_done_callback(self, resume: Callable[[Any], object], *, context: Context) -> None:
         self._resume, self._context = resume, context
 
     def cancel(self, msg: Any = None) -> bool:
