@@ -8,6 +8,7 @@ from .services.fleet.fleet import Fleet
 from .services.fleet.journal.journal import Journal
 from .services.fleet.journal.journal_reader import HistoricalValue
 from .services.fleet.journal.schema import JournalError
+from .services.fleet.outputs.output import Output, OutputError, ReadingsRefused
 from .services.fleet.readings import Reading
 from .services.fleet.statistics import FleetStatistics, JournalStatistics, OutputStatistics
 
@@ -21,7 +22,10 @@ __all__ = [
     "Journal",
     "JournalError",
     "JournalStatistics",
+    "Output",
+    "OutputError",
     "OutputStatistics",
     "Reading",
+    "ReadingsRefused",
     "load",
 ]

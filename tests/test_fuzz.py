@@ -103,7 +103,7 @@ def test_device_files(words: list[str]) -> None:
 
 
 TEXTS = ["[[point]]", "[[route]]", "[[device]]", "[output.json]", "name;url;unit", "name,address"]
-TEXTS += ["name = 'a'", "to = 1", "unit = 300", "a;tcp://h;1", "a,40001", '"', "\0", "\n", "# x"]
+TEXTS += ["name = 'a'", "url = 1", "unit = 300", "a;tcp://h;1", "a,40001", '"', "\0", "\n", "# x"]
 
 
 @settings(max_examples=60)

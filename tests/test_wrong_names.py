@@ -98,8 +98,8 @@ def test_other_errors_of_calls_are_those_of_python() -> None:
         Route()  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="positional argument"):
         Limits(*range(100))
-    with pytest.raises(TypeError, match="multiple values for argument 'to'"):
-        Route(URL, to=URL)  # type: ignore[misc]
+    with pytest.raises(TypeError, match="multiple values for argument 'url'"):
+        Route(URL, url=URL)  # type: ignore[misc]
 
 
 def test_errors_from_within_are_passed_on() -> None:
@@ -116,7 +116,7 @@ def test_errors_from_within_are_passed_on() -> None:
         def __init__(self, given: int = 0) -> None:
             Route(nonsense=given)  # type: ignore[call-arg]
 
-    with pytest.raises(TypeError, match="'nonsense' must be one of to, "):
+    with pytest.raises(TypeError, match="'nonsense' must be one of url, "):
         Calling()
 
 

@@ -16,5 +16,6 @@ The command line, on top of everything: arguments become requests and servers.
     serve          serve, gateway, poll, fleet
     certificates   certificates: for trials, or of the machines of a fleet
     completion     completion: scripts for shells, and the answers to their questions
+    token          token: a secret for the live page of a command
     demo           demo: worked examples on three kinds of lines, with the bytes sent
 """

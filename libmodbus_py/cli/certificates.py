@@ -1,5 +1,6 @@
 """
-The command certificates: those for trying Modbus Security, or those of the machines of a fleet.
+The command certificates: those for trying Modbus Security, or those of the machines of a fleet; and
+what becomes of them: they are listed, renewed and revoked.
 """
 
 from __future__ import annotations
@@ -8,9 +9,15 @@ import argparse
 import re
 import shlex
 from collections.abc import Iterable
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from .arguments import declare
+from .output import counted
+
+if TYPE_CHECKING:
+    from ..tools.authority import Authority
 
 __all__ = ["add_command"]
 
@@ -20,6 +27,9 @@ ROLES = ("Viewer", "Operator", "Engineer")
 
 ENDPOINT = "tls://127.0.0.1:1802"
 """The endpoint of the example commands: only root can listen on port 802."""
+
+DAYS = 365
+"""Of certificates and of the revocation list."""
 
 AUTHORITY_DAYS = 3650
 """Ten years: the authority of machines outlives their certificates, which are made again."""
@@ -32,36 +42,92 @@ folder.
 With MACHINE, make those of an authority and of each machine instead. Copy
 DIR/MACHINE/ (ca.pem, server.pem, server-key.pem) to the machine, and keep
 DIR/ca-key.pem. The authority is made once; a machine gets a new certificate
-each time."""
+each time.
+
+--list, --renew, --revoke and --crl are for the certificates in DIR. A NAME is
+that of a file, such as viewer, or of a MACHINE. Servers use DIR/crl.pem with
+--crl, and read their files again on SIGHUP."""
 
 EXAMPLES = """\
 examples:
-  libmodbus-py certificates papers --role Operator --role Engineer --days 30
-  libmodbus-py certificates papers --host plc.example --host 192.0.2.10
+  libmodbus-py certificates papers --host plc.example --role Operator --days 30
   libmodbus-py certificates fleet n1.example n2.example n3.example
-  libmodbus-py serve tls://127.0.0.1:1802 --ca papers/ca.pem \\
-      --cert papers/server.pem --key papers/server-key.pem"""
+  libmodbus-py certificates papers server --renew --days 90
+  libmodbus-py certificates papers --revoke operator"""
 
 
 ARGUMENTS = f"""
 DIR
     folder for the files; existing files are not overwritten
 [MACHINE ...]
-    name or address of a machine of a fleet
+    name or address of a machine of a fleet; with --renew, the NAME of a certificate
 --host NAME ...
     name or address of the server, besides {", ".join(HOSTS)}; may be repeated
 --role NAME ...
     role of a client; may be repeated ({", ".join(ROLES)})
 --days N
-    days of validity (365)
+    days of validity (365; of a renewed certificate as before)
+--list
+    print name, serial number, days left and purpose of each certificate
+--renew
+    make the certificates of these names again, with the same keys; without a name all but the
+    authority and those that are revoked
+--revoke SERIAL|NAME ...
+    add a certificate to the revocation list DIR/crl.pem; may be repeated
+--crl
+    write the revocation list again, for --days from now
 """
 
 
 def add_command(command: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EXAMPLES
-    declare(command, ARGUMENTS, dir={"type": Path}, days={"default": 365})
-    command.set_defaults(run=_make)
+    declare(command, ARGUMENTS, dir={"type": Path})
+    command.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    actions = [name for name in ("list", "renew", "revoke", "crl") if getattr(options, name)]
+    if not actions:
+        options.days = DAYS if options.days is None else options.days
+        return _make(options)
+    if actions[1:]:
+        raise ValueError(f"--{actions[0]} and --{actions[1]} must be given one after the other")
+    if options.host or options.role or (options.machine and not options.renew):
+        raise ValueError(f"--{actions[0]} takes neither MACHINE nor --host nor --role")
+    from ..tools.authority import Authority
+
+    authority = Authority(options.dir)
+    if options.list:
+        _list(authority)
+    elif options.renew:
+        for path in authority.renew(options.machine, options.days):
+            print(path)
+    else:
+        for serial in authority.revoke(options.revoke or ()):
+            print(f"{serial}: revoked")
+        print(authority.write_list(DAYS if options.days is None else options.days))
+    return 0
+
+
+def _list(authority: Authority) -> None:
+    now = datetime.now(UTC)
+
+    def left(end: datetime) -> str:
+        days = (end - now).total_seconds() / 86_400
+        return counted(int(days), "day") if days >= 0 else "expired"
+
+    rows = [
+        (each.name, each.serial, "revoked" if each.is_revoked else left(each.ends), each.purpose)
+        for each in authority.issued().values()
+    ]
+    if authority.list_ends is not None:
+        rows.append((authority.list_path.stem, "", left(authority.list_ends), "revocation list"))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        print(
+            "  ".join(f"{text:{width}}" for text, width in zip(row, widths, strict=True)).rstrip()
+        )
 
 
 def _make(options: argparse.Namespace) -> int:
@@ -111,7 +177,7 @@ def _make_for_trials(options: argparse.Namespace) -> int:
     }
     for role in options.role or ROLES:
         file = re.sub(r"\W+", "-", role.lower()).strip("-")
-        if not file or file in made:
+        if not file or file in made or file == "crl":
             raise ValueError(f"--role {role!r} gives no file name of its own, but {file!r}")
         identity = make(f"Modbus trial {role}", authority, role=role, days=days)
         made[file] = identity, f"a client with the role {role}"

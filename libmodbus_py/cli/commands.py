@@ -40,7 +40,11 @@ COMMANDS = {
         "poll many devices, and write the readings to files, MQTT or Prometheus",
     ),
     "fleet": ("serve.fleet", "print the status of the workers that poll a fleet together"),
-    "certificates": ("certificates", "make certificates for trying Modbus Security (tls://)"),
+    "certificates": (
+        "certificates",
+        "make, list, renew and revoke certificates for Modbus Security (tls://)",
+    ),
+    "token": ("token", "make a token for the live page of a command (--page-token)"),
     "completion": ("completion", "print the completion script for bash, zsh or fish"),
     "demo": ("demo", "show a client and a server talking over three kinds of lines"),
 }

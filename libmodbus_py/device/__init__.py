@@ -7,6 +7,7 @@ In the order in which a request goes through::
     caller         Caller: the origin of a request, and the audit of requests that change a device
     authorization  Authorization: decides about each request first, and logs refusals; Rules:
                    access rights of roles, as a table
+    limited_log    LimitedLog: warnings that clients cause, a line a minute
     access         tables and addresses that a request touches, as hooks see them
     hooks          Hook: functions of the application, the accesses they are for, their duration
     functions      what libmodbus lacks: files, queues, identification, diagnostics

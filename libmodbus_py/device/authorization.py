@@ -5,10 +5,8 @@ and the access rights of roles as a table. A request that no rule allows is refu
 
 from __future__ import annotations
 
-import math
 import re
 import reprlib
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -23,13 +21,15 @@ from ..protocol.mistakes import Path, WrongType, WrongValue, named_arguments
 from ..protocol.tables import contains, joined
 from .access import ACCESSES, READABLE, WRITABLE, Access
 from .hooks import timed
+from .limited_log import LimitedLog
 
-__all__ = ["Allow", "Asked", "Authorization", "Authorize", "Rules", "UnauthorizedError"]
+# fmt: off
+__all__ = [
+    "Allow", "Asked", "Authorization", "Authorize", "Rules", "UnauthorizedError", "what_is_asked",
+]
+# fmt: on
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
-
-LINES_PER_MINUTE = 20
-"""The most lines of log in a minute; 1 for each role on each host."""
 
 # The highest sub-function and MEI type.
 SUB_FUNCTIONS = {pdu.Diagnostics.function: 0xFFFF, pdu.EncapsulatedTransport.function: 0xFF}
@@ -73,14 +73,9 @@ class UnauthorizedError(IllegalFunction):
 class Authorization:
     """Decides about each request, and logs few refusals, so that a client cannot fill the log."""
 
-    def __init__(
-        self, authorize: Authorize, *, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, authorize: Authorize, log: LimitedLog | None = None) -> None:
         self._authorize = timed("authorize", authorize)
-        self._clock = clock
-        self._minute = -math.inf
-        self._logged: set[tuple[str, str | None]] = set()
-        self._not_logged = 0
+        self._log = log or LimitedLog(logger)
 
     def check(self, asked: Asked) -> None:
         """Raise UnauthorizedError if a request is not allowed, TypeError for no bool."""
@@ -91,27 +86,19 @@ class Authorization:
             # A truthy value may be a mistake, and a mistake must not allow access.
             given = type(allowed).__name__
             raise TypeError(f"authorize must return True or False, not {given}")
-        self._log(asked)
+        role = "without a role" if asked.role is None else f"with the role {asked.role!r}"
+        message = "%s, %s, may not use %s"
+        self._log.warning(
+            message, asked.peer or "a caller", role, what_is_asked(asked), reason=role
+        )
         raise UnauthorizedError("not allowed", function=asked.function)
 
-    def _log(self, asked: Asked) -> None:
-        now = self._clock()
-        if now - self._minute >= 60.0:
-            if self._not_logged:
-                logger.warning("%d more requests were refused like this", self._not_logged)
-            self._minute, self._not_logged = now, 0
-            self._logged.clear()
-        # A client can use any number of ports, so only the host counts.
-        who = asked.peer.rpartition(":")[0] or asked.peer, asked.role
-        if who in self._logged or len(self._logged) >= LINES_PER_MINUTE:
-            self._not_logged += 1
-            return
-        self._logged.add(who)
-        role = "without a role" if asked.role is None else f"with the role {asked.role!r}"
-        touched = [f"write {_range_text(each)}" for each in asked.writes[:1]]
-        touched += [f"read {_range_text(each)}" for each in asked.reads[:1]]
-        what = ", ".join([f"function {asked.function} of unit {asked.unit}", *touched])
-        logger.warning("%s, %s, may not use %s", asked.peer or "a caller", role, what)
+
+def what_is_asked(asked: Asked) -> str:
+    """Return function and unit of a request, and what it touches first, for the log."""
+    touched = [f"write {_range_text(each)}" for each in asked.writes[:1]]
+    touched += [f"read {_range_text(each)}" for each in asked.reads[:1]]
+    return ", ".join([f"function {asked.function} of unit {asked.unit}", *touched])
 
 
 def _range_text(access: Access) -> str:

@@ -16,7 +16,7 @@ from os import PathLike, fspath
 from typing import Any, NamedTuple, Self, TypeVar
 
 from ..protocol.extras import what_is_missing
-from ..protocol.mistakes import Mistake, Path, WrongValue, placed
+from ..protocol.mistakes import Mistake, Path, Problem, WrongValue, placed
 from ..system import open_file
 
 # fmt: off
@@ -179,7 +179,7 @@ def reread(load: Callable[[], Content], use: Callable[[Content], str]) -> str:
     try:
         return use(load())
     except (TypeError, ValueError) as error:
-        return f"the former content is used: {error}"
+        return Problem(f"the former content is used: {error}")
 
 
 def compared(path: str, noun: str, before: Mapping[Any, Any], after: Mapping[Any, Any]) -> str:

@@ -117,10 +117,6 @@ class Totals:
         self._doubtful = doubtful | unread
         return doubtful, fell
 
-    def before(self, at: int) -> Any:
-        """Return the last total that was believed."""
-        return self._last[at]
-
 
 class PartialPlans:
     """The plan of points of a map, with their names, and plans of some of them, which are kept."""

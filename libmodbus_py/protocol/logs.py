@@ -11,9 +11,12 @@ import contextlib
 import logging
 import sys
 import traceback
+from collections.abc import Iterable
 from typing import Any
 
-__all__ = ["HarmlessLogger"]
+from .mistakes import Problem
+
+__all__ = ["HarmlessLogger", "log_reload"]
 
 
 class HarmlessLogger(logging.LoggerAdapter[logging.Logger]):
@@ -30,3 +33,12 @@ class HarmlessLogger(logging.LoggerAdapter[logging.Logger]):
         except Exception:
             with contextlib.suppress(Exception):  # stderr may be closed
                 traceback.print_exc(file=sys.stderr)
+
+
+def log_reload(logger: HarmlessLogger, lines: Iterable[str]) -> str:
+    """Log what became of files that were read again, and return the line: INFO, or WARNING."""
+    every = [*lines]
+    is_problem = any(isinstance(each, Problem) for each in every)
+    line = "; ".join(every)
+    logger.log(logging.WARNING if is_problem else logging.INFO, "%s", line)
+    return line

@@ -16,7 +16,7 @@ from typing import Any, ParamSpec, Self, TypeVar
 
 # fmt: off
 __all__ = [
-    "OTHER_SPELLINGS", "SERIAL_SETTINGS", "Mistake", "Path", "WrongType", "WrongValue",
+    "OTHER_SPELLINGS", "SERIAL_SETTINGS", "Mistake", "Path", "Problem", "WrongType", "WrongValue",
     "close_option", "close_to", "inside", "item", "named_arguments", "named_parameters",
     "path_text", "placed", "unknown_option",
 ]
@@ -60,6 +60,12 @@ class Mistake(Exception):
 
 class WrongValue(Mistake, ValueError):
     """A `Mistake` that is a ValueError."""
+
+
+class Problem(str):
+    """A line about a file that was read again and cannot be used, or not without a restart."""
+
+    __slots__ = ()
 
 
 class WrongType(Mistake, TypeError):
@@ -120,7 +126,7 @@ OTHER_SPELLINGS = {
     **dict.fromkeys(("byte_order", "byteorder", "word_order", "endian"), "order"),
     **dict.fromkeys(("multiplier", "factor", "gain"), "scale"),
     **dict.fromkeys(("poll_interval", "period", "scan_interval"), "interval"),
-    **dict.fromkeys(("host", "uri", "endpoint"), "url"),
+    **dict.fromkeys(("host", "uri", "endpoint", "to"), "url"),
     **dict.fromkeys(("source_address", "local_address", "bind"), "source"),
 }
 """Names of arguments in other packages -> their names here, for errors."""
@@ -130,7 +136,7 @@ SERIAL_SETTINGS = frozenset(
 )
 """Settings that are part of the URL of a serial port, for classes that take none of them."""
 
-URLS = frozenset(("url", "to", "devices", "routes", "security"))
+URLS = frozenset(("url", "devices", "routes", "security"))
 """Names of arguments beside which a setting of a serial port may be expected."""
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from ..protocol.logs import HarmlessLogger
+from ..protocol.mistakes import Problem
 from ..system import open_file
 
 __all__ = ["Renewed", "keep_renewed", "read_secret", "reload_all"]
@@ -73,11 +74,11 @@ def keep_renewed(reloadable: _Reloadable) -> None:
 
 def reload_all() -> list[str]:
     """Reload all certificates, keys and passwords, as on SIGHUP; return lines for the log."""
-    lines = []
+    lines: list[str] = []
     reloadables = list(_in_use)
     for reloadable in reloadables:
         try:
             reloadable.reload()
         except MISTAKES as error:
-            lines.append(f"the former content is used: {error}")
+            lines.append(Problem(f"the former content is used: {error}"))
     return lines or ["certificates and passwords: read again"] * bool(reloadables)

@@ -9,7 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import os
+import re
+import select
+import stat
 import time
 from collections import deque
 from collections.abc import Callable
@@ -36,6 +40,12 @@ REMEMBERED_MAX = 1000
 
 QUIET_S = 60.0
 """Seconds after which a disallowed host that comes again is another event."""
+
+ROOM_BYTES = 65_536
+"""Bytes that a disk must have left before a change: more than the longest event."""
+
+FIRST_LINE = re.compile(rb'\n*(\{"time": "[^"\n]*", "event": "|\Z)')
+"""Matches the beginning of an audit trail."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +121,11 @@ class Audit:
     of events that were lost.
 
     Args:
-        call: called with an `AuditEvent` in the server's loop, so it should be quick.
-        required: True to refuse writes with exception 4 while the function fails.
+        call: called with an `AuditEvent` in the server's loop, so it should be quick. If it is an
+            object with a method `check`, as `AuditFile` is, that is called before each write, and
+            raises an exception if its event could not be recorded.
+        required: True to refuse writes with exception 4 while `check` or the function fails.
+            Without `check`, the first write whose event fails has been carried out.
 
     Raises:
         TypeError: `call` is not a function.
@@ -120,6 +133,7 @@ class Audit:
 
     def __init__(self, call: OnAudited, *, required: bool = False) -> None:
         self._call = checked_callback("audit", call)
+        self._check: Callable[[], object] = getattr(call, "check", lambda: None)
         self._required = required
         self._waiting: deque[AuditEvent] = deque()
         self._lost = 0
@@ -128,9 +142,17 @@ class Audit:
 
     def may_change(self) -> bool:
         """Return False if changes must be refused, because none can be recorded."""
-        if self._required and self._waiting:
+        if not self._required:
+            return True
+        if self._waiting:
             self._pass_on()
-        return not (self._required and self._waiting)
+            return not self._waiting
+        try:
+            self._check()
+        except Exception as error:
+            self._fail(error)
+            return False
+        return True
 
     def note(self, executed: Executed) -> None:
         """Record a request that changes a device, or is not allowed. Never raises."""
@@ -192,17 +214,22 @@ class Audit:
     def _pass_on(self) -> None:
         while self._waiting:
             try:
+                if self._is_failing:
+                    self._check()
                 finished("audit", self._call(self._waiting[0]))
             except Exception as error:
-                if not self._is_failing:
-                    self._is_failing = True
-                    logger.error("audit: %s: %s", type(error).__name__, error)
+                self._fail(error)
                 return
             self._waiting.popleft()
         if self._is_failing:
             self._is_failing = False
             logger.warning("audit: events are recorded again; %d were lost", self._lost)
             self._lost = 0
+
+    def _fail(self, error: Exception) -> None:
+        if not self._is_failing:
+            self._is_failing = True
+            logger.error("audit: %s: %s", type(error).__name__, error)
 
 
 def _result(response: bytes, *, is_broadcast: bool) -> str:
@@ -238,8 +265,9 @@ class AuditFile:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = path
-        _check_lines(path)
         self._descriptor = self._opened()
+        self._own = os.fstat(self._descriptor)
+        self._failure: Exception | None = None  # of the last `reopen`
         self._is_cut = False
 
     def __call__(self, event: AuditEvent) -> None:
@@ -247,8 +275,11 @@ class AuditFile:
         Write an event.
 
         Raises:
-            OSError: the event could not be written completely.
+            OSError: the event could not be written completely; or the file was deleted or moved,
+                or could not be opened again.
+            ValueError: the file that was to be opened again is not an audit trail.
         """
+        self._check_path()
         line = event.json().encode() + b"\n"
         if self._is_cut:  # an earlier line was: this one must not be taken for its rest
             line = b"\n" + line
@@ -257,16 +288,58 @@ class AuditFile:
         if self._is_cut:
             raise OSError(f"{os.fspath(self._path)}: the disk is full")
 
+    def check(self) -> None:
+        """
+        Check that an event can be written to the file that has the path now.
+
+        Raises:
+            OSError: the file was deleted or moved, or another one has its path; its disk has less
+                than 64 KiB left, or can only be read; a named pipe has no reader, or a slow one;
+                the file could not be opened again.
+            ValueError: the file that was to be opened again is not an audit trail.
+        """
+        mode = self._check_path().st_mode
+        if stat.S_ISREG(mode):
+            disk = os.fstatvfs(self._descriptor)
+            if disk.f_flag & os.ST_RDONLY:
+                raise self._error(errno.EROFS)
+            if disk.f_bavail * disk.f_frsize < ROOM_BYTES and disk.f_blocks:
+                raise self._error(errno.ENOSPC)
+        elif stat.S_ISFIFO(mode):
+            pipe = select.poll()
+            pipe.register(self._descriptor, select.POLLOUT)
+            events = pipe.poll(0)
+            if not events:
+                raise self._error(errno.EAGAIN, "the reader of this pipe is too slow")
+            if events[0][1] & select.POLLERR:
+                raise self._error(errno.EPIPE, "this pipe has no reader")
+
+    def _check_path(self) -> os.stat_result:
+        """Return what has the path, which is the open file; else raise OSError or ValueError."""
+        if self._failure is not None:
+            raise self._failure.with_traceback(None)
+        named = os.stat(self._path)
+        if not os.path.samestat(named, self._own):
+            raise self._error(errno.ESTALE, "another file has this path; open it again")
+        return named
+
+    def _error(self, number: int, text: str = "") -> OSError:
+        return OSError(number, text or os.strerror(number), os.fspath(self._path))
+
     def reopen(self) -> None:
         """
         Open the file again, for example after a rotation.
 
         Raises:
-            OSError: the file cannot be opened; the previous one stays open.
+            OSError, ValueError: as for `AuditFile`; nothing is written until this succeeds.
         """
-        opened = self._opened()
-        self._descriptor, before = opened, self._descriptor
-        os.close(before)
+        self.close()
+        try:
+            self._descriptor = self._opened()
+            self._own, self._failure = os.fstat(self._descriptor), None
+        except (OSError, ValueError) as error:
+            self._failure = error
+            raise
 
     def close(self) -> None:
         """Close the file; may be called any number of times."""
@@ -278,11 +351,14 @@ class AuditFile:
     def _opened(self) -> int:
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
         # A named pipe whose reader is gone, or slow, must not hold up all clients.
-        return os.open(self._path, flags | os.O_NONBLOCK, 0o600)
-
-
-def _check_lines(path: str | os.PathLike[str]) -> None:
-    """Raise ValueError for a file that is not an audit trail; an unreadable one may be one."""
-    with contextlib.suppress(OSError), open_file(path) as file:
-        if file.read(1) not in (b"", b"{", b"\n"):
-            raise ValueError(f"{os.fspath(path)}: not written, because it is not an audit trail")
+        descriptor = os.open(self._path, flags | os.O_NONBLOCK, 0o600)
+        try:
+            if stat.S_ISREG(os.fstat(descriptor).st_mode):
+                with open_file(self._path) as file:
+                    if FIRST_LINE.match(file.read(1000)) is None:
+                        path = os.fspath(self._path)
+                        raise ValueError(f"{path}: not written, because it is not an audit trail")
+        except BaseException:
+            os.close(descriptor)
+            raise
+        return descriptor

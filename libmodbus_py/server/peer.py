@@ -18,6 +18,7 @@ from collections.abc import Callable
 from select import POLLERR, POLLHUP, POLLIN, POLLOUT
 from typing import TYPE_CHECKING
 
+from ..device.limited_log import LimitedLog
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
@@ -45,10 +46,15 @@ class Turns(ABC):
     """The turns of all connections, and the deadlines of their frames."""
 
     def __init__(
-        self, limits: Limits, statistics: ServerStatistics, poller: DescriptorPoller
+        self,
+        limits: Limits,
+        statistics: ServerStatistics,
+        poller: DescriptorPoller,
+        log: LimitedLog,
     ) -> None:
         self.limits = limits
         self.statistics = statistics
+        self.log: LimitedLog = log
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         # Connections with a deadline -> the time of the deadline.
         self.deadlines: dict[Peer, float] = {}
@@ -285,7 +291,7 @@ class Peer:
         try:
             requests = session.receive(data)
         except FrameError as error:
-            logger.debug("%s: connection closed: %s", self.address, error)
+            turns.log.warning("%s: connection closed: %s", self.address, error)
             turns.statistics.closed_out_of_step += 1
             self.end()
             return 0
@@ -341,6 +347,9 @@ class Peer:
         if len(self._unsent) > self._turns.limits.max_unsent and not self._is_full:
             self._is_full = True
             self._turns.statistics.paused += 1
+            self._turns.log.warning(
+                "%s: not read until it takes its answers (max_unsent)", self.address
+            )
             self.follow()
 
     def _finish_sending(self) -> None:

@@ -15,6 +15,7 @@ from dataclasses import replace
 from select import POLLIN
 from typing import TYPE_CHECKING
 
+from ..device.limited_log import LimitedLog
 from ..ports.endpoint import Endpoint
 from ..ports.hosts import Make, Resolve, bind_all, host_and_port, reason, tcp_listener
 from ..ports.port import abandoned_in_children
@@ -53,11 +54,12 @@ class Peers(Turns):
         end: Callable[[], None] | None = None,
         make_poller: Callable[[], DescriptorPoller] = select.epoll,
         auditor: Audit | None = None,
+        log: LimitedLog | None = None,
     ) -> None:
         self._most = limits.connections()
         poller = make_poller()
         reserve_descriptors(poller.fileno(), min(self._most, ROOM_AT_MOST) + SPARE_DESCRIPTORS // 2)
-        super().__init__(limits, statistics, poller)
+        super().__init__(limits, statistics, poller, log or LimitedLog(logger))
         self.auditor = auditor
         self._end = end or self.close
         self._most_of_address = limits.connections_of_address()
@@ -82,18 +84,23 @@ class Peers(Turns):
         """
         if not self.limits.allows(host):
             self.statistics.disallowed += 1
+            self.log.warning("%s: refused: not in an allowed network", name)
             if self.auditor is not None:
                 self.auditor.note_disallowed(host, name)
             client.close()
             return
         shared = self._addresses.get(host)
-        if len(shared.connections) >= self._most_of_address and not self._make_room(
-            shared.connections
-        ):
+        of_address, most = shared.connections, self._most_of_address
+        if len(of_address) >= most and not self._make_room(of_address, "connections_per_address"):
             self.statistics.refused_address += 1
+            message = "%s: refused: its address has %d connections (connections_per_address)"
+            self.log.warning(message, name, len(of_address))
             client.close()
-        elif len(self) >= self._most and not self._make_room(self._connections):
+        elif len(self) >= self._most and not self._make_room(self._connections, "max_connections"):
             self.statistics.refused_full += 1
+            self.log.warning(
+                "%s: refused: %d connections are open (max_connections)", name, len(self)
+            )
             client.close()
         else:
             self._add(client, name, shared, make)
@@ -120,12 +127,15 @@ class Peers(Turns):
         if self._sweeping is None:
             self._sweeping = self.loop.call_later(self._sweep_every, self._sweep)
 
-    def _make_room(self, among: Iterable[Peer]) -> bool:
+    def _make_room(self, among: Iterable[Peer], limit: str) -> bool:
         """Close one that never asked if there is any, otherwise the one that asked first."""
         if self.limits.when_full == "refuse":
             return False
+        peer = min(among, key=lambda peer: (peer.has_asked, peer.idle_since))
         self.statistics.closed_for_others += 1
-        min(among, key=lambda peer: (peer.has_asked, peer.idle_since)).close()
+        message = "%s: closed to make room for another connection (%s)"
+        self.log.warning(message, peer.address, limit, reason=limit)
+        peer.close()
         return True
 
     def remove(self, peer: Peer) -> None:
@@ -140,11 +150,14 @@ class Peers(Turns):
         now = self.loop.time()
         for peer in [each for each, at in self.deadlines.items() if at <= now]:
             self.statistics.closed_slow += 1
+            message = "%s: closed: a frame, or taking the last answers, took %g s (frame_timeout)"
+            self.log.warning(message, peer.address, self.limits.frame_timeout)
             peer.close()
-        if self.limits.idle_timeout is not None:
-            since = now - self.limits.idle_timeout
+        if (idle := self.limits.idle_timeout) is not None:
+            since = now - idle
             for peer in [each for each in self._connections if each.idle_since <= since]:
                 self.statistics.closed_idle += 1
+                logger.info("%s: closed: no request for %g s (idle_timeout)", peer.address, idle)
                 peer.close()
         if len(self):
             self._sweeping = self.loop.call_later(self._sweep_every, self._sweep)
@@ -159,6 +172,8 @@ class LimitedPeer(Peer):
         takes = not events or events & POLLIN
         if takes and self.shared.is_overspent() and self._may_ask(events):
             self._turns.statistics.throttled += 1
+            message = "%s: its requests wait: more than %g a second (requests_per_second)"
+            self._turns.log.warning(message, self.address, self._turns.limits.requests_per_second)
             self._is_throttled = True
             self.shared.pause(self)
             self.follow()
@@ -200,7 +215,9 @@ class TcpServer:
         if security is not None:
             from .tls import Handshakes
 
-            self._handshakes = Handshakes(security, peers.limits, peers.statistics, peers.auditor)
+            self._handshakes = Handshakes(
+                security, peers.limits, peers.statistics, peers.auditor, peers.log
+            )
         self._listeners: list[socket.socket] = []
         self._retries: dict[socket.socket, asyncio.TimerHandle] = {}
         self._is_short = False  # mostly a lack of descriptors or memory

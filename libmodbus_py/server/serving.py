@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NoReturn
 
 from ..device.hooks import timed
+from ..device.limited_log import LimitedLog, in_time
 from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.trace import OnTraced, Trace, Traced, is_traced
 from ..protocol.checks import checked_callback
@@ -91,6 +92,7 @@ class Serving(ABC):
         self._security = security
         self._secured: weakref.WeakSet[TcpServer] = weakref.WeakSet()
         self._traces = Traces(None if trace is None else _checked(trace))
+        self._log = LimitedLog(logger)
         self._auditor: Audit | None = None
         if audit is not None:
             from .audit import audit_of
@@ -143,15 +145,18 @@ class Serving(ABC):
         endpoints = [parse_to_listen(url) for url in urls]
         if not endpoints:
             raise ValueError("urls must name at least one endpoint")
-        auditor = self._auditor
-        sources = Sources(self._limits, self.statistics, auditor)
+        auditor, log = self._auditor, self._log
+        sources = Sources(self._limits, self.statistics, auditor, log)
         async with self._answering(endpoints) as answering:
             service = TracedService(answering, self._traces)
             with contextlib.ExitStack() as stack:
                 # At once, when a hook ends the program: others that are ready must not be called.
                 with explained("cannot serve"):
-                    peers = Peers(self._limits, self.statistics, stack.close, auditor=auditor)
+                    peers = Peers(
+                        self._limits, self.statistics, stack.close, auditor=auditor, log=log
+                    )
                 stack.callback(peers.close)
+                stack.enter_context(in_time())
                 opened = []
                 for endpoint in endpoints:
                     server = self._made(endpoint, service, peers, sources, stack.close)

@@ -8,10 +8,10 @@ time, between the turns of established connections: a step takes up to a millise
 from __future__ import annotations
 
 import asyncio
-import logging
 import ssl
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
+from ..device.limited_log import LimitedLog
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
@@ -41,6 +41,15 @@ class Wire(Channel, Protocol):
         """Close the connection when all requests are answered, and the answers sent."""
 
 
+class Whose(NamedTuple):
+    """A certificate that is described only in a line that is logged: that takes a while."""
+
+    certificate: bytes
+
+    def __str__(self) -> str:
+        return f": {describe(self.certificate)}" if self.certificate else ""
+
+
 class Handshakes:
     """The handshakes of a server, and the checks of the certificates of open connections."""
 
@@ -50,8 +59,10 @@ class Handshakes:
         limits: Limits,
         statistics: ServerStatistics,
         auditor: Audit | None = None,
+        log: LimitedLog | None = None,
     ) -> None:
         security.check_server()
+        self.log: LimitedLog = log or LimitedLog(logger)
         self.security = security
         self.timeout: float = limits.handshake_timeout
         self._interval = limits.certificate_interval
@@ -299,9 +310,8 @@ class TlsSession:
         if (auditor := self._handshakes.auditor) is not None:
             holder = holder_of(certificate) if certificate else None
             auditor.note_peer("handshake", self.address, reason, holder)
-        if logger.isEnabledFor(logging.INFO):
-            whose = f": {describe(certificate)}" if certificate else ""
-            logger.info("%s: TLS refused: %s%s", self.address, reason, whose)
+        message, whose = "%s: TLS refused: %s%s", Whose(certificate)
+        self._handshakes.log.warning(message, self.address, reason, whose, reason=reason)
         self._finish()
 
     def check_certificate(self) -> None:
@@ -310,15 +320,21 @@ class TlsSession:
             self._handshakes.statistics.closed_untrusted += 1
             if (auditor := self._handshakes.auditor) is not None:
                 auditor.note_peer("ended", self.address, reason, self.holder, self.role)
-            logger.info("%s: connection closed: %s", self.address, reason)
+            whose = "" if self.holder is None else f": {self.holder.subject}"
+            message = "%s: TLS ended: %s%s"
+            self._handshakes.log.warning(message, self.address, reason, whose, reason=reason)
             self._finish()
 
     def _be_late(self) -> None:
         self._handshakes.statistics.closed_slow += 1
+        message = "%s: closed: no TLS handshake within %g s (handshake_timeout)"
+        self._handshakes.log.warning(message, self.address, self._handshakes.timeout)
         self._finish()
 
     def give_up(self) -> None:
         """Close the connection, because other handshakes need the room."""
+        message = "%s: closed to make room for another TLS handshake (at most %d at a time)"
+        self._handshakes.log.warning(message, self.address, HALF_OPEN)
         self._finish()
 
     def _finish(self) -> None:
@@ -361,7 +377,7 @@ class TlsSession:
         self._be_out_of_step(in_words(error))
 
     def _be_out_of_step(self, reason: str) -> None:
-        logger.debug("%s: connection closed: %s", self.address, reason)
+        self._handshakes.log.warning("%s: connection closed: %s", self.address, reason)
         self._handshakes.statistics.closed_out_of_step += 1
         self._finish()
 

@@ -18,12 +18,14 @@ from functools import lru_cache
 from ipaddress import IPv6Address, ip_address
 from typing import TYPE_CHECKING, Any
 
+from ..device.limited_log import LimitedLog
 from ..ports.endpoint import Endpoint
 from ..ports.hosts import host_and_port, is_loopback
 from ..ports.port import abandoned_in_children
 from ..ports.trace import Trace
 from ..protocol.errors import MAX_RECEIVED
 from ..protocol.framing import Framing, pdu_of
+from ..protocol.logs import HarmlessLogger
 from ..protocol.pdu import request_length
 from ..system import IP_PKTINFO
 from .limits import (
@@ -43,6 +45,8 @@ if TYPE_CHECKING:
     from .audit import Audit
 
 __all__ = ["Sources", "UdpServer"]
+
+logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # An answer may be a valid request, as for function 8; so a forged source lets two servers, or one
 # and itself, answer each other for ever. An answer that comes back from where it was sent more
@@ -104,7 +108,13 @@ class UdpServer:
                 data, address = local.recvfrom(MAX_RECEIVED)
             except OSError:  # nothing more, or a client that has gone away
                 return
-            if data and self._sources.admit(data, address) and len(self._waiting) < REMEMBERED_MAX:
+            if not data or not self._sources.admit(data, address):
+                continue
+            if len(self._waiting) >= REMEMBERED_MAX:
+                message = "%s: datagrams are dropped: %d requests wait for their answers"
+                name = host_and_port(*address[:2])
+                self._sources.log.warning(message, name, len(self._waiting))
+            else:
                 try:
                     self._answer(data, local, address)
                 except ENDS:
@@ -167,8 +177,13 @@ class Sources:
     """The clients at all UDP endpoints of a server."""
 
     def __init__(
-        self, limits: Limits, statistics: ServerStatistics, auditor: Audit | None = None
+        self,
+        limits: Limits,
+        statistics: ServerStatistics,
+        auditor: Audit | None = None,
+        log: LimitedLog | None = None,
     ) -> None:
+        self.log: LimitedLog = log or LimitedLog(logger)
         self._limits = limits
         self._statistics = statistics
         self._auditor = auditor
@@ -178,15 +193,21 @@ class Sources:
 
     def admit(self, datagram: bytes, source: tuple[str, int]) -> bool:
         """Return True if a datagram is to be answered; count it if not."""
-        host = source[0]
+        host, rate = source[0], self._limits.requests_per_second or USUAL_RATE
         if not self._limits.allows(host):
             self._statistics.disallowed += 1
+            name = host_and_port(*source[:2])
+            self.log.warning("%s: refused: not in an allowed network", name)
             if self._auditor is not None:
-                self._auditor.note_disallowed(host, host_and_port(*source[:2]))
+                self._auditor.note_disallowed(host, name)
         elif self._returns_too_often(datagram, source):
             self._statistics.reflected += 1
+            message = "%s: datagrams are dropped: they are answers that came back"
+            self.log.warning(message, host_and_port(*source[:2]))
         elif self._is_too_fast(host):
             self._statistics.throttled += 1
+            message = "%s: datagrams are dropped: more than %g a second (requests_per_second)"
+            self.log.warning(message, host_and_port(*source[:2]), rate)
         else:
             return True
         return False

@@ -13,4 +13,5 @@ Tools on top of clients and servers, for people who look at what happens.
     page           a live page of a server, in a browser
     timed_server   a TCP server whose connections have a limited time: pages, taps, metrics
     certificates   an authority and certificates to try Modbus Security with
+    authority      the folder of an authority: certificates are renewed, listed and revoked
 """

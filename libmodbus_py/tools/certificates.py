@@ -29,7 +29,7 @@ try:
 except ImportError as error:
     raise ImportError(what_is_missing("making certificates", "security")) from error
 
-__all__ = ["Identity", "load", "make", "write"]
+__all__ = ["EARLIER", "Identity", "check_days", "load", "make", "write"]
 
 PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
 
@@ -88,8 +88,7 @@ def make(
     key: PrivateKey | None = None,
 ) -> Identity:
     """Make a key and a certificate for it, signed by an issuer or by itself."""
-    if not 0 < days <= MAX_DAYS:
-        raise ValueError(f"days must be in 1..{MAX_DAYS}, not {days:g}")
+    check_days(days)
     key = key or ec.generate_private_key(ec.SECP256R1())
     subject = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, name[:MAX_NAME_CHARACTERS])])
     begin = begin or datetime.now(UTC) - EARLIER
@@ -123,6 +122,12 @@ def make(
     if issuer is not None and issuer.certificate.issuer != issuer.certificate.subject:
         issuers = (issuer.certificate, *issuer.issuers)
     return Identity(builder.sign(signer, hashes.SHA256()), key, issuers)
+
+
+def check_days(days: float) -> None:
+    """Raise ValueError for a validity that no certificate or list should have."""
+    if not 0 < days <= MAX_DAYS:
+        raise ValueError(f"days must be in 1..{MAX_DAYS}, not {days:g}")
 
 
 def _usage(*, is_authority: bool) -> x509.KeyUsage:

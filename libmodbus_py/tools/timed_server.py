@@ -32,8 +32,9 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
     """
     A TCP server that closes each connection after `limit` seconds, however slowly its client sends.
 
-    When there are `MOST_CONNECTIONS`, the oldest makes room for a new one. It listens on all
-    `addresses` of the host, at one `port`; `place` is "http://HOST:PORT".
+    When there are `MOST_CONNECTIONS`, the oldest one with a limit makes room for a new one, which
+    is closed if there is none. It listens on all `addresses` of the host, at one `port`; `place` is
+    "http://HOST:PORT". `is_closed` is True once `serving` ends.
     """
 
     def __init__(self, host: str, port: int, handler: Any, limit: float) -> None:
@@ -41,6 +42,7 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
         # Socket -> when it is closed; None for connections without a limit.
         self._open: dict[socket.socket, float | None] = {}
         self._lock = threading.Lock()
+        self.is_closed: bool = False
         super().__init__((host, port), handler, bind_and_activate=False)
         self.socket.close()  # a TCPServer has one socket, and this one as many as addresses
         self._listeners = listen_on(host, port)
@@ -66,6 +68,7 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
                 self.shutdown()
                 thread.join()
         finally:
+            self.is_closed = True
             with self._lock:
                 left = list(self._open)
             for each in left:
@@ -102,10 +105,11 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
 
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._lock:
-            limited = [each for each, until in self._open.items() if until]
-            if limited and len(self._open) >= MOST_CONNECTIONS:
-                self._open.pop(limited[0])
-                _cut(limited[0])  # its thread ends, and closes it
+            if len(self._open) >= MOST_CONNECTIONS:
+                limited = (each for each, until in self._open.items() if until)
+                oldest = next(limited, request)
+                _cut(oldest)  # its thread ends, and closes it
+                self._open.pop(oldest, None)
             self._open[request] = time.monotonic() + self._limit
         super().process_request(request, client_address)
 

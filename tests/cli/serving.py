@@ -4,6 +4,7 @@ Commands that serve, a device, a map and a fleet file, for the tests of commands
 
 from __future__ import annotations
 
+import re
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -54,3 +55,15 @@ def serving(*words: object, end: int = signal.SIGTERM) -> Iterator[tuple[Started
         yield process, line.removeprefix("listening on ").rstrip("\n")
         process.send_signal(end)
         assert process.wait() == 0
+
+
+INFO = ("--log", "info")
+"""The level at which a command says that it read its files again, and nothing is wrong."""
+
+
+def reload_line(process: Started) -> str:
+    """Return the next line about files that were read again, of a command at the level of INFO."""
+    for line in process.stderr:
+        if found := re.match(r"\S+ (?:info|warning) +cli\.serve\.\w+: (.*)\n", line):
+            return found[1]
+    raise AssertionError("no line about files")

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import shlex
 import ssl
+import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -15,6 +16,7 @@ from cryptography import x509
 
 from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.role import role_of
+from libmodbus_py.tools.page.page import TOKEN
 from tests.cli.serving import serving
 from tests.support.cases import each_case
 from tests.support.commands import Done, run
@@ -158,3 +160,136 @@ def test_what_cannot_be_written_leaves_no_half(
     assert made(tmp_path, "n1").code == 1
     assert made(tmp_path).code == 1
     assert [each for each in tmp_path.rglob("*") if each.is_file()] == []
+
+
+# --- what becomes of them ---------------------------------------------------------------------
+
+
+def names_of(done: Done) -> dict[str, list[str]]:
+    """Return what --list printed: name -> serial number, days left and purpose."""
+    assert (done.code, done.err) == (0, "")
+    return {row[0]: row[1:] for row in (line.split() for line in done.out.splitlines())}
+
+
+def verified(folder: Path, name: str) -> str:
+    """Return what OpenSSL says of a certificate, with the list of the authority."""
+    files = ("-CAfile", folder / "ca.pem", "-CRLfile", folder / "crl.pem", "-crl_check_all")
+    command = ["openssl", "verify", *map(str, files), str(folder / f"{name}.pem")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return done.stdout + done.stderr
+
+
+def test_the_list_has_serial_numbers_days_and_purposes(tmp_path: Path) -> None:
+    made(tmp_path, "--days", "10", "--role", "Viewer")
+    listed = names_of(made(tmp_path, "--list"))
+    assert [*listed] == ["ca", "no-role", "server", "viewer"]
+    for name, (serial, *days_and_purpose) in listed.items():
+        certificate = load(tmp_path / f"{name}.pem")
+        assert int(serial, 16) == certificate.serial_number
+        assert days_and_purpose[:2] == ["9", "days"]
+    purposes = {name: " ".join(row[3:]) for name, row in listed.items()}
+    assert purposes == {
+        "ca": "authority",
+        "no-role": "no role",
+        "server": "localhost, 127.0.0.1, ::1",
+        "viewer": "role Viewer",
+    }
+
+
+def test_a_renewed_certificate_has_all_but_its_times_and_number(tmp_path: Path) -> None:
+    made(tmp_path, "--days", "10")
+    before = {name: load(tmp_path / f"{name}.pem") for name in ("ca", "server", "viewer")}
+    keys = {path: path.read_bytes() for path in tmp_path.glob("*-key.pem")}
+    assert made(tmp_path, "server", "ca", "--renew", "--days", "40").out.splitlines() == [
+        str(tmp_path / "server.pem"),
+        str(tmp_path / "ca.pem"),
+    ]
+    for name in ("server", "ca"):
+        renewed, old = load(tmp_path / f"{name}.pem"), before[name]
+        assert renewed.serial_number != old.serial_number
+        assert [*renewed.extensions] == [*old.extensions]
+        assert (renewed.subject, renewed.public_key()) == (old.subject, old.public_key())
+        assert timedelta(days=39) < renewed.not_valid_after_utc - datetime.now(UTC)
+        renewed.verify_directly_issued_by(load(tmp_path / "ca.pem"))
+    assert load(tmp_path / "viewer.pem") == before["viewer"]
+    assert made(tmp_path, "--renew").code == 0
+    assert load(tmp_path / "viewer.pem") != before["viewer"]
+    left = load(tmp_path / "viewer.pem").not_valid_after_utc - datetime.now(UTC)
+    assert timedelta(days=9) < left < timedelta(days=10)
+    assert {path: path.read_bytes() for path in keys} == keys
+
+
+def test_revoked_ones_are_refused_and_no_others(tmp_path: Path) -> None:
+    """By name, and by a serial number as the audit trail has it, of a certificate that is gone."""
+    made(tmp_path)
+    gone = f"{load(tmp_path / 'operator.pem').serial_number:x}"
+    done = made(tmp_path, "--revoke", "viewer", "--revoke", gone)
+    assert done.out.splitlines()[1:] == [f"{gone}: revoked", str(tmp_path / "crl.pem")]
+    assert made(tmp_path, "--crl", "--days", "3").code == 0  # what was revoked stays so
+    for name in ("viewer", "operator"):
+        assert "certificate revoked" in verified(tmp_path, name)
+    for name in ("server", "engineer", "ca"):
+        assert verified(tmp_path, name).endswith("OK\n")
+    listed = names_of(made(tmp_path, "--list"))
+    assert listed["viewer"][1] == listed["operator"][1] == "revoked"
+    assert listed["crl"] == ["2", "days", "revocation", "list"]
+    before = load(tmp_path / "viewer.pem")
+    assert made(tmp_path, "--renew").code == 0
+    assert load(tmp_path / "viewer.pem") == before
+
+
+def test_machines_get_renewed_authorities_and_lists(tmp_path: Path) -> None:
+    made(tmp_path, "n1", "n2")
+    made(tmp_path, "--revoke", "n2")
+    made(tmp_path, "ca", "--renew")
+    for name in ("n1", "n2"):
+        for file in ("ca.pem", "crl.pem"):
+            assert (tmp_path / name / file).read_text() == (tmp_path / file).read_text()
+    assert made(tmp_path, "n1", "--renew").out == f"{tmp_path}/n1/server.pem\n"
+
+
+@each_case(
+    ("words", "reason"),
+    [
+        (("--revoke", "nobody"), "'nobody' is no certificate in"),
+        (("--revoke", "ca"), "an authority cannot revoke itself"),
+        (("--revoke", "0"), "'0' is no certificate in"),
+        (("nobody", "--renew"), "'nobody' is no certificate in"),
+        (("--renew", "--days", "0"), "days must be in 1..36500"),
+        (("--crl", "--days", "-1"), "days must be in 1..36500"),
+        (("--list", "--crl"), "must be given one after the other"),
+        (("server", "--list"), "--list takes neither MACHINE"),
+    ],
+)
+def test_wrong_words_change_nothing(tmp_path: Path, words: tuple[str, ...], reason: str) -> None:
+    if not (tmp_path / "ca.pem").exists():
+        made(tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    done = made(tmp_path, *words)
+    assert done.code == 2
+    assert reason in done.err
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
+    made(tmp_path)
+    made(tmp_path / "others")
+    (tmp_path / "device.pem").write_bytes((tmp_path / "others" / "server.pem").read_bytes())
+    assert "device" not in names_of(made(tmp_path, "--list"))
+    (tmp_path / "crl.pem").write_bytes((tmp_path / "device.pem").read_bytes())
+    assert "crl.pem: no revocation list in PEM format" in made(tmp_path, "--list").err
+    made(tmp_path / "others", "--crl")
+    (tmp_path / "crl.pem").write_bytes((tmp_path / "others" / "crl.pem").read_bytes())
+    assert "is not signed by" in made(tmp_path, "--list").err
+
+
+# --- tokens -----------------------------------------------------------------------------------
+
+
+def test_a_token_is_new_and_its_file_is_of_its_owner(tmp_path: Path) -> None:
+    path = tmp_path / "page.token"
+    assert (run("token", path).code, run("token", path).code) == (0, 1)
+    assert path.stat().st_mode & 0o777 == 0o600
+    tokens = {path.read_text(), run("token").out, run("token").out}
+    assert len(tokens) == 3
+    assert all(TOKEN.fullmatch(token.removesuffix("\n")) for token in tokens)

@@ -5,6 +5,7 @@ TLS from the command line: what it takes, and what it says when that is wrong.
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import pty
 import subprocess
@@ -24,9 +25,13 @@ SECRET = "open sesame"
 
 @pytest.fixture
 def url(papers: Papers) -> Iterator[str]:
+    """A server in this process, whose warnings are not those of a command."""
     server = Server(Device(Mapping(holding_registers={0: [555, 7]})), security=papers.server())
+    log, silent = logging.getLogger("libmodbus_py.server"), logging.NullHandler()
+    log.addHandler(silent)
     with server.background("tls://127.0.0.1:0") as running:
         yield running.urls[0]
+    log.removeHandler(silent)
 
 
 @pytest.fixture

@@ -152,7 +152,6 @@ def test_other_points_are_not_looked_at() -> None:
     for values in ([5, 10], [4, 11]):
         assert totals.take(values) == (frozenset(), frozenset())
     assert totals.take([3, 10]) == (frozenset({1}), frozenset())
-    assert totals.before(1) == 11
 
 
 @given(st.lists(st.integers(0, 5)))

@@ -156,7 +156,7 @@ def test_any_other_text_is_no_duration(text: str) -> None:
     "mistake",
     [
         WrongValue("unit", "must be in 0..255, not 300"),
-        WrongValue(path=("route", 3, "to"), reason="must be a URL"),
+        WrongValue(path=("route", 3, "url"), reason="must be a URL"),
         WrongType.about(("route", 3), "it is given twice"),
     ],
 )

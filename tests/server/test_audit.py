@@ -9,7 +9,7 @@ import json
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -38,6 +38,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.serve import Allow, Asked, Audit, AuditEvent, AuditFile
+from libmodbus_py.server import audit
 from tests.support import certificates
 from tests.support.cases import each_case
 from tests.support.certificates import Papers
@@ -336,6 +337,80 @@ def test_writes_go_on_while_another_trail_fails_and_what_is_lost_is_told(
     assert caplog.messages[-1] == "audit: events are recorded again; 4 were lost"
 
 
+def move(path: Path) -> None:
+    path.rename(path.with_name("audit.json.1"))
+
+
+def replace_by_another(path: Path) -> None:
+    move(path)
+    path.write_text("")
+
+
+def refuse_to_open(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def fill_the_disk(path: Path) -> None:
+    """Ask for more room than a disk can have."""
+    audit.ROOM_BYTES = 1 << 62
+
+
+def do_nothing(path: Path) -> None:
+    """A pipe loses its reader in the test."""
+
+
+TROUBLES = [
+    (Path.unlink, "No such file or directory"),
+    (move, "No such file or directory"),
+    (replace_by_another, "another file has this path"),
+    (fill_the_disk, "No space left on device"),
+    (refuse_to_open, "another file has this path"),
+    (do_nothing, "this pipe has no reader"),
+]
+
+
+@pytest.mark.parametrize(("trouble", "reason"), TROUBLES)
+def test_no_write_is_carried_out_that_a_required_file_cannot_record(
+    trouble: Callable[[Path], None],
+    reason: str,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(audit, "ROOM_BYTES", audit.ROOM_BYTES)
+    path, reader = tmp_path / "audit.json", -1
+    if trouble is do_nothing:
+        os.mkfifo(path)
+        reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    file = AuditFile(path)
+    served = device()
+    with asking(Server(served, audit=Audit(file, required=True))) as plc:
+        plc.write_register(0, 8)
+        if reader >= 0:
+            os.close(reader)
+        trouble(path)
+        for value in (9, 10):
+            with pytest.raises(ServerDeviceFailure):
+                plc.write_register(0, value)
+        assert served.mapping.holding_registers[0] == 8
+        assert [reason in each for each in caplog.messages if "audit" in each] == [True]
+        monkeypatch.undo()
+        if trouble is refuse_to_open:
+            with pytest.raises(IsADirectoryError):
+                file.reopen()
+            with pytest.raises(ServerDeviceFailure):
+                plc.write_register(0, 11)
+            path.rmdir()
+        elif trouble is do_nothing:
+            path.unlink()
+        file.reopen()
+        plc.write_register(0, 12)
+    file.close()
+    values = [each["changes"][0]["new"][0] for each in lines(path) if each["event"] == "write"]
+    assert [each for each in values if each not in (8, 11)] == [9, 10, 12]
+
+
 def test_what_is_no_function_is_refused() -> None:
     for wrong in (5, "audit.json"):
         with pytest.raises(TypeError, match=r"audit must be a function, not (int|str)"):
@@ -358,15 +433,18 @@ def test_a_renamed_file_is_left_when_it_is_opened_again(tmp_path: Path) -> None:
     file = AuditFile(path)
     file(event("one"))
     path.rename(tmp_path / "audit.json.1")
-    file(event("two"))
+    with pytest.raises(FileNotFoundError):
+        file(event("two"))
     file.reopen()
     file(event("three"))
-    path.unlink()
-    path.mkdir()
-    with pytest.raises(IsADirectoryError):
+    path.write_text("{}\n")
+    with pytest.raises(ValueError, match="is not an audit trail"):
         file.reopen()
+    with pytest.raises(ValueError, match="is not an audit trail"):
+        file.check()
+    assert path.read_text() == "{}\n"
     file.close()
-    assert [each["result"] for each in lines(tmp_path / "audit.json.1")] == ["one", "two"]
+    assert [each["result"] for each in lines(tmp_path / "audit.json.1")] == ["one"]
 
 
 def test_a_full_disk_fails(tmp_path: Path) -> None:
@@ -388,7 +466,20 @@ def test_what_comes_from_a_peer_stays_on_its_line(tmp_path: Path) -> None:
     assert lines(path)[0]["result"] == "a\nb\x1b[2J\u2028\ud800"
 
 
-@each_case("text", ["[[device]]\n", "-----BEGIN PRIVATE KEY-----\n", "\0\0", "time,device\n"])
+# The fourth is what a fleet writes, the others begin files of JSON of other programs.
+OTHER_FILES = [
+    "[[device]]\n",
+    "-----BEGIN PRIVATE KEY-----\n",
+    "\0\0",
+    '{"time": "2026-11-29T12:00:00Z", "device": "meter", "point": "power", "value": 1.5}\n',
+    '{"name": "libmodbus"}\n',
+    "{}\n",
+    "[1, 2]\n",
+    "{\n",
+]
+
+
+@each_case("text", OTHER_FILES)
 def test_another_file_is_not_appended_to(tmp_path: Path, text: str) -> None:
     path = tmp_path / "file"
     path.write_text(text)
@@ -397,7 +488,10 @@ def test_another_file_is_not_appended_to(tmp_path: Path, text: str) -> None:
     assert path.read_text() == text
 
 
-@each_case("text", ["", '{"event": "write"}\n', '{"event": "wri', '\n{"event": "write"}\n'])
+LINE = '{"time": "2026-11-29T12:00:00Z", "event": "write", "peer": "here", "result": "ok"}\n'
+
+
+@each_case("text", ["", "\n", LINE, f"\n{LINE}", LINE[:60]])
 def test_an_audit_trail_goes_on(tmp_path: Path, text: str) -> None:
     path = tmp_path / "audit.jsonl"
     path.write_text(text)

@@ -51,7 +51,7 @@ def test_a_map_in_toml_is_a_map(tmp_path: Path) -> None:
         ("[[unit]]\nid = 300", "{}, line 2: unit[0].id must be in 0..255, not 300"),
         ("[[point]]\nname = 1", "{}, line 1: point[0].table is missing"),
         ("[[device]]\nname = 'a'", "{}, line 1: device[0].url is missing"),
-        ("[[route]]\nto = 1", "{}, line 2: route[0].to: url must be a string"),
+        ("[[route]]\nurl = 1", "{}, line 2: route[0].url: url must be a string"),
     ],
 )
 def test_a_file_of_no_kind_is_refused(tmp_path: Path, text: str, message: str) -> None:

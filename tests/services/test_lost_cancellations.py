@@ -30,7 +30,7 @@ class Careless(Picky):
         super().__init__()
         self.left = count
 
-    async def write(self, readings: Sequence[Reading]) -> None:
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         while self.left:
             try:
                 await asyncio.Event().wait()
@@ -42,7 +42,7 @@ class Careless(Picky):
 @simulated
 async def test_an_output_that_loses_cancellations_ends_with_the_fleet() -> None:
     pump = Pump(Careless(2))
-    pump.buffer.put([reading("a", "one")])
+    pump.buffer.put_readings([reading("a", "one")])
     pump.start()
     await asyncio.sleep(1)
     pump.close()
@@ -83,7 +83,7 @@ def of_file(happens: asyncio.Future[None], path: Path) -> Awaitable[None]:
     output = JsonOutput(str(path))
     thread: Any = SimpleNamespace(is_running=True, call=lambda *_: happens, stop=lambda: None)
     output._thread = thread
-    return output.close()
+    return output.close_output()
 
 
 def of_watch(happens: asyncio.Future[None], path: Path) -> Awaitable[None]:
@@ -109,7 +109,7 @@ def test_a_cancellation_is_not_lost_when_the_last_word_is_said(
 @simulated
 async def test_a_cancellation_is_not_lost_while_a_pump_rests() -> None:
     pump = Pump(Picky(refused=("a",), error=OSError("away")))
-    pump.buffer.put([reading("a", "one")])
+    pump.buffer.put_readings([reading("a", "one")])
     pump.start()
     await asyncio.sleep(0.1)
     pump.close(is_patient=True)

@@ -19,7 +19,7 @@ def reading(device: str, name: str, value: Any = 1, time: float = 100.0) -> Read
     return Reading(time, device, name, value, "V", "good")
 
 
-class Picky:
+class Picky(Output):
     """
     An output that takes what it likes.
 
@@ -61,12 +61,12 @@ class Picky:
     def ids(self) -> list[int]:
         return [each.id for each in self.accepted]
 
-    async def open(self) -> None:
+    async def open_output(self) -> None:
         if self.is_away:
             raise ConnectionRefusedError(111, "Connection refused")
         self.opened_at.append(asyncio.get_running_loop().time())
 
-    async def write(self, readings: Sequence[Reading]) -> None:
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         if self.is_away:
             raise ConnectionResetError("away")
         if not readings:
@@ -81,7 +81,7 @@ class Picky:
             raise self.error
         self.batches.append([*readings])
 
-    async def close(self) -> None:
+    async def close_output(self) -> None:
         self.closed += 1
 
 
@@ -98,7 +98,7 @@ async def pumping(output: Output) -> AsyncIterator[Pump]:
 async def pumped(output: Output, readings: Sequence[Reading]) -> Pump:
     """Write readings until each was written or dropped, in simulated time."""
     async with pumping(output) as pump:
-        pump.buffer.put(readings)
+        pump.buffer.put_readings(readings)
         while pump.statistics.written + pump.statistics.dropped < len(readings):
             await asyncio.sleep(0.01)
     return pump
@@ -106,9 +106,9 @@ async def pumped(output: Output, readings: Sequence[Reading]) -> Pump:
 
 async def write(output: Output, *polls: Sequence[Reading]) -> None:
     """Open an output, write readings in so many calls, and close it."""
-    await output.open()
+    await output.open_output()
     try:
         for each in polls:
-            await output.write(each)
+            await output.write_readings(each)
     finally:
-        await output.close()
+        await output.close_output()

@@ -70,6 +70,11 @@ def test_the_oldest_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
             assert is_answered(latest)
             assert oldest.recv(1) == b""
             assert is_answered(kept)
+            assert is_answered(latest, b"k")
+            with connected(server) as none_makes_room:
+                assert not is_answered(none_makes_room)
+            assert is_answered(kept)
+            assert is_answered(latest)
 
 
 def test_all_connections_are_closed_at_the_end() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 from ...tools.page.log import Log
 from ...tools.page.samples import Series
 from ...tools.page.table_source import COLUMNS, Column, Older, PageRow, ShownPoint, Values
-from ...tools.page.text import cell_text
+from ...tools.page.text import cell_text, first_names
 from .formatters import ReadResult, ValueText
 from .items import Item
 
@@ -36,11 +36,15 @@ class ShownWatch:
         self._names: dict[tuple[int, int], list[tuple[str, str]]] = {}
 
     def status(self) -> tuple[str, bool]:
-        """Return which units do not answer, or that all do."""
+        """Return which units do not answer and which values are not good, or that all are."""
         down = [each.name for each in self._units.copy().values() if each.is_down]
-        if down:
-            return f"no answer from {', '.join(down)}", True
-        return "the device answers" if self._units else "no answer yet", False
+        bad = [f"{each.point.device} {each.point.name}" for each in self._values.bad()]
+        problems = [f"no answer from {', '.join(down)}"] if down else []
+        if bad:
+            problems.append(f"values that are not good: {len(bad)}{first_names(bad)}")
+        if not self._units:
+            problems.append("no answer yet")
+        return ("; ".join(problems), True) if problems else ("the device answers", False)
 
     def figures(self) -> Mapping[str, float]:
         return {"polls": self._polls, "failed": self._failed}
@@ -72,7 +76,7 @@ class ShownWatch:
                 else (now, device, name, None, of, "bad", row.unit[1:-1])
                 for (name, of), row in zip(names, results[at].rows, strict=False)
             ]
-        self._values.put(readings)
+        self._values.put_readings(readings)
 
     def _describe(self, unit: int, results: Sequence[ReadResult]) -> None:
         """Set the rows of the table again if the values of a unit have other names now."""

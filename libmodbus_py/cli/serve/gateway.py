@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from ...client.asynchronous import MAX_PAUSE
 from ...files.texts import compared, reread
 from ...ports.options import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
+from ...protocol.mistakes import Problem
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import Route, parse_route
@@ -134,12 +135,12 @@ def _overridden(
     urls: list[str], routes: list[Route], options: argparse.Namespace
 ) -> tuple[list[str], list[Route]]:
     """Return where to listen and the routes, with the options that were typed."""
-    places = [*urls, *(route.to for route in routes)]
+    places = [*urls, *(route.url for route in routes)]
     places = [each.url for each in with_options(places, options, SERIAL_OPTIONS)]
     listen = with_options(places[: len(urls)], options, SECURITY_OPTIONS)
     devices = with_options(places[len(urls) :], options, OF_DEVICES)
     return [each.url for each in listen], [
-        replace(route, to=each.url) for route, each in zip(routes, devices, strict=True)
+        replace(route, url=each.url) for route, each in zip(routes, devices, strict=True)
     ]
 
 
@@ -149,7 +150,7 @@ def _read_again(gateway: Gateway, path: str, before: config.GatewayFile) -> str:
         gateway.change_routes(file.routes)
         line = compared(path, "route", earlier, now)
         if (file.listen, repr(file.options)) != (before.listen, repr(before.options)):
-            line += "; changes that are not routes need a restart of the gateway"
+            line = Problem(f"{line}; changes that are not routes need a restart of the gateway")
         return line
 
     return reread(lambda: config.load(path, known=before.routes), use)

@@ -16,14 +16,15 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from ...files.texts import compared
-from ...protocol.logs import HarmlessLogger
+from ...protocol.logs import HarmlessLogger, log_reload
+from ...protocol.mistakes import Problem
 from ...server.running import Handler, frozen_garbage, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, FleetFileError, load
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.outputs.kinds import KINDS, made
 from ...services.fleet.outputs.output import Output, check_exclusive
-from ...services.fleet.statistics import LastValues
+from ...services.fleet.statistics import FleetStatistics
 from ...services.fleet.trial import overloads, trying
 from ...services.tasks import WriterThread
 from ...system import allow_all_descriptors
@@ -56,9 +57,9 @@ the file. Without an output, readings are printed as lines of JSON, except on
 a terminal."""
 
 EPILOG = """\
-The exit code is 0, or 1 if a device did not answer --once or --check, an output
-did not take all readings of --once, a line cannot keep its intervals, or the
-standard output was closed.
+The exit code is 0, or 1 if a device did not answer --once or --check, a point
+had no good value at --check, an output did not take all readings of --once, a
+line cannot keep its intervals, or the standard output was closed.
 
 examples:
   libmodbus-py poll fleet.toml --check
@@ -124,16 +125,14 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
     # Frames of --verbose would be printed into the table.
     is_line = os.environ.get("TERM", "dumb") == "dumb" or options.verbose
     has_table = has_screen and sys.stdout.isatty() and not is_line
-    values = LastValues() if options.metrics or has_table else None
-    outputs += [values] if values else []
     page = None
     if options.page:
         from ...services.fleet.shown_fleet import PageOutput
 
         page = PageOutput()
         outputs.append(page)
-    seen = partial(_seen, options, file, values, page)
-    show = partial(_show, values if has_table else None) if has_screen else None
+    seen = partial(_seen, options, file, page)
+    show = partial(_show, has_table) if has_screen else None
     if options.engine is not None:
         return workers.poll(options, file, outputs, seen, show, hangup)
     fleet = Fleet(file.devices, outputs=outputs, journal=file.made_journal())
@@ -161,7 +160,6 @@ def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
 def _seen(
     options: argparse.Namespace,
     file: FleetFile,
-    values: LastValues | None,
     page: PageOutput | None,
     fleet: Fleet,
 ) -> Iterator[None]:
@@ -176,7 +174,7 @@ def _seen(
         return ShownFleet(os.path.basename(options.file), fleet, page, older)
 
     with (
-        over_http.exposed(fleet, options.metrics, values, to=sys.stderr),
+        over_http.exposed(fleet, options.metrics, to=sys.stderr),
         over_http.tables_shown(make, options),
     ):
         yield
@@ -241,10 +239,12 @@ async def _reload(
                 fleet.replace(file.devices)
                 line = compared(path, "device", before, {each.name: each for each in file.devices})
                 if (file.outputs, file.journal) != (kept.outputs, kept.journal):
-                    line += "; its outputs have changed, and are used after a restart"
+                    line = Problem(
+                        f"{line}; its outputs have changed, and are used after a restart"
+                    )
             except (TypeError, ValueError) as error:
-                line = f"the former content is used: {error}"
-            logger.warning("%s", "; ".join([line, *of_others]))
+                line = Problem(f"the former content is used: {error}")
+            log_reload(logger, [line, *of_others])
     finally:
         thread.stop()
 
@@ -252,9 +252,9 @@ async def _reload(
 # --- on a terminal ------------------------------------------------------------------------------
 
 
-async def _show(values: LastValues | None, fleet: Fleet) -> None:
+async def _show(has_table: bool, fleet: Fleet) -> None:
     """Draw the status, with a table of the values or alone, again and again until cancelled."""
-    from ...services.fleet.shown_fleet import fleet_lines
+    from ...services.fleet.shown_fleet import fleet_lines, problems
 
     table, line = Redrawn(sys.stderr), Status()
     polls, at = 0, time.monotonic()
@@ -263,24 +263,27 @@ async def _show(values: LastValues | None, fleet: Fleet) -> None:
             while True:
                 await asyncio.sleep(REDRAWN)
                 now, statistics = time.monotonic(), fleet.statistics
-                counts = {**statistics.outputs, "journal": statistics.journal}
-                text = (
-                    f"{statistics.devices} devices: {statistics.up} up, {statistics.down} down;"
-                    f" {(statistics.polls - polls) / (now - at):.0f} polls a second,"
-                    f" at most {statistics.take_worst() * 1000:.0f} ms late;"
+                rate = (
+                    f"{(statistics.polls - polls) / (now - at):.0f} polls a second,"
+                    f" at most {statistics.take_worst() * 1000:.0f} ms late,"
                     f" {statistics.skipped} skipped"
                 )
-                for name, each in counts.items():
-                    if each is not None and (each.trouble or each.dropped):
-                        text += f"; {name}: {each.dropped} dropped"
+                up = f"{statistics.up} of {statistics.devices} devices up"
+                text = "; ".join([up, *problems(fleet), rate, *_dropped(statistics)])
                 polls, at = statistics.polls, now
-                if values is None:
-                    line.show(text)
+                if has_table:
+                    table.draw(fleet_lines(fleet, text))
                 else:
-                    table.draw(fleet_lines(fleet, values.statistics, text))
+                    line.show(text)
     finally:
         table.clear()
         line.clear()
+
+
+def _dropped(statistics: FleetStatistics) -> Iterator[str]:
+    for name, each in {**statistics.outputs, "journal": statistics.journal}.items():
+        if each is not None and each.dropped:
+            yield f"{name}: {each.dropped} dropped"
 
 
 def _summary(fleet: Fleet, seconds: float) -> str:
@@ -326,5 +329,5 @@ async def _check(devices: list[DeviceConfig]) -> int:
     for line in too_much:
         complain(str(line))
     if failed:
-        complain(f"{failed} of {len(devices)} devices failed")
+        complain(f"{failed} of {len(devices)} devices failed, or had bad points")
     return 1 if failed or too_much else 0

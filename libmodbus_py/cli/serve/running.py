@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 from ...ports.endpoint import parse
 from ...ports.hosts import is_loopback
-from ...protocol.logs import HarmlessLogger
+from ...protocol.logs import HarmlessLogger, log_reload
+from ...protocol.mistakes import Problem
 from ...security.renewed import reload_all
 from ...server.audit import Audit, AuditFile
 from ...server.limits import FULL_POLICIES, Limits
@@ -71,9 +72,9 @@ class _ServingCommand:
         if limits:
             self.hooks["limits"] = Limits(**limits)
 
-    def tell(self, line: str) -> None:
-        """Log a line about files that were read again, and record it in the audit trail."""
-        logger.warning("%s", line)
+    def tell(self, lines: Sequence[str]) -> None:
+        """Log lines about files that were read again, and record them in the audit trail."""
+        line = log_reload(logger, lines or [NOTHING])
         if self._trail is not None:
             self._trail.note_own("reload", line)
 
@@ -91,7 +92,7 @@ class _ServingCommand:
         read again.
         """
         options = self._options
-        answer = answer or (lambda lines: self.tell("; ".join(lines) or NOTHING))
+        answer = answer or self.tell
         page = shown(make_shown, options)
         with exposed(server, options.metrics), page as print_page:
 
@@ -125,8 +126,8 @@ def starting(options: argparse.Namespace) -> Iterator[_ServingCommand]:
         def reopen() -> str:
             try:
                 file.reopen()
-            except OSError as error:
-                return f"{path}: {error.strerror}; the former file is still used"
+            except (OSError, ValueError) as error:
+                return Problem(f"nothing is recorded: {error}")
             trail.note_own("audit", "opened again")
             return f"{path}: opened again"
 

@@ -13,7 +13,7 @@ From the fleet file to the wire, and back::
     outputs        the destinations of readings, a folder of its own
     rewriting      values that are written again every so many seconds
     commands       writes to named points that are received over an output
-    statistics     counters, and the last readings, for metrics
+    statistics     counters of a fleet, its outputs and its journal
     shown_fleet    values and devices as the live page shows them, and lines on a terminal
     trial          checks before polling: the devices that answer, and overloaded serial lines
 """

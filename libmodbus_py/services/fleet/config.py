@@ -65,6 +65,8 @@ class DeviceConfig:
         on_change: True to report only values that changed.
         dead_bands: by name of a point, by how much a value must differ from the last one
             reported.
+        at_least: seconds within which each point is reported again though its value, or its error,
+            is the same, 0.01..86400; None for no such time.
         labels: labels of the metrics of the device.
         zone: the zone of the device; workers poll the devices of their zones only. Empty for none.
 
@@ -92,6 +94,7 @@ class DeviceConfig:
     write_function: WriteFunction | None = None
     on_change: bool = False
     dead_bands: Mapping[str, float] = field(default_factory=dict)
+    at_least: float | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
     zone: str = ""
     endpoint: Endpoint = field(init=False, repr=False, compare=False)
@@ -133,6 +136,8 @@ class DeviceConfig:
             if name not in self.names:
                 raise WrongValue.about(("dead_bands", name), "no point of this name is read")
             number(("dead_bands", name), band, 0, math.inf)
+        if self.at_least is not None:
+            seconds("at_least", self.at_least, SHORTEST_INTERVAL, LONGEST_INTERVAL)
         known = {*OWN_LABELS}
         for label, value in _table("labels", self.labels).items():
             _check_text(("labels", label), value, 0)

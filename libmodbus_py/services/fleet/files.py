@@ -238,8 +238,7 @@ class _Reader:
                     if isinstance(keys.get("path"), str) and keys["path"] != "-":
                         keys["path"] = str(self._folder / keys["path"])
                     output = made(kind, keys)
-                    if (describe := getattr(output, "describe", None)) is not None:
-                        describe({each.name: each for each in self._devices})
+                    output.describe_devices({each.name: each for each in self._devices})
                 outputs.append((kind, keys))
                 places.append(path)
                 trial.append(output)

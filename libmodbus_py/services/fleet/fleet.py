@@ -246,13 +246,15 @@ class Fleet:
             self._receivers.describe(before)
             raise
         self._devices = after
-        now = time.time()
+        now, reported = time.time(), set[str]()
         for name, poller in list(self._pollers.items()):
             still = after.get(name)
             if still == poller.config:
                 continue
+            if poller.is_reported:
+                reported.add(name)
             if poller.config.connection_key not in passed_on:
-                self._receivers.put(poller.withdrawn(now, still.names if still else ()))
+                self._receivers.put_readings(poller.withdrawn(now, still.names if still else ()))
             self._end(poller)
         urls = {each.connection_key: each.endpoint.url for each in after.values()}
         ended = [key for key, line in self._lines.items() if line.url != urls.get(key)]
@@ -263,6 +265,7 @@ class Fleet:
         for device in after.values():
             if device.name not in self._pollers:
                 self._begin(device)
+                self._pollers[device.name].was_reported = device.name in reported
         self._end_if_all_polled()
 
     def take_back(self) -> None:
@@ -272,7 +275,7 @@ class Fleet:
         """
         now = time.time()
         for poller in self._pollers.values():
-            self._receivers.put(poller.withdrawn(now))
+            self._receivers.put_readings(poller.withdrawn(now))
             self._count(poller.state, -1)
             poller.forget()
 
@@ -280,7 +283,7 @@ class Fleet:
         """Report all points of devices as "offline" that no fleet polls."""
         now = time.time()
         for device in devices:
-            self._receivers.put(offline(device, now))
+            self._receivers.put_readings(offline(device, now))
 
     def _begin(self, device: DeviceConfig) -> None:
         assert self._loop is not None
@@ -307,6 +310,7 @@ class Fleet:
         line = self._lines[poller.config.connection_key]
         del line.pollers[poller.name]
         line.withdraw(poller)
+        poller.cancel_pause()
         self._unpolled.discard(poller.name)
         self._count(poller.state, -1)
         self.statistics.devices -= 1
@@ -350,7 +354,7 @@ class Fleet:
         if before is not None:
             now = time.time()
             self._count_poll(poller, before, now)
-            self._receivers.put(poller.readings(now, self._receivers.next_id))
+            self._receivers.put_readings(poller.readings(now, self._receivers.next_id))
             if poller.misses:
                 self._poll_after(poller, poller.pause)
         self._unpolled.discard(poller.name)
@@ -407,7 +411,7 @@ class Fleet:
 
     async def write(self, device: str, values: Mapping[str, Any]) -> None:
         """
-        Write values to points of a device, by their names.
+        Write values to points of a device, by their names; it is polled at once thereafter.
 
         Args:
             device: the name of the device.
@@ -430,7 +434,8 @@ class Fleet:
             self._rewrites[device] = Rewrites(
                 device, points, partial(self._send, poller), self._closing
             )
-        await self._rewrites[device].write(wanted)
+        writing = self._rewrites[device].write(wanted)
+        await self._lines[poller.config.connection_key].poll_after(writing, poller, wanted)
 
     async def _send(self, poller: Poller, values: Mapping[str, Any]) -> None:
         line = self._lines[poller.config.connection_key]

@@ -5,24 +5,37 @@ A poll is requests, each after the outcome of the one before. The first waits fo
 others come before those of other devices, because the values of a poll should be read together. If
 the first is not answered, the poll is over and the device is down; its next poll is a trial. If a
 request is refused, the poll goes on until it is known which points the device refuses.
+
+After a write the device is polled once more, so that the new value is reported at once. One poll
+follows several writes in a row, and reports the points that were written even if they have their
+old values.
 """
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import math
-from collections.abc import Callable, Collection, Generator, Sequence
+from collections.abc import (
+    Awaitable,
+    Callable,
+    Collection,
+    Generator,
+    Iterable,
+    Iterator,
+    Sequence,
+)
 from enum import Enum
 from functools import partial
 from itertools import count, repeat
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...client.asynchronous import AsyncClient
 from ...client.reconnecting import State
 from ...client.sender import Sender
 from ...maps.holes import Holes, PartialAnswer, Unreadable, is_refusal, reading
 from ...maps.plan import unreadable_of
-from ...maps.watched import PointIntervals, Totals
+from ...maps.watched import TOLERANCE, PointIntervals, Totals
 from ...protocol.errors import ModbusConnectionError, ModbusError
 from ...protocol.logs import HarmlessLogger
 from ..line import FairQueue, LineRequest, SharedLine, rest_after
@@ -37,6 +50,9 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 LONGEST_REST_S = 60.0
 """The time between two trials of a device that does not answer, unless its interval is longer."""
 
+PAUSE_S = 0.05
+"""Seconds from the last of several writes in a row to the poll that reads the new values."""
+
 MayAsk = Callable[[str], bool]
 
 
@@ -46,6 +62,15 @@ class DeviceState(Enum):
     NEW = "new"
     UP = "up"
     DOWN = "down"
+
+
+class LastValue(NamedTuple):
+    """The value of a point when it was last read, or the reason why there was no good one."""
+
+    name: str
+    units: str
+    value: Any
+    reason: str = ""
 
 
 class Poller(LineRequest):
@@ -69,6 +94,12 @@ class Poller(LineRequest):
         self._pace = PointIntervals(own, config.interval) if any(own) else None
         self._due: tuple[int, ...] | None = None
         self._holes = Holes()
+        # Writes under way, and what ends the pause after the last one; whether the device was
+        # written to since the last poll began, and the indexes of these points.
+        self.writes: int = 0
+        self.pause_after_write: asyncio.TimerHandle | None = None
+        self.is_written: bool = False
+        self._written: set[int] = set()
         self._first = 0  # the index of the request of a plan that is asked first
         self._answers: list[Any] = []
         self.forget()
@@ -76,10 +107,19 @@ class Poller(LineRequest):
     def forget(self) -> None:
         """Forget the state of the device, and what was reported of it."""
         self.state: DeviceState = DeviceState.NEW
+        self.was_reported: bool = False  # with other keys, before the fleet was changed
         self.since: float = 0.0
         self.error: Exception | None = None
         names, config = self.reads.names, self.config
-        self._changes = Changes(config.on_change, [config.dead_bands.get(each) for each in names])
+        self._values: list[Any] = [None] * len(names)
+        self._reasons: dict[int, str] = {}  # why the last reading of a point is not good
+        again = None
+        if config.at_least is not None:
+            # At the last poll that is not too late.
+            own = (each or config.interval for each in self.reads.intervals)
+            again = [config.at_least - each * (1 - TOLERANCE) for each in own]
+        bands = [config.dead_bands.get(each) for each in names]
+        self._changes = Changes(config.on_change, bands, again)
         self._totals = Totals(at for at, each in enumerate(names) if config.map[each].never_falls)
 
     @property
@@ -98,10 +138,42 @@ class Poller(LineRequest):
         return self.state is DeviceState.UP and self.error is not None
 
     @property
+    def bad_points(self) -> dict[str, str]:
+        """The points that have no good value although the device answers, each with the reason."""
+        reasons = self._reasons.copy() if self.state is DeviceState.UP else {}
+        return {self.reads.names[at]: reason for at, reason in reasons.items()}
+
+    def last_values(self) -> Iterator[LastValue]:
+        """Yield the points that have been read; none while the device does not answer."""
+        if self.state is DeviceState.UP:
+            points = zip(self.reads.names, self.reads.units, self._values, strict=True)
+            for at, (name, units, value) in enumerate(points):
+                if reason := self._reasons.get(at, ""):
+                    yield LastValue(name, units, None, reason)
+                elif value is not None:
+                    yield LastValue(name, units, classified(value)[0])
+
+    @property
+    def is_reported(self) -> bool:
+        """True if points of the device were reported, and not taken back."""
+        return self.was_reported or self.state is not DeviceState.NEW
+
+    @property
     def unreadable(self) -> list[Unreadable]:
         """The points that the device refuses, and that are left out until they are tried again."""
         device = f"{self.config.endpoint}, unit {self.config.unit}"
         return unreadable_of(self.reads.plan, self._holes, device)
+
+    def note_written(self, names: Iterable[str]) -> None:
+        """Note points that were written: the next poll reads and reports them in any case."""
+        wanted = set(names)
+        self.is_written = True
+        self._written.update(at for at, name in enumerate(self.reads.names) if name in wanted)
+
+    def cancel_pause(self) -> None:
+        """Do not poll the device because of a write."""
+        if self.pause_after_write is not None:
+            self.pause_after_write.cancel()
 
     # --- a poll -----------------------------------------------------------------------------
 
@@ -109,7 +181,12 @@ class Poller(LineRequest):
         """Begin a poll that is due at `planned`; the client has made so many connections."""
         self.waits_since = planned
         if self._pace is not None:
-            self._due = self._pace.due(planned)
+            due = self._pace.due(planned)
+            self._due = None if due is None else tuple(sorted({*due, *self._written}))
+        self.is_written = False
+        for at in self._written:
+            self._changes.forget(at)
+        self._written.clear()
         self._plan = self.reads.plan_of(self._due)
         self._time = planned, connects
         self._first_error: ModbusError | None = None
@@ -192,15 +269,25 @@ class Poller(LineRequest):
                 if isinstance(value, ModbusError) and is_down(value)
             }
             self._pace.done(lost | doubtful)
-        for at in doubtful:
-            values[at] = self._totals.before(at)
-        reported = self._changes.pick(values, self._due)
+        due = self._due
         if doubtful:
-            reported = [at for at in reported if at not in doubtful]
+            every = range(len(names)) if due is None else due
+            due = tuple(at for at in every if at not in doubtful)
+        reported = self._changes.pick(values, due, self._time[0])
+        if due is None:
+            self._values = values
+        else:
+            for at in due:
+                self._values[at] = values[at]
+        if self._reasons:
+            for at in reported:
+                self._reasons.pop(at, None)
         device, units, labels, readings = self.name, self.reads.units, self.config.labels, []
         for at, number in zip(reported, count(first) if first else repeat(0), strict=False):
             value, quality, reason = classified(values[at])
-            if at in fell:
+            if quality != "good":
+                self._reasons[at] = reason
+            elif fell and at in fell:
                 reason = "Fell"
             # As Reading(...), in half the time: a fleet does little else.
             fields = time, device, names[at], value, units[at], quality, reason, number, labels
@@ -209,7 +296,7 @@ class Poller(LineRequest):
 
     def withdrawn(self, time: float, still_read: Collection[str] = ()) -> list[Reading]:
         """Return readings that take back those that were reported, without the points named."""
-        return [] if self.state is DeviceState.NEW else offline(self.config, time, still_read)
+        return offline(self.config, time, still_read) if self.is_reported else []
 
 
 def _error_of(answer: Any) -> ModbusError | None:
@@ -269,6 +356,32 @@ class FleetLine(SharedLine[Poller]):
         poller.is_urgent, poller.is_trial = False, poller.state is DeviceState.DOWN
         poller.begin(planned, self.client.statistics.connects)
         self.ask(poller, self._loop.time())
+
+    async def poll_after(
+        self, writing: Awaitable[None], poller: Poller, names: Iterable[str]
+    ) -> None:
+        """Wait for a write to points of a device, and poll it soon."""
+        poller.writes += 1
+        try:
+            await writing
+            poller.note_written(names)
+        finally:
+            poller.writes -= 1
+            self._poll_soon(poller)
+
+    def _poll_soon(self, poller: Poller) -> None:
+        poller.cancel_pause()
+        if self.pollers.get(poller.name) is poller:  # it may have been removed meanwhile
+            poller.pause_after_write = self._loop.call_later(PAUSE_S, self._poll_written, poller)
+
+    def _poll_written(self, poller: Poller) -> None:
+        """Poll a device, unless a poll has read what was written, or another write is under way."""
+        if poller.writes or not poller.is_written:
+            return
+        if poller.request is not None:  # a poll that may have read the point before it was written
+            self._poll_soon(poller)
+        else:
+            self.due(poller, self._loop.time())
 
     def _ready_at(self, each: Poller) -> float:
         return max(super()._ready_at(each), each.rest_until)

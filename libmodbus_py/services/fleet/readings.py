@@ -115,37 +115,54 @@ class Changes:
     """
     Picks the values of one device that are reported: an error when it begins, the first good value
     after it, and others that differ from the last one by more than the band of the point; without
-    a band, all.
+    a band, all. What was not reported for the time of its point in `again`, in seconds, is reported
+    also if it is the same.
     """
 
-    def __init__(self, on_change: bool, bands: Sequence[float | None]) -> None:
+    def __init__(
+        self,
+        on_change: bool,
+        bands: Sequence[float | None],
+        again: Sequence[float] | None = None,
+    ) -> None:
         self._bands = [0.0 if band is None and on_change else band for band in bands]
         self._is_filtering = any(band is not None for band in self._bands)
         # The good value that was reported last of each point, and the reason of its error since:
         # None before anything was reported.
         self._last: list[Any] = [None] * len(bands)
         self._reasons: list[str | None] = [None] * len(bands)
+        self._again = again
+        self._times = [0.0] * len(bands)
         self._has_errors = True
 
-    def pick(self, values: Sequence[Any], due: Sequence[int] | None = None) -> Sequence[int]:
+    def forget(self, at: int) -> None:
+        """Report a value next time, also if it has not changed."""
+        self._reasons[at] = None
+
+    def pick(
+        self, values: Sequence[Any], due: Sequence[int] | None = None, now: float = 0.0
+    ) -> Sequence[int]:
         """Return the indexes of values to report, of those that were due; None for all."""
         indexes = range(len(values)) if due is None else due
         has_errors = any(issubclass(kind, Exception) for kind in set(map(type, values)))
         if not (has_errors or self._has_errors or self._is_filtering):
             return indexes
-        reported = [at for at in indexes if self._is_reported(at, values[at])]
+        reported = [at for at in indexes if self._is_reported(at, values[at], now)]
         self._has_errors = has_errors or any(self._reasons)
         return reported
 
-    def _is_reported(self, at: int, value: Any) -> bool:
+    def _is_reported(self, at: int, value: Any, now: float) -> bool:
         reason = reason_of(value) if isinstance(value, Exception) else ""
         before, self._reasons[at] = self._reasons[at], reason
-        if reason:
-            return reason != before
         band = self._bands[at]
-        if before == "" and band is not None and not _differs(self._last[at], value, band):
+        is_same = reason == before and (
+            reason or (band is not None and not _differs(self._last[at], value, band))
+        )
+        if is_same and (self._again is None or now - self._times[at] < self._again[at]):
             return False
-        self._last[at] = value
+        self._times[at] = now
+        if not reason:
+            self._last[at] = value
         return True
 
 
@@ -191,7 +208,7 @@ class Buffer(AsyncIterator[Reading]):
             return found[0]
         raise StopAsyncIteration
 
-    def put(self, readings: Sequence[Reading]) -> None:
+    def put_readings(self, readings: Sequence[Reading]) -> None:
         """Add readings; they are ignored after `close`."""
         if self._is_closed:
             return

@@ -37,7 +37,7 @@ class Receivers:
         self.outputs: list[Output] = _checked(outputs)
         if not isinstance(journal, Journal | None):
             raise WrongType("journal", f"must be a Journal, not {type(journal).__name__}")
-        check_exclusive(self.outputs, journal)
+        check_exclusive(self.outputs, () if journal is None else journal.exclusive)
         self._journal = journal
         self._statistics = statistics
         statistics.journal = journal.statistics if journal else None
@@ -54,22 +54,20 @@ class Receivers:
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Pass the devices to the outputs; raise ValueError if one lacks a label."""
         for output in self.outputs:
-            if (describe := getattr(output, "describe", None)) is not None:
-                describe(devices)
+            output.describe_devices(devices)
 
     async def start(self, commands: Commands) -> None:
         """Open the journal and start the outputs; raise JournalError if it cannot be used."""
         names = _unlike(each.name for each in self.outputs)
         places: dict[int, Buffer] = {}
         if self._journal is not None:
-            kept = _unlike(getattr(each, "identity", each.name) for each in self.outputs)
-            at = [i for i, each in enumerate(self.outputs) if not getattr(each, "is_live", False)]
+            kept = _unlike(each.identity for each in self.outputs)
+            at = [i for i, each in enumerate(self.outputs) if not each.is_live]
             opened = await self._journal.open([kept[each] for each in at])
             places = dict(zip(at, opened, strict=True))
         for number, output in enumerate(self.outputs):
-            attach = getattr(output, "attach", None)
-            if attach is not None and getattr(output, "takes_commands", False):
-                attach(commands)
+            if output.takes_commands:
+                output.attach_commands(commands)
             pump = Pump(output, waiting=places.get(number))
             self._statistics.outputs[names[number]] = pump.statistics
             self._pumps.append(pump)
@@ -77,17 +75,17 @@ class Receivers:
                 self._live.append(pump.buffer)
             pump.start()
 
-    def put(self, readings: list[Reading]) -> None:
+    def put_readings(self, readings: list[Reading]) -> None:
         if not readings:
             return
         self._statistics.readings += len(readings)
         if self._journal is not None:
-            readings = self._journal.put(readings)
+            readings = self._journal.put_readings(readings)
         for buffer in self._live:
-            buffer.put(readings)
+            buffer.put_readings(readings)
         if self._iterated:  # a loop over weak references costs a microsecond, even over none
             for buffer in self._iterated:
-                buffer.put(readings)
+                buffer.put_readings(readings)
 
     def iterate(self, most: int) -> Buffer:
         """Return the readings from now on; the oldest of more than so many are dropped."""
@@ -141,10 +139,8 @@ def _checked(outputs: object) -> list[Output]:
         raise WrongType("outputs", f"must be a list of outputs, not {type(outputs).__name__}")
     found = list(outputs)
     for at, output in enumerate(found):
-        for method in ("open", "write", "close"):
-            if not callable(getattr(output, method, None)):
-                given = type(output).__name__
-                raise WrongType(("outputs", at), f"must be an output, not {given}: no {method}()")
+        if not isinstance(output, Output):
+            raise WrongType(("outputs", at), f"must be an Output, not {type(output).__name__}")
     return found
 
 

@@ -5,6 +5,7 @@ A fleet as it is shown: on a page with its outputs, devices and values; on a ter
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Any, NamedTuple
 
 from ...protocol.plain import clock_text
@@ -20,20 +21,46 @@ from ...tools.page.table_source import (
     Values,
     problem_text,
 )
-from ...tools.page.text import cell_text, value_text
+from ...tools.page.text import cell_text, first_names, value_text
 from .config import DeviceConfig
 from .fleet import Fleet
+from .outputs.output import Output
 from .poller import DeviceState, Poller
 from .readings import Reading
-from .statistics import KeptReadings, LastValues
+from .statistics import JournalStatistics, OutputStatistics
 
-__all__ = ["PageOutput", "ShownFleet", "fleet_lines"]
+__all__ = ["PageOutput", "ShownFleet", "fleet_lines", "problems"]
 
 
-class PageOutput:
+def problems(fleet: Fleet) -> list[str]:
+    """
+    Return what keeps readings from arriving, in words: devices that do not answer, or have not yet;
+    points without a good value; outputs and a journal that fail, or are behind.
+    """
+    pollers = dict(fleet.devices)
+    states = {name: poller.state for name, poller in pollers.items()}
+    down = [name for name, state in states.items() if state is DeviceState.DOWN]
+    new = [name for name, state in states.items() if state is DeviceState.NEW]
+    bad = [f"{name} {point}" for name, each in pollers.items() for point in each.bad_points]
+    texts = [f"{len(down)} of {len(pollers)} devices down{first_names(down)}"] if down else []
+    if new:
+        texts.append(
+            f"{len(new)} of {len(pollers)} devices have not answered yet{first_names(new)}"
+        )
+    if bad:
+        texts.append(f"points without a good value: {len(bad)}{first_names(bad)}")
+    for row in destinations(fleet):
+        if row.word == "fails":
+            texts.append(f"{row.words} fails")
+        elif row.word == "behind":
+            texts.append(f"{row.words} is behind: {' '.join(row.amount)}")
+    return texts
+
+
+class PageOutput(Output):
     """An output whose readings a page shows; `fleet` is set before the first."""
 
-    name: str = "page"
+    name = "page"
     is_live = True
 
     def __init__(self) -> None:
@@ -41,21 +68,15 @@ class PageOutput:
         self.values: Values = Values(self._device_row)
         self._is_new = True
 
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
+    def describe_devices(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Take other points before the next readings: then the fleet has its new devices."""
         self._is_new = True
 
-    async def open(self) -> None:
-        """Do nothing: there is no connection."""
-
-    async def write(self, readings: Sequence[Reading]) -> None:
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         if self._is_new and self.fleet is not None:
             self._is_new = False
             self.values.describe(_points(self.fleet.devices))
-        self.values.put(readings)
-
-    async def close(self) -> None:
-        """Do nothing: there is no connection."""
+        self.values.put_readings(readings)
 
     def _device_row(self, name: str) -> GroupRow:
         assert self.fleet is not None
@@ -88,14 +109,11 @@ class ShownFleet:
         output.fleet = fleet
 
     def status(self) -> tuple[str, bool]:
-        """Return which devices and outputs fail, or that none does."""
-        found = self._fleet.statistics
-        problems = [f"{found.down} of {found.devices} devices down"] if found.down else []
-        problems += [f"{each.words} fails" for each in self._destinations() if each.is_problem]
-        if problems:
-            return "; ".join(problems), True
-        count = f"all {found.up}" if found.up == found.devices else f"{found.up} of {found.devices}"
-        return f"{count} devices answer", False
+        """Return what keeps readings from arriving, or that all devices answer."""
+        if texts := problems(self._fleet):
+            return "; ".join(texts), True
+        count = len(self._fleet.devices)
+        return f"all {count} devices answer" if count else "no devices", False
 
     def figures(self) -> Mapping[str, float]:
         found = self._fleet.statistics
@@ -103,31 +121,18 @@ class ShownFleet:
         return {name: getattr(found, name) for name in names}
 
     def rows(self) -> Sequence[PageRow]:
-        return [*self._destinations(), *self._values.rows]
-
-    def _destinations(self) -> list[DestinationRow]:
-        """Return the outputs, but not the page and metrics of this program; and the journal."""
-        found = self._fleet.statistics
-        rows = []
-        for name, each in found.outputs.copy().items():
-            if name not in (PageOutput.name, LastValues.name):
-                waiting = [f"{each.waiting:,}", "waiting"]
-                row = DestinationRow("output", name, waiting, each.trouble, each.trouble_since)
-                rows.append(row)
-        if found.journal is not None:
-            size = [f"{found.journal.bytes / 1e6:.1f}", "MB"]
-            rows.append(DestinationRow("", "journal", size, found.journal.trouble))
-        return rows
+        return [*destinations(self._fleet), *self._values.rows]
 
     def series(self, name: tuple[str, str], column: str) -> Series | None:
         return self._values.series(name, column)
 
 
 class DestinationRow(NamedTuple):
-    """See `PageRow`: an output or the journal, how much it contains, and why it fails."""
+    """See `PageRow`: an output or the journal, its state, how much waits, and why it fails."""
 
     kind: str
     name: str
+    word: str
     amount: list[str]
     trouble: str
     since: float = 0
@@ -138,13 +143,32 @@ class DestinationRow(NamedTuple):
 
     @property
     def is_problem(self) -> bool:
-        return bool(self.trouble)
+        return self.word != "works"
 
     def cells(self) -> list[Any]:
-        state = ["works", "", 0]
-        if self.trouble:
-            state = ["fails", cell_text(self.trouble), round(self.since, 1)]
+        state = [self.word, cell_text(self.trouble), round(self.since, 1)]
         return [[self.kind, cell_text(self.name)], state, self.amount, None, "", "", 0]
+
+
+def destinations(fleet: Fleet) -> list[DestinationRow]:
+    """Return the outputs, but not the page of this program; and the journal."""
+    outputs, journal = fleet.statistics.outputs.copy(), fleet.statistics.journal
+    outputs.pop(PageOutput.name, None)
+    rows = [_output_row(name, output) for name, output in outputs.items()]
+    return rows if journal is None else [*rows, _journal_row(journal)]
+
+
+def _output_row(name: str, output: OutputStatistics) -> DestinationRow:
+    word = "fails" if output.is_failing else "behind" if output.is_behind else "works"
+    since = output.trouble_since if output.is_failing else 0
+    amount = [f"{output.waiting:,}", "waiting"]
+    return DestinationRow("output", name, word, amount, output.trouble, since)
+
+
+def _journal_row(journal: JournalStatistics) -> DestinationRow:
+    word = "fails" if journal.is_failing else "works"
+    amount = [f"{journal.bytes / 1e6:.1f}", "MB"]
+    return DestinationRow("", "journal", word, amount, journal.trouble)
 
 
 class PollerRow:
@@ -195,21 +219,22 @@ MAX_TEXT_CHARACTERS = 60
 """Of a value, so that its unit of measurement stays on the line."""
 
 
-def fleet_lines(fleet: Fleet, kept: KeptReadings, title: str) -> list[tuple[str, bool]]:
+def fleet_lines(fleet: Fleet, title: str) -> list[tuple[str, bool]]:
     """Return the title, the devices that are down and the values, each with True if bold."""
+    pollers = fleet.devices.values()
     lines = []
-    for poller in fleet.devices.values():
+    for poller in pollers:
         if poller.state is DeviceState.DOWN:
             since, why = clock_text(poller.since), str(poller.error).rpartition("): ")[2]
             lines.append(f"{poller.name[:WIDEST]} is down since {since}: {why}")
-    readings = [each for each in kept.by_name.copy().values() if each.quality != "down"]
-    shown = readings[:MOST_LINES]
-    device = min(max((len(each.device) for each in shown), default=0), WIDEST)
-    name = min(max((len(each.name) for each in shown), default=0), WIDEST)
-    for each in shown:
-        text = value_text(each.value) if each.quality == "good" else f"- ({each.reason})"
-        where = f"{each.device[:WIDEST]:<{device}}  {each.name[:WIDEST]:<{name}}"
-        lines.append(f"{where}  {text[:MAX_TEXT_CHARACTERS]:>14} {each.unit}".rstrip())
-    if len(readings) > MOST_LINES:
-        lines.append(f"... {len(readings) - MOST_LINES} more")
+    values = ((poller.name, value) for poller in pollers for value in poller.last_values())
+    shown = list(islice(values, MOST_LINES))
+    device_width = min(max((len(device) for device, _ in shown), default=0), WIDEST)
+    name_width = min(max((len(value.name) for _, value in shown), default=0), WIDEST)
+    for device, value in shown:
+        text = f"- ({value.reason})" if value.reason else value_text(value.value)
+        where = f"{device[:WIDEST]:<{device_width}}  {value.name[:WIDEST]:<{name_width}}"
+        lines.append(f"{where}  {text[:MAX_TEXT_CHARACTERS]:>14} {value.units}".rstrip())
+    if next(values, None) is not None:
+        lines.append("...")
     return [(title, True), *((line, False) for line in lines)]

@@ -1,26 +1,22 @@
 """
-Counters of a fleet and of its outputs, and the last reading of each point, for metrics.
+Counters of a fleet, of its outputs and of its journal.
 """
 
 from __future__ import annotations
 
+import time
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from .config import DeviceConfig
-from .readings import Buffer, Reading
+from .readings import Buffer
 
-# fmt: off
-__all__ = [
-    "LATENESS_BOUNDS", "FleetStatistics", "JournalStatistics", "KeptReadings", "LastValues",
-    "OutputStatistics",
-]
-# fmt: on
-
+__all__ = ["LATENESS_BOUNDS", "FleetStatistics", "JournalStatistics", "OutputStatistics"]
 
 LATENESS_BOUNDS: tuple[float, ...] = (*(0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0),)
 """Upper bounds of the classes in which polls are counted by their lateness, in seconds."""
+
+BEHIND_S = 10.0
+"""Seconds that an output needs for more than one batch until it is behind: bursts are over then."""
 
 
 @dataclass(slots=True)
@@ -34,6 +30,7 @@ class OutputStatistics:
         failures: failed attempts to open the output or to write to it.
         trouble: the error of the output now; empty if it works.
         trouble_since: when the output began to fail, in seconds since the epoch; 0 if it never did.
+        caught_up: when no more readings waited than one batch (time.monotonic).
     """
 
     buffer: Buffer = field(repr=False)
@@ -41,6 +38,22 @@ class OutputStatistics:
     failures: int = 0
     trouble: str = ""
     trouble_since: float = 0.0
+    caught_up: float = field(default_factory=time.monotonic, repr=False)
+
+    def note_batch(self, count: int) -> None:
+        """Take note of how many readings are written next."""
+        if self.waiting <= count:
+            self.caught_up = time.monotonic()
+
+    @property
+    def is_failing(self) -> bool:
+        """True while the output cannot be opened or written to."""
+        return bool(self.trouble)
+
+    @property
+    def is_behind(self) -> bool:
+        """True if more readings than one batch have waited for `BEHIND_S` seconds."""
+        return self.waiting > 0 and time.monotonic() - self.caught_up > BEHIND_S
 
     @property
     def dropped(self) -> int:
@@ -71,6 +84,11 @@ class JournalStatistics:
     dropped: int = 0
     failures: int = 0
     trouble: str = ""
+
+    @property
+    def is_failing(self) -> bool:
+        """True while the journal cannot be written to or read."""
+        return bool(self.trouble)
 
 
 @dataclass(slots=True, weakref_slot=True)
@@ -133,42 +151,3 @@ class FleetStatistics:
         """Return the share of polls, 0..1, no later than one of the `LATENESS_BOUNDS`."""
         total = sum(self.lateness)
         return sum(self.lateness[: bisect_left(LATENESS_BOUNDS, seconds) + 1]) / (total or 1)
-
-
-@dataclass(slots=True, weakref_slot=True)
-class KeptReadings:
-    """The last reading by (device, name)."""
-
-    by_name: dict[tuple[str, str], Reading] = field(default_factory=dict)
-
-
-class LastValues:
-    """Keeps the last reading of each point of a fleet; readings of earlier runs are not wanted."""
-
-    name = "metrics"
-    is_live = True
-
-    def __init__(self) -> None:
-        self.statistics: KeptReadings = KeptReadings()
-        self._devices: Mapping[str, DeviceConfig] = {}
-
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Set the devices, and forget the readings of all others."""
-        self._devices = devices
-        kept = self.statistics
-        kept.by_name = {key: each for key, each in kept.by_name.items() if key[0] in devices}
-
-    async def open(self) -> None:
-        """Do nothing: there is no connection."""
-
-    async def write(self, readings: Sequence[Reading]) -> None:
-        kept = self.statistics
-        for each in readings:
-            # A reading may have waited while its device was removed.
-            if each.quality == "offline" or each.device not in self._devices:
-                kept.by_name.pop((each.device, each.name), None)
-            else:
-                kept.by_name[each.device, each.name] = each
-
-    async def close(self) -> None:
-        """Do nothing: there is no connection."""

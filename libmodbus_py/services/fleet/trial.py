@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import defaultdict
-from collections.abc import AsyncGenerator, Iterable, Sequence
+from collections.abc import AsyncGenerator, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ...client.asynchronous import AsyncClient
@@ -14,6 +14,7 @@ from ...protocol.errors import ModbusError
 from ...protocol.framing import Frame, make_framer
 from .config import DeviceConfig, by_connection
 from .poller import Poller
+from .readings import classified
 
 __all__ = ["Tried", "overloads", "trying"]
 
@@ -25,7 +26,7 @@ SILENCE = 3.5
 
 
 class Tried(NamedTuple):
-    """One poll of a device: how many requests and seconds it took, and its first error, if any."""
+    """One poll of a device: its requests, its seconds, and why it or some points have no values."""
 
     device: DeviceConfig
     requests: int
@@ -117,6 +118,18 @@ async def _try(client: AsyncClient, device: DeviceConfig) -> Tried:
             poller.take(await unit.execute(poller.request), now())
         except ModbusError as error:
             poller.take(error, now())
-    errors = [each for each in poller.values().values() if isinstance(each, Exception)]
-    problem = next(map(str, filter(None, [*errors, poller.error])), "")
+    problem = _problem_of(poller, poller.values())
     return Tried(device, len(poller.reads.plan.requests), now() - start, problem)
+
+
+def _problem_of(poller: Poller, values: Mapping[str, Any]) -> str:
+    """Return why a device is down, or why a point has no good value, and how many have none."""
+    if poller.misses:
+        return str(poller.error)
+    bad = {name: value for name, value in values.items() if classified(value)[1] != "good"}
+    texts = [
+        str(value) if isinstance(value, Exception) else f"{name}: {classified(value)[2]}"
+        for name, value in bad.items()
+    ]
+    count = f"; points without a good value: {len(bad)} of {len(values)}"
+    return texts[0] + (count if len(bad) > 1 else "") if bad else ""

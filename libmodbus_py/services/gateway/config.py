@@ -6,7 +6,7 @@ Gateway files: a gateway, described in TOML.
     listen                      URLs
     own_units, queue, longest_wait, writes_first        as `Gateway`
     [limits]                    as `Limits`
-    [[route]]                   as `Route`: to, units, device_units, cache, merge, read_only,
+    [[route]]                   as `Route`: url, units, device_units, cache, merge, read_only,
                                 writable: tables, or parts {table, address, count, file}
     [roles.NAME]                who may read and write what, as `Allow`; "" without a role
 """
@@ -58,7 +58,7 @@ def parse(text: str, known: Iterable[Route] = ()) -> GatewayFile:
     there = {route.endpoint.url for route in known}
     for at, route in enumerate(routes):
         if route.endpoint.url not in there:
-            check_line(("route", at, "to"), route.endpoint, map(parse_to_listen, listen))
+            check_line(("route", at, "url"), route.endpoint, map(parse_to_listen, listen))
     GatewayOptions(**{name: given[name] for name in OPTIONS if name in given})
     if "roles" in given:
         given["authorize"] = given.pop("roles")

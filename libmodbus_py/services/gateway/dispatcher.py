@@ -10,9 +10,17 @@ from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
 from ...device.access import Who, touched
-from ...device.authorization import Allow, Asked, Authorization, Authorize, UnauthorizedError
+from ...device.authorization import (
+    Allow,
+    Asked,
+    Authorization,
+    Authorize,
+    UnauthorizedError,
+    what_is_asked,
+)
 from ...device.caller import Auditor, Caller, Executed, changes_of
 from ...device.device import Device
+from ...device.limited_log import LimitedLog
 from ...ports.endpoint import Endpoint
 from ...ports.hosts import host_of_peer, is_loopback
 from ...protocol.errors import (
@@ -61,6 +69,7 @@ class Dispatcher:
         authorize: Authorize | None,
         statistics: GatewayStatistics,
         auditor: Auditor | None = None,
+        log: LimitedLog | None = None,
     ) -> None:
         self.auditor = auditor
         self.routes: dict[int, ResolvedRoute] = {}
@@ -69,7 +78,8 @@ class Dispatcher:
         self.now: Callable[[], float] = asyncio.get_running_loop().time
         self._own, self._own_units = own, own_units
         self._most_of_session = most_of_session
-        self._guard = None if authorize is None else Authorization(authorize)
+        self._log = log or LimitedLog(logger)
+        self._guard = None if authorize is None else Authorization(authorize, self._log)
         self._has_failed = False
         # PDU -> the broadcast of it that is being sent, or was sent a moment ago.
         self._broadcasts: dict[bytes, Broadcast] = {}
@@ -131,14 +141,20 @@ class Dispatcher:
             return answer
         if len(session.asked) >= self._most_of_session:
             line.statistics.full += 1
-            return _exception(pdu, ServerDeviceBusy.code)
+            return self._refuse_more(session, pdu)
         forwarded = Forwarded(session, number, unit, device_unit, request, now, age)
         session.asked[forwarded] = line
         code = line.put(forwarded, merge=route.merge and request.is_read)
         if not code:
             return None
         session.asked.pop(forwarded, None)
+        if code == ServerDeviceBusy.code:
+            return self._refuse_more(session, pdu)
         return _exception(pdu, code)
+
+    def _refuse_more(self, session: ForwardingSession, pdu: bytes) -> bytes:
+        self._log.warning("%s: exception 6: too many of its requests wait (queue)", session.peer)
+        return _exception(pdu, ServerDeviceBusy.code)
 
     def _refuse_route(self, session: ForwardingSession, pdu: bytes) -> bytes | None:
         """Refuse a unit without a route, except on a serial line, where the unit may be itself."""
@@ -173,6 +189,8 @@ class Dispatcher:
         # A request that cannot be decoded may access anything.
         if allow is not None and (known is None or not allow.allows(asked)):
             self.statistics.refused += 1
+            message = "%s: the route forwards no %s (read_only, writable)"
+            self._log.warning(message, session.peer, what_is_asked(asked))
             raise NotAllowed(IllegalFunction.code)
 
     def _broadcast(

@@ -117,7 +117,7 @@ class Gateway(Serving):
         if self._loop is not None:
             for at, route in enumerate(checked):
                 if route.endpoint.url not in before:
-                    check_line(("routes", at, "to"), route.endpoint, self._listening)
+                    check_line(("routes", at, "url"), route.endpoint, self._listening)
         self._routes = checked
         if self._loop is not None:
             self._loop.call_soon_threadsafe(self._change_lines)
@@ -127,12 +127,12 @@ class Gateway(Serving):
         if self._dispatcher is not None:
             raise RuntimeError("this gateway is already serving; make another one")
         for at, route in enumerate(self._routes):
-            check_line(("routes", at, "to"), route.endpoint, endpoints)
+            check_line(("routes", at, "url"), route.endpoint, endpoints)
         own = own_device(self.traffic, self.statistics, self._unit_statistics, self._authorize)
         # As many requests as may wait, and as many as may be in flight.
         most = 2 * self._options.queue + 16
         dispatcher = self._dispatcher = Dispatcher(
-            own, self._options.own, most, self._authorize, self.traffic, self._auditor
+            own, self._options.own, most, self._authorize, self.traffic, self._auditor, self._log
         )
         self._loop = asyncio.get_running_loop()
         try:

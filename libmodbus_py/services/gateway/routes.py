@@ -34,7 +34,7 @@ class Route:
     A line, and the units that are reached over it.
 
     Args:
-        to: the URL of the line, with its settings and the options of clients, such as
+        url: the URL of the line, with its settings and the options of clients, such as
             "rtu:///dev/ttyUSB0?baudrate=19200&timeout=0.5". Routes with the same URL share one
             connection.
         units: the units that clients use: numbers 0..255, or text such as "1-10,17"; None for
@@ -52,7 +52,7 @@ class Route:
         TypeError, ValueError: an argument of the wrong type or range.
     """
 
-    to: str
+    url: str
     units: str | Iterable[int] | None = None
     device_units: str | int | Iterable[int] | None = None
     cache: float = 0.0
@@ -64,10 +64,10 @@ class Route:
     allow: Allow | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        with inside("to"):
-            endpoint = parse(self.to)
+        with inside("url"):
+            endpoint = parse(self.url)
             if "unit" in endpoint.client_options:
-                raise ValueError(f"{self.to!r} must not contain unit; use device_units")
+                raise ValueError(f"{self.url!r} must not contain unit; use device_units")
             # Invalid options of the client are refused now, not when the client is made.
             make_port(endpoint, checked_options(endpoint, {}))
         _check_flag("merge", self.merge)
@@ -159,7 +159,7 @@ def check_routes(routes: Iterable[Route], name: str = "routes") -> None:
         first, url = places.setdefault(endpoint.key, (at, endpoint.url))
         if url != endpoint.url:
             reason = f"{name}[{first}] has other options for the same connection: {url}"
-            raise WrongValue.about((name, at, "to"), reason)
+            raise WrongValue.about((name, at, "url"), reason)
         for unit in route.ways:
             if unit in known:
                 reason = f"an earlier route has unit {unit} already"

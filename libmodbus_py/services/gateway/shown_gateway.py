@@ -13,7 +13,7 @@ from ...protocol.pdu.function_codes import REQUESTS
 from ...tools.page.log import Log, request_name
 from ...tools.page.samples import Counts, RowHistory, Series
 from ...tools.page.table_source import Column, Older, PageRow, problem_text
-from ...tools.page.text import cell_text
+from ...tools.page.text import cell_text, first_names
 from ...tools.page.units import ShownServer
 from .gateway import Gateway
 from .statistics import LineStatistics, UnitStatistics
@@ -79,13 +79,17 @@ class ShownGateway:
         self._history.sample()  # whether a page is open or not
 
     def status(self) -> tuple[str, bool]:
-        """Return which lines are down, or that none is."""
+        """Return which lines are down, and which units answer nothing, or that there are none."""
         lines = self._lines()
-        down = sum(bool(each.trouble) for each in lines)
-        silent = sum(each.is_silent for line in lines for each in line.units.copy().values())
-        problems = [f"{down} of {len(lines)} lines down"] if down else []
+        units = [(line, *each) for line in lines for each in line.units.copy().items()]
+        down = [line.url.partition("?")[0] for line in lines if line.is_down]
+        silent = [_unit_name(line, at) for line, at, unit in units if unit.is_silent]
+        new = [_unit_name(line, at) for line, at, unit in units if _has_only_failed(unit)]
+        problems = [f"{len(down)} of {len(lines)} lines down{first_names(down)}"] if down else []
         if silent:
-            problems.append(f"silent units: {silent}")
+            problems.append(f"silent units: {len(silent)}{first_names(silent)}")
+        if new:
+            problems.append(f"units that have never answered: {len(new)}{first_names(new)}")
         return ("; ".join(problems), True) if problems else ("no line is down", False)
 
     def figures(self) -> Mapping[str, float]:
@@ -96,7 +100,7 @@ class ShownGateway:
             "requests": traffic.requests,
             "waiting": sum(each.waiting for each in lines),
             "refused": traffic.refused + traffic.no_route + traffic.malformed,
-            "down": sum(bool(each.trouble) for each in lines),
+            "down": sum(each.is_down for each in lines),
         }
 
     def rows(self) -> Sequence[PageRow]:
@@ -117,6 +121,16 @@ class ShownGateway:
                 yield _unit_row((cell_text(line.url), f"unit {number}"), unit, spark)
 
 
+def _unit_name(line: LineStatistics, number: int) -> str:
+    return f"{line.url.partition('?')[0]} unit {number}"
+
+
+def _has_only_failed(unit: UnitStatistics) -> bool:
+    """Return True if requests failed, the unit has never answered, and does not rest."""
+    failed = unit.timeouts or unit.invalid  # without a connection, the line is down
+    return bool(failed) and not unit.answers and not unit.is_silent
+
+
 def _line_row(name: Name, line: LineStatistics, spark: Spark) -> GatewayRow:
     def cells() -> list[Any]:
         word = "down" if line.trouble else "open" if line.connection.connects else "new"
@@ -126,12 +140,14 @@ def _line_row(name: Name, line: LineStatistics, spark: Spark) -> GatewayRow:
         return [state, *counted, spark(name, "rate"), None, spark(name, "queue"), details, 0]
 
     counts = Counts(line.connection.requests, waiting=line.waiting)
-    return GatewayRow(name, bool(line.trouble), counts, cells)
+    return GatewayRow(name, line.is_down, counts, cells)
 
 
 def _unit_row(name: Name, unit: UnitStatistics, spark: Spark) -> GatewayRow:
     def cells() -> list[Any]:
         word = "silent" if unit.is_silent else "answers" if unit.answers else "new"
+        if _has_only_failed(unit):
+            word = "no answer"
         reason = f"{unit.resting} requests refused meanwhile" if unit.is_silent else ""
         counted = unit.requests, unit.answers
         mean = f"mean {unit.mean_us / 1000:.1f} ms" if unit.answers else ""
@@ -147,7 +163,7 @@ def _unit_row(name: Name, unit: UnitStatistics, spark: Spark) -> GatewayRow:
         return [[word, reason, 0], *counted, *sparks, details, 0]
 
     counts = Counts(unit.requests, unit.answers, unit.seconds)
-    return GatewayRow(name, unit.is_silent, counts, cells)
+    return GatewayRow(name, unit.is_silent or _has_only_failed(unit), counts, cells)
 
 
 def _listed(**numbers: int) -> str:

@@ -103,6 +103,11 @@ class LineStatistics:
     since: float = 0.0
 
     @property
+    def is_down(self) -> bool:
+        """True if there is no connection, although one was wanted."""
+        return bool(self.trouble)
+
+    @property
     def lost(self) -> int:
         """Connections lost or failed."""
         return self.connection.lost + self.connection.failed_connects

@@ -29,6 +29,7 @@ from ..engine.buckets import TIMEOUT, keep_stream
 from ..engine.connection import EngineError, explained, what
 from ..fleet.commands import Commands
 from ..fleet.outputs.forms import poll_messages
+from ..fleet.outputs.output import Output
 from ..fleet.outputs.topics import Levels
 from ..fleet.readings import Reading
 from ..tasks import KeptTasks, end_tasks, finish
@@ -53,7 +54,7 @@ _LEVELS = Levels(r"[\s.*>%/+#$\0]")
 OVERHEAD = 200
 
 
-class Stream:
+class Stream(Output):
     """
     An output: one message for each poll of a device, ``{"device": ..., "values": {NAME: {...}}}``.
 
@@ -62,18 +63,18 @@ class Stream:
     """
 
     def __init__(self, client: Client, limits: Mapping[str, Any]) -> None:
-        self.name: str = "nats"
+        self.name = "nats"
         self._client = client
         self._limits = dict(limits)
 
-    async def open(self) -> None:
+    async def open_output(self) -> None:
         try:
             await keep_stream(self._client, STREAM, f"{READINGS}.>", self._limits)
         except EngineError as error:
             raise OSError(str(error)) from None
         self._js = self._client.jetstream(timeout=TIMEOUT)
 
-    async def write(self, readings: Sequence[Reading]) -> None:
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         messages = list(_messages(readings, self._client.max_payload))
         try:
             with explained(STREAM):
@@ -88,9 +89,6 @@ class Stream:
                     await asyncio.gather(*acknowledged)
         except EngineError as error:
             raise ConnectionError(str(error)) from None
-
-    async def close(self) -> None:
-        pass
 
 
 def _messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[str, str, bytes]]:

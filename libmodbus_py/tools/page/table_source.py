@@ -221,7 +221,7 @@ class ValueRow:
 
 
 class Values:
-    """The rows of devices, made by their names, and of their values. Any thread may `put`."""
+    """The rows of devices, made by their names, and of their values. Thread-safe."""
 
     def __init__(self, device_row: Callable[[str], GroupRow]) -> None:
         self._device_row = device_row
@@ -244,13 +244,17 @@ class Values:
             rows.append(row)
         self._values, self.rows = after, rows
 
-    def put(self, readings: Iterable[tuple[Any, ...]]) -> None:
+    def put_readings(self, readings: Iterable[tuple[Any, ...]]) -> None:
         """Take readings, each with the fields of `ValueRow.reading`."""
         for each in readings:
             value = self._values.get((each[1], each[2]))
             if value is not None:
                 value.reading = each
                 value.samples.add(each[0], each[3])
+
+    def bad(self) -> list[ValueRow]:
+        """Return the values that are not good, although their device answers."""
+        return [each for each in self._values.values() if each.is_problem]
 
     def series(self, name: tuple[str, str], column: str) -> Series | None:
         """Return the numbers of a value; None if there is no such value."""

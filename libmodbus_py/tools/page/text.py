@@ -6,15 +6,19 @@ from __future__ import annotations
 
 import re
 import reprlib
+from collections.abc import Sequence
 from typing import Any
 
 from ...maps.point import Point
 from ...protocol.plain import text_of
 
-__all__ = ["cell_text", "in_words", "point_text", "value_text"]
+__all__ = ["cell_text", "first_names", "in_words", "point_text", "value_text"]
 
 # Characters of a cell.
 MOST_TEXT = 200
+
+# Names of what has a problem.
+MOST_NAMES = 3
 
 # Items of a list that a cell shows.
 MOST_VALUES = 20
@@ -29,6 +33,12 @@ def cell_text(text: object) -> str:
     cut = found[:MOST_TEXT]
     plain = cut if cut.isprintable() else "".join(x if x.isprintable() else "?" for x in cut)
     return plain if len(found) <= MOST_TEXT else f"{plain}..."
+
+
+def first_names(names: Sequence[str]) -> str:
+    """Return the first names in brackets, behind what they have in common."""
+    more = ", ..." if len(names) > MOST_NAMES else ""
+    return cell_text(f" ({', '.join(names[:MOST_NAMES])}{more})")
 
 
 def in_words(name: str) -> str:

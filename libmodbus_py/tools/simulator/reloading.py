@@ -35,7 +35,7 @@ class Reloader:
         simulation: Simulation,
         *,
         is_watching: bool,
-        tell: Callable[[str], object],
+        tell: Callable[[Sequence[str]], object],
     ) -> None:
         self._server = server
         self._path = path
@@ -90,7 +90,7 @@ class Reloader:
         self._read = {path: before.get(path, facts) for path, facts in now.items()}
         line = reread(loading.result, self._use)
         of_others, self._of_others = self._of_others, ()
-        self._tell("; ".join([line, *of_others]))
+        self._tell([line, *of_others])
         gc.collect()  # old devices are reference cycles, and their tables larger than they look
 
     def _use(self, simulation: Simulation) -> str:

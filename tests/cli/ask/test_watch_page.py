@@ -42,7 +42,7 @@ GOOD = ReadResult(ITEM, [ValueText("    7", "5", "5")], {})
 
 def test_what_fails_is_a_gap_with_its_reason() -> None:
     shown = ShownWatch("meter", 1.0)
-    assert shown.status() == ("no answer yet", False)
+    assert shown.status() == ("no answer yet", True)
     shown.print(3, [], "no answer")
     assert cells(shown) == [[["", "unit 3"], "down", "no answer"]]
     for unit in (1, 2):
@@ -57,9 +57,15 @@ def test_what_fails_is_a_gap_with_its_reason() -> None:
         [["unit 2", "holding 7"], "down", ""],
     ]
     assert [row.is_problem for row in shown.rows()] == [False, True, True, False]
+    bad = "values that are not good: 1 (unit 1 holding 7)"
+    assert shown.status() == (f"no answer from unit 3, unit 2; {bad}", True)
     assert shown.figures() == {"polls": 5, "failed": 3}
     shown.print(1, [GOOD], "")
+    assert shown.status() == ("no answer from unit 3, unit 2", True)
     assert [row.cells()[2][0] for row in shown.rows()] == ["", "5", "", "-"]
+    for unit in (2, 3):
+        shown.print(unit, [GOOD], "")
+    assert shown.status() == ("the device answers", False)
 
 
 def test_an_item_that_was_refused_from_the_start_has_a_row_with_the_reason() -> None:

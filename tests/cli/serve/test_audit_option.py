@@ -58,7 +58,7 @@ def test_what_changed_in_a_file_that_is_read_again_is_recorded(
     if command == "gateway":
         options = ["--config", file]
         head = f'listen = ["{TCP}"]\n'
-        texts = [f'{head}[[route]]\nto = "tcp://127.0.0.1:{port}"\n' for port in (1502, 1503)]
+        texts = [f'{head}[[route]]\nurl = "tcp://127.0.0.1:{port}"\n' for port in (1502, 1503)]
     file.write_text(texts[0])
     with serving(command, *options, "--audit", trail) as (process, _):
         file.write_text(texts[1])

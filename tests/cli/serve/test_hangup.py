@@ -18,20 +18,20 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Client, Device, Mapping, Server
-from tests.cli.serving import serving
+from tests.cli.serving import INFO, reload_line, serving
 from tests.support.commands import Started as Forked
 from tests.support.peers import until
 
 FILES = {
     "serve": "[[unit]]\nid = 1\n[[unit.holding_registers]]\naddress = 0\nvalue = 1\n",
-    "gateway": 'listen = ["tcp://127.0.0.1:0"]\n[[route]]\nto = "tcp://127.0.0.1:1"\n',
+    "gateway": 'listen = ["tcp://127.0.0.1:0"]\n[[route]]\nurl = "tcp://127.0.0.1:1"\n',
     "poll": '[[device]]\nname = "a"\nurl = "tcp://127.0.0.1:1"\nmap = "map.csv"\n',
 }
 
 COMMANDS = {
-    "serve": ["tcp://127.0.0.1:0", "--device", "file"],
-    "gateway": ["--config", "file"],
-    "poll": ["file"],
+    "serve": ["tcp://127.0.0.1:0", "--device", "file", *INFO],
+    "gateway": ["--config", "file", *INFO],
+    "poll": ["file", *INFO],
 }
 
 NO_FILE = "not a regular file"
@@ -174,10 +174,10 @@ def test_a_command_that_cannot_start_says_why(tmp_path: Path, name: str) -> None
 
 
 def test_without_a_file_it_says_so_and_goes_on(command: list[str]) -> None:
-    with Forked(*command, "tcp://127.0.0.1:0") as process:
+    with Forked(*command, "tcp://127.0.0.1:0", *INFO) as process:
         assert "listening on" in process.stdout.readline()
         process.send_signal(signal.SIGHUP)
-        assert process.stderr.readline().startswith("there are no files")
+        assert reload_line(process).startswith("there are no files")
         process.terminate()
         assert process.wait() == 0
 
@@ -190,11 +190,11 @@ def test_a_gateway_ends_with_the_newest_routes(tmp_path: Path) -> None:
     with Server(Device(Mapping(10))).background("tcp://127.0.0.1:0") as running:
 
         def write(units: str) -> None:
-            route = f"[[route]]\nto = '{running.urls[0]}'\nunits = '{units}'\n"
+            route = f"[[route]]\nurl = '{running.urls[0]}'\nunits = '{units}'\n"
             path.write_text(f"listen = ['tcp://127.0.0.1:0']\n{route}")
 
         write("1")
-        with serving("gateway", "--config", path) as (process, url):
+        with serving("gateway", "--config", path, *INFO) as (process, url):
             with Client(url, unit=1, timeout=5) as context:
                 for unit in range(2, 20):
                     write(f"1,{unit}")
@@ -202,14 +202,14 @@ def test_a_gateway_ends_with_the_newest_routes(tmp_path: Path) -> None:
                         process.send_signal(signal.SIGHUP)
                     assert context.read_coils(0, 1) == [False]
                 said = f"{path}: read again, 1 route: "
-                assert process.stderr.readline() == f"{said}1 new, 1 removed\n"
-                assert process.stderr.readline().startswith(said)
+                assert reload_line(process) == f"{said}1 new, 1 removed"
+                assert reload_line(process).startswith(said)
                 write("1-300")
                 process.send_signal(signal.SIGHUP)
-                while not (line := process.stderr.readline()).startswith("the former"):
+                while not (line := reload_line(process)).startswith("the former"):
                     assert line.startswith(said)
                 assert line.endswith(
-                    f"{path}, line 4: route[0].units: '1-300' must go up, within 0..255\n"
+                    f"{path}, line 4: route[0].units: '1-300' must go up, within 0..255"
                 )
                 assert context.for_unit(19).read_coils(0, 1) == [False]
                 assert context.statistics.connects == 1
@@ -225,7 +225,7 @@ def test_poll_reads_the_file_again(tmp_path: Path) -> None:
         text = FILES["poll"].replace("tcp://127.0.0.1:1", running.urls[0]) + "interval = 0.02\n"
         (tmp_path / "map.csv").write_text("name,table,address\nx,holding_registers,0\n")
         path.write_text(text)
-        with Forked("poll", path) as process:
+        with Forked("poll", path, *INFO) as process:
 
             def reading() -> dict[str, str]:
                 found: dict[str, str] = json.loads(process.stdout.readline())
@@ -234,7 +234,7 @@ def test_poll_reads_the_file_again(tmp_path: Path) -> None:
             def said_of(content: str) -> str:
                 path.write_text(content)
                 process.send_signal(signal.SIGHUP)
-                return process.stderr.readline().removesuffix("\n")
+                return reload_line(process)
 
             assert reading()["device"] == "a"
             assert said_of("nothing").startswith("the former content is used: ")
@@ -246,15 +246,15 @@ def test_poll_reads_the_file_again(tmp_path: Path) -> None:
             (tmp_path / "fleet.toml").write_text(text.replace('"a"', '"b"'))
             process.send_signal(signal.SIGHUP)
             said = f"{path}: read again, 1 device: "
-            assert process.stderr.readline() == f"{said}1 new, 1 removed\n"
+            assert reload_line(process) == f"{said}1 new, 1 removed"
             while reading()["device"] != "b":
                 pass
             for make in (os.mkfifo, lambda path: path.symlink_to("/dev/zero")):
                 path.unlink()
                 make(path)
                 process.send_signal(signal.SIGHUP)
-                line = process.stderr.readline()
-                assert line == f"the former content is used: cannot read {path}: {NO_FILE}\n"
+                line = reload_line(process)
+                assert line == f"the former content is used: cannot read {path}: {NO_FILE}"
                 assert reading()["device"] == "b"
             process.terminate()
             process.communicate()

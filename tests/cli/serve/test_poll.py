@@ -99,7 +99,7 @@ def test_check_prints_a_table_and_what_is_too_much(fleet: Path) -> None:
     # 8 bytes of request, 9 of answer, twice 3.5 characters of silence; 11 bits each.
     assert done.err.splitlines() == [
         "libmodbus-py: line rtu:///dev/nowhere at 1200: 0.22 s of requests each 0.05 s",
-        "libmodbus-py: 2 of 4 devices failed",
+        "libmodbus-py: 2 of 4 devices failed, or had bad points",
     ]
     assert done.code == 1
 
@@ -222,10 +222,11 @@ def test_a_full_disk_is_one_line(fleet: Path, form: str) -> None:
 def test_files_and_metrics(fleet: Path) -> None:
     pytest.importorskip("prometheus_client")
     rows = fleet.parent / "readings.csv"
-    # Values come later than states: an output takes them.
     wanted = (
         "modbus_fleet_up 2.0",
-        "modbus_fleet_down 1.0",
+        'modbus_fleet_device_up{device="one",site="here"} 1.0',
+        'modbus_fleet_device_up{device="gone"} 0.0',
+        'modbus_fleet_device_down{device="gone",reason="ModbusConnectionError"} 1.0',
         'modbus_fleet_value{device="one",name="voltage",site="here",unit="V"} 230.5',
         'modbus_fleet_value{device="two",name="voltage",unit="V"} 230.5',
     )
@@ -243,10 +244,10 @@ def test_files_and_metrics(fleet: Path) -> None:
         polling.terminate()
         out, _ = polling.communicate()
     assert out == ""
-    assert 'device="gone"' not in metrics
     assert "modbus_fleet_devices 3.0" in metrics
     assert "modbus_fleet_polls_total" in metrics
-    assert 'modbus_fleet_output_dropped_total{output="metrics"} 0.0' in metrics
+    assert f'modbus_fleet_output_is_failing{{output="csv {rows}"}} 0.0' in metrics
+    assert 'output="metrics"' not in metrics
     assert 'modbus_fleet_lateness_seconds_bucket{le="+Inf"}' in metrics
     assert len(rows.read_text().splitlines()) > 4
 
@@ -255,11 +256,10 @@ def test_files_and_metrics(fleet: Path) -> None:
 def test_a_status_line_on_a_terminal(fleet: Path, term: str, options: list[str]) -> None:
     command = ("poll", fleet, "--csv", "/nowhere/at/all", *options)
     with on_terminal(*command, columns=200, environment={"TERM": term}) as terminal:
-        terminal.until(lambda shown: "2 up, 1 down" in shown)
-        terminal.until(lambda shown: "; csv /nowhere/at/all: 0 dropped" in shown)
+        terminal.until(lambda shown: "2 of 3 devices up; 1 of 3 devices down (gone)" in shown)
+        terminal.until(lambda shown: "; output csv /nowhere/at/all fails; " in shown)
         terminal.process.send_signal(signal.SIGINT)
         seen = terminal.read_to_end()
-    assert "3 devices: 2 up, 1 down; " in seen
     assert " polls a second, at most " in seen
     assert '"device"' not in seen  # values are for files and pipes
 

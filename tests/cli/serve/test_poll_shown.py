@@ -13,37 +13,13 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Fleet, Mapping, Server
+from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.output import Redrawn
-from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.shown_fleet import fleet_lines
-from libmodbus_py.services.fleet.statistics import KeptReadings
 from tests.support.cases import each_case
 from tests.support.commands import PAGE_TOKEN, Started, on_terminal, page_url
 from tests.tools.page.watching import Visitor
 
 METER = "name,table,address,unit,scale\nlevel,holding_registers,0,m,0.1\n"
-
-
-def test_the_lines_of_a_fleet() -> None:
-    readings = [
-        Reading(0.0, "north", "voltage", 230.5, "V", "good"),
-        Reading(0.0, "north", "on", True, "", "good"),
-        Reading(0.0, "south-1", "power", None, "W", "bad", "IllegalDataAddress"),
-        Reading(0.0, "east", "power", None, "W", "down", "ModbusTimeoutError"),
-        Reading(0.0, "n" * 99, "p" * 99, "x" * 999, "W", "good"),
-    ]
-    kept = KeptReadings({(each.device, each.name): each for each in readings})
-    title, *lines = fleet_lines(Fleet(), kept, "4 devices")
-    assert title == ("4 devices", True)
-    texts = [line.split() for line, is_bold in lines]
-    assert texts[:3] == [
-        ["north", "voltage", "230.5", "V"],
-        ["north", "on", "on"],
-        ["south-1", "power", "-", "(IllegalDataAddress)", "W"],
-    ]
-    assert max(len(line) for line, _ in lines) < 140
-    assert len(lines) == 4
 
 
 @each_case(

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Client
-from tests.cli.serving import serving
+from tests.cli.serving import INFO, reload_line, serving
 from tests.support.cases import each_case
 from tests.support.commands import run
 
@@ -52,13 +52,13 @@ def test_values_of_plain_tables_survive(end: signal.Signals, tmp_path: Path) -> 
 
 def test_values_of_a_device_file_survive_a_reading_again(plant: Path, tmp_path: Path) -> None:
     state = tmp_path / "state"
-    arguments = ("--device", plant, "--state", state)
+    arguments = ("--device", plant, "--state", state, *INFO)
     with serving(*SERVE, *arguments) as (process, url), Client(url, unit=1) as plc:
         plc.write_register(3, 33)
         plc.for_unit(2).write_coil(7, True)
         plant.write_text(PLANT + "[[unit.holding_registers]]\naddress = 5\nvalue = 9\n")
         process.send_signal(signal.SIGHUP)
-        assert "read again, 2 units" in process.stderr.readline()
+        assert "read again, 2 units" in reload_line(process)
         plc.write_register(4, 44)
         assert plc.for_unit(2).read_holding_registers(5, 1) == [9]
     with serving(*SERVE, *arguments) as (_, url), Client(url, unit=1) as plc:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Fleet
-from libmodbus_py.fleet import Reading
+from libmodbus_py.fleet import Output, Reading
 from libmodbus_py.services.fleet import fleet as fleets
 from tests.services.fleet.fleets import (
     NETWORK,
@@ -143,17 +143,13 @@ async def test_an_output_that_adds_and_removes_devices_while_it_is_told() -> Non
     async with Peer() as one, Peer() as two:
         fleet = Fleet([meter("a", one.url)])
 
-        class Changing:
+        class Changing(Output):
             name = "changing"
 
-            async def open(self) -> None: ...
-
-            async def write(self, readings: list[Reading]) -> None:
+            async def write_readings(self, readings: list[Reading]) -> None:
                 if readings:
                     url = two.url if readings[0].device == "a" else one.url
                     fleet.replace([meter("b" if url == two.url else "a", url)])
-
-            async def close(self) -> None: ...
 
         fleet._receivers.outputs.append(Changing())
         async with fleet:

@@ -31,7 +31,7 @@ async def taken(buffer: Buffer, most: int) -> list[tuple[float, str]]:
 async def test_polls_are_taken_whole() -> None:
     buffer = Buffer()
     for each in (poll(1.0, 3), poll(2.0, 2), poll(2.0, 1, "other"), poll(3.0, 1)):
-        buffer.put(each)
+        buffer.put_readings(each)
     assert await taken(buffer, 1) == told(poll(1.0, 3))
     assert await taken(buffer, 2) == told(poll(2.0, 2))
     assert await taken(buffer, 2) == told([*poll(2.0, 1), *poll(3.0, 1)])
@@ -41,7 +41,7 @@ async def test_polls_are_taken_whole() -> None:
 @in_simulated_time
 async def test_readings_that_are_put_back_come_first_and_in_their_order() -> None:
     buffer = Buffer()
-    buffer.put([*poll(1.0, 2), *poll(2.0, 2)])
+    buffer.put_readings([*poll(1.0, 2), *poll(2.0, 2)])
     first = await buffer.take(3)
     buffer.put_back(first)
     assert told(await buffer.take(9)) == told([*poll(1.0, 2), *poll(2.0, 2)])
@@ -51,9 +51,9 @@ async def test_readings_that_are_put_back_come_first_and_in_their_order() -> Non
 @in_simulated_time
 async def test_of_what_is_put_back_the_newest_have_room() -> None:
     buffer = Buffer(3)
-    buffer.put(poll(1.0, 3))
+    buffer.put_readings(poll(1.0, 3))
     first = await buffer.take(3)
-    buffer.put(poll(2.0, 3))
+    buffer.put_readings(poll(2.0, 3))
     buffer.put_back(first)
     assert (len(buffer), buffer.dropped) == (3, 3)
     assert told(await buffer.take(2)) == told(poll(2.0, 2))
@@ -65,7 +65,7 @@ async def test_of_what_is_put_back_the_newest_have_room() -> None:
 @in_simulated_time
 async def test_polls_that_are_looked_at_stay() -> None:
     buffer = Buffer()
-    buffer.put([*poll(1.0, 2), *poll(2.0, 1), *poll(3.0, 1)])
+    buffer.put_readings([*poll(1.0, 2), *poll(2.0, 1), *poll(3.0, 1)])
     assert [told(each) for each in await buffer.polls(2)] == [
         told(poll(1.0, 2)),
         told(poll(2.0, 1)),
@@ -77,11 +77,11 @@ async def test_polls_that_are_looked_at_stay() -> None:
 @in_simulated_time
 async def test_a_closed_buffer_takes_nothing_and_gives_what_it_has() -> None:
     buffer = Buffer()
-    buffer.put(poll(1.0, 2))
+    buffer.put_readings(poll(1.0, 2))
     assert not buffer.is_over
     buffer.close()
     assert not buffer.is_over
-    buffer.put(poll(2.0))
+    buffer.put_readings(poll(2.0))
     assert (len(buffer), buffer.dropped) == (2, 0)
     assert told(await buffer.take(9)) == told(poll(1.0, 2))
     assert buffer.is_over
@@ -91,7 +91,7 @@ async def test_a_closed_buffer_takes_nothing_and_gives_what_it_has() -> None:
 @in_simulated_time
 async def test_a_buffer_that_is_given_up_has_lost_the_rest() -> None:
     buffer = Buffer()
-    buffer.put(poll(1.0, 2))
+    buffer.put_readings(poll(1.0, 2))
     buffer.drop(poll(0.0, 3))
     buffer.give_up()
     assert (len(buffer), buffer.dropped) == (0, 5)
@@ -103,7 +103,7 @@ async def test_who_waits_is_woken() -> None:
     buffer = Buffer(3)
     assert await buffer.take(1, 0.01) == []
     for wake, found in (
-        (lambda: buffer.put(poll(1.0)), poll(1.0)),
+        (lambda: buffer.put_readings(poll(1.0)), poll(1.0)),
         (lambda: buffer.put_back(poll(2.0)), poll(2.0)),
         (buffer.close, []),
     ):
@@ -115,7 +115,7 @@ async def test_who_waits_is_woken() -> None:
 
 def test_a_buffer_has_a_size_that_is_promised() -> None:
     buffer = Buffer()
-    buffer.put(poll(1.0) * 100_001)
+    buffer.put_readings(poll(1.0) * 100_001)
     assert (len(buffer), buffer.dropped) == (100_000, 1)
     assert len(Buffer(1)) == len(Buffer(10_000_000)) == 0
     for most in (0, 10_000_001):

@@ -122,7 +122,7 @@ def test_what_is_wrong_is_named(given: Any, error: type[Exception], text: str) -
         ({"devices": 5}, r"devices must be a list of DeviceConfig, not int"),
         ({"outputs": "meter.csv"}, r"outputs must be a list of outputs, not str"),
         ({"outputs": 5}, r"outputs must be a list of outputs, not int"),
-        ({"outputs": [print]}, r"outputs\[0\] must be an output, not .*: no open\(\)"),
+        ({"outputs": [print]}, r"outputs\[0\] must be an Output, not builtin_function_or_method"),
         ({"journal": "readings"}, r"journal must be a Journal, not str"),
         ({"may_ask": True}, r"may_ask must be a function, not bool"),
     ],

@@ -176,6 +176,7 @@ WRONG_KEYS = {
     "items = ['reset']": "items[0]: the map has no point 'reset' to",
     "items = 'power'": "items must be a list of names, not str",
     "dead_bands = {x = 1}": "dead_bands.x: no point of this name",
+    "at_least = 0": "at_least must be in 0.01..86400 seconds",
     "dead_bands = {power = -1}": "dead_bands.power must be 0 or more",
     "labels = {x = 1}": "labels.x must be text, not int",
     "max_registers = 1": "max_registers: items['power']: float32 takes",
@@ -201,6 +202,17 @@ BROKER = "[output.mqtt]\nurl = 'mqtt://x'\n"
 
 # Below these, in line 3.
 WRONG_KEYS_OF_A_BROKER = {
+    "discovery = 'openhab'": "discovery must be 'homeassistant', not 'openhab'",
+    "discovery = true": "discovery must be 'homeassistant', not True",
+    "topic = 'homeassistant/{device}/{name}'\ndiscovery = 'homeassistant'": (
+        "topic must not begin with homeassistant/, where configurations for discovery are"
+    ),
+    "status = 'homeassistant/status'\ndiscovery = 'homeassistant'": "status must not begin with",
+    "status = ''\ndiscovery = 'homeassistant'": "status must not be empty with discovery",
+    "retain = false\ntopic = 'p/{device}'\ndiscovery = 'homeassistant'": (
+        "retain must be true with discovery and a topic without {name}"
+    ),
+    "device_status = 'p/{device}/{name}'\ndiscovery = 'homeassistant'": "device_status must hold",
     "qos = 2": "qos must be in 0..1",
     "password = 'secret'": "password must not be written in the file: use ${NAME}",
     "password = '${NOT_THERE}'": "password: ${NOT_THERE}: the environment has no such variable",

@@ -234,7 +234,7 @@ async def test_devices_that_were_replaced_are_not_kept_until_their_next_poll() -
 @in_simulated_time
 async def test_no_plan_is_left_while_outputs_end() -> None:
     class Slow(Picky):
-        async def close(self) -> None:
+        async def close_output(self) -> None:
             await asyncio.sleep(5)
 
     async with Peer() as peer, polling(meter("a", peer.url), outputs=[Slow()]) as (fleet, _):

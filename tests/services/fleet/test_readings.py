@@ -79,6 +79,55 @@ def test_points_are_told_for_themselves() -> None:
     assert list(changes.pick([12, 5])) == [0, 1]
 
 
+DOWN = ModbusTimeoutError("no answer")
+
+
+@each_case(
+    ("options", "values", "polls"),
+    [
+        # At 0, 20, 40 and so on: the last poll that is not too late, and one after each change.
+        ({"on_change": True, "at_least": 60}, [7] * 8, [0, 3, 6]),
+        ({"on_change": True, "at_least": 59.9}, [7] * 8, [0, 2, 4, 6]),
+        ({"on_change": True, "at_least": 60}, [7, 7, 8, 8, 8, 8, 8], [0, 2, 5]),
+        ({"dead_bands": {"x": 5}, "at_least": 40}, [7, 8, 9, 9, 9, 10], [0, 2, 4]),
+        ({"on_change": True, "at_least": 0.5}, [7] * 3, [0, 1, 2]),
+        ({"on_change": True}, [7] * 8, [0]),
+        ({"at_least": 600}, [7] * 3, [0, 1, 2]),
+        ({"at_least": 60}, [DOWN] * 5, [0, 3]),
+        ({"on_change": True, "at_least": 60}, [7, DOWN, DOWN, DOWN, DOWN, 7, 7], [0, 1, 4, 5]),
+    ],
+)
+def test_a_point_is_reported_at_least_so_often(
+    options: Any, values: list[Any], polls: list[int]
+) -> None:
+    point = Point("x", "holding_registers", 0)
+    device = DeviceConfig("a", "tcp://192.0.2.1", RegisterMap([point]), interval=20, **options)
+    poller = Poller(device)
+    reported = []
+    for number, value in enumerate(values):
+        at = 1000.1 + 20 * number
+        poller.begin(at)
+        poller.take(value if isinstance(value, Exception) else [value], at)
+        reported += [number] * len(poller.readings(at, 0))
+    assert reported == polls
+
+
+def test_a_point_of_its_own_interval_is_reported_at_least_so_often() -> None:
+    points = [Point("x", "holding_registers", 0, interval=40), Point("y", "holding_registers", 1)]
+    device = DeviceConfig(
+        "a", "tcp://192.0.2.1", RegisterMap(points), interval=20, on_change=True, at_least=100
+    )
+    poller = Poller(device)
+    reported: dict[str, list[int]] = {"x": [], "y": []}
+    for at in range(0, 220, 20):
+        poller.begin(at)
+        assert poller.request is not None
+        poller.take([7] * poller.request.count, at)
+        for reading in poller.readings(at, 0):
+            reported[reading.name].append(at)
+    assert reported == {"x": [0, 80, 160], "y": [0, 100, 200]}
+
+
 @pytest.mark.parametrize(
     ("error", "expected"),
     [

@@ -233,18 +233,28 @@ async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> Non
 
 
 @in_real_time
-async def test_home_assistant_reads_topics_that_there_are(plant: Path, broker: Broker) -> None:
-    text = block("Home Assistant", "yaml")
-    read = re.findall(r"(?<!command_)topic: ([\w/-]+)", text)
-    heard = await heard_from(plant, broker, *dict.fromkeys(read))
-    assert heard["plant/north/voltage"]["value"] == 230.5
-    assert heard["plant/north/setpoint"]["value"] == 20.0
-    assert (heard["plant/status"], heard["plant-devices/north"]) == ("online", "online")
-    assert set(re.findall(r"value_json\.(\w+)", text)) == {"value"}
-    assert re.findall(r"command_topic: (.*)", text) == ["plant/north/setpoint/set"]
-    _, _, *rows = block("", "csv").splitlines()
-    (limits,) = [row.split(",")[-2:] for row in rows]
-    assert re.findall(r"(?:min|max): (\d+)", text) == limits
+async def test_home_assistant_finds_a_device_that_goes_in_a_reload(
+    plant: Path, broker: Broker
+) -> None:
+    from tests.services.fleet.outputs.home_assistant import home_assistant
+
+    before = plant.read_text()
+    add(plant, block("Home Assistant", "toml").replace("mqtt://127.0.0.1", broker.url))
+    async with home_assistant(broker) as home:
+        with Started("poll", plant) as started:
+            await until(lambda: home.names and home.is_available("voltage", "north"))
+            assert home.names == {"sensor: north: voltage", "number: north: setpoint"}
+            await until(lambda: (home.state("voltage"), home.state("setpoint")) == (230.5, 20))
+            _, setpoint = home.entity("setpoint")
+            keys = ("min", "max", "step", "unit_of_measurement", "device_class")
+            assert [setpoint[key] for key in keys] == [10, 30, 0.1, "°C", "temperature"]
+            await home.set("setpoint", 21.5)
+            await until(lambda: home.state("setpoint") == 21.5)
+            south = before.replace('"north"', '"south"') + 'items = ["voltage"]\n'
+            assert south != before
+            plant.write_text(plant.read_text().replace(before, south))
+            started.send_signal(signal.SIGHUP)
+            await until(lambda: home.names == {"sensor: south: voltage"})
 
 
 # --- files ----------------------------------------------------------------------------------

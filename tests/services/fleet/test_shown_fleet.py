@@ -6,13 +6,22 @@ why, and devices that come and go while somebody looks.
 from __future__ import annotations
 
 import asyncio
+import math
+import re
+import struct
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
-from libmodbus_py import Fleet
+import pytest
+from prometheus_client import CollectorRegistry
+
+from libmodbus_py import Fleet, Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
-from libmodbus_py.services.fleet.shown_fleet import PageOutput, ShownFleet
+from libmodbus_py.services.fleet import statistics
+from libmodbus_py.services.fleet.shown_fleet import PageOutput, ShownFleet, fleet_lines
 from libmodbus_py.services.fleet.statistics import JournalStatistics
+from libmodbus_py.services.integrations.prometheus import collect
 from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, until
 from tests.support.outputs import Picky
 
@@ -58,7 +67,7 @@ async def test_values_and_devices_also_of_one_that_is_down() -> None:
         fleet, shown, _ = shown_fleet(*devices)
         assert shown.rows() == []
         async with fleet:
-            assert shown.status() == ("0 of 2 devices answer", False)
+            assert shown.status() == ("2 of 2 devices have not answered yet (a, b)", True)
             await until(lambda: value(shown, "b power") == ["7", "W"])
             await until(lambda: shown.status() == ("all 2 devices answer", False))
             place = peer.url.partition("?")[0]
@@ -75,7 +84,7 @@ async def test_values_and_devices_also_of_one_that_is_down() -> None:
             silent.add(2)
             await until(lambda: fleet.statistics.down == 1)
             await until(lambda: cells(shown)["b power"][1][0] == "down")
-            assert shown.status() == ("1 of 2 devices down", True)
+            assert shown.status() == ("1 of 2 devices down (b)", True)
             word, reason, since = cells(shown)["b"][1]
             assert word == "down"
             assert "no " in reason
@@ -86,6 +95,77 @@ async def test_values_and_devices_also_of_one_that_is_down() -> None:
 
             silent.clear()
             await until(lambda: value(shown, "b power") == ["7", "W"])
+
+
+# Points that answers of all zeros cannot be: none is implausible, and none is a number.
+BAD = RegisterMap(
+    [
+        Point("level", "holding_registers", 0, units="m", missing=7),
+        Point("flow", "holding_registers", 1),
+        Point("x" * 99, "holding_registers", 2),
+        Point("ratio", "holding_registers", 10, type="float32", access="read"),
+    ]
+)
+
+
+@in_simulated_time
+async def test_points_without_a_good_value_are_named_though_all_devices_answer() -> None:
+    is_bad = True
+
+    async def answer(request: bytes) -> bytes:
+        reply = await good(request)
+        if is_bad and request[9] == 10:
+            return reply[:9] + struct.pack(">f", math.nan)
+        return reply
+
+    async with Peer(answer) as peer:
+        device = meter("a", peer.url, map=BAD)
+        fleet, shown, _ = shown_fleet(device, meter("b", peer.url, unit=2))
+        registry = CollectorRegistry()
+        collect(fleet, registry=registry)
+        labels = {"device": "a", "name": "level", "reason": "Missing"}
+        async with fleet:
+            await until(lambda: fleet.statistics.polls > 4)
+            text = "points without a good value: 2 (a level, a ratio)"
+            assert shown.status() == (text, True)
+            assert problems(shown) == ["a level", "a ratio"]
+            assert fleet.devices["a"].bad_points == {"level": "Missing", "ratio": "Missing"}
+            assert registry.get_sample_value("modbus_fleet_bad_point", labels) == 1
+            flow = {"device": "a", "name": "flow", "unit": ""}
+            assert registry.get_sample_value("modbus_fleet_value", flow) == 7
+            assert registry.get_sample_value("modbus_fleet_device_up", {"device": "a"}) == 1
+
+            title, *lines = fleet_lines(fleet, "2 devices")
+            assert title == ("2 devices", True)
+            texts = [line.split() for line, _ in lines]
+            assert texts[:2] == [["a", "level", "-", "(Missing)", "m"], ["a", "flow", "7"]]
+            assert texts[4:5] == [["b", "voltage", "0.7", "V"]]
+            assert max(len(line) for line, _ in lines) < 140
+            is_bad = False
+            await until(lambda: len(fleet.devices["a"].bad_points) == 1)
+            assert fleet.devices["a"].bad_points == {"level": "Missing"}
+
+
+@in_simulated_time
+async def test_an_output_is_behind_when_a_batch_has_not_been_all_that_waits_for_10_s(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = asyncio.get_running_loop().time
+    monkeypatch.setattr(statistics, "time", SimpleNamespace(monotonic=now))
+    slow = Picky("database", next=[30.0, 30.0])
+    async with Peer() as peer:
+        fleet, shown, _ = shown_fleet(meter("a", peer.url), outputs=[slow])
+        async with fleet:
+            await until(lambda: shown.status() == ("all 1 devices answer", False))
+            begun = now()
+            await until(lambda: shown.status()[1])
+            assert 9 < now() - begun < 11
+            text, _ = shown.status()
+            assert re.fullmatch(r"output database is behind: [23]\d\d waiting", text), text
+            assert problems(shown) == ["output database"]
+            assert cells(shown)["output database"][1] == ["behind", "", 0]
+            await until(lambda: slow.batches[1:])
+            await until(lambda: not shown.status()[1])
 
 
 @in_simulated_time
@@ -172,7 +252,7 @@ async def test_a_look_from_another_thread_does_not_disturb_a_fleet_that_changes(
             looking = asyncio.create_task(asyncio.to_thread(look))
             for count in [*range(40), 0]:
                 fleet.replace([meter(f"m{at}", peer.url, unit=1) for at in range(count)])
-                await output.write([])
+                await output.write_readings([])
             is_over.append(True)
             await looking
             assert cells(shown) == {}

@@ -6,10 +6,10 @@ metrics forget it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.statistics import LastValues
 from tests.services.fleet.fleets import (
     Peer,
     good,
@@ -68,6 +68,18 @@ async def test_what_was_never_reported_is_not_taken_back() -> None:
 
 
 @in_simulated_time
+async def test_a_device_that_changes_and_goes_before_its_next_poll_is_taken_back() -> None:
+    async with Peer() as peer:
+        device = meter("a", peer.url)
+        async with polling(device) as (fleet, readings):
+            await until(lambda: fleet.statistics.up)
+            fleet.replace([replace(device, interval=3600)])
+            fleet.replace([replace(device, interval=1800)])
+            fleet.replace([])
+        assert offline(readings, "a") == OFFLINE
+
+
+@in_simulated_time
 async def test_what_another_fleet_polls_from_now_on_is_not_taken_back() -> None:
     async with Peer() as peer:
         device = meter("a", peer.url)
@@ -99,16 +111,18 @@ async def test_values_that_were_taken_back_are_reported_again_though_they_did_no
 
 
 @in_simulated_time
-async def test_metrics_forget_what_is_not_polled_any_more() -> None:
+async def test_the_last_values_of_what_is_not_polled_any_more_are_gone() -> None:
+    def last() -> set[tuple[str, str]]:
+        pollers = fleet.devices.values()
+        return {(each.name, point.name) for each in pollers for point in each.last_values()}
+
     async with Peer(good) as peer:
         devices = [meter(name, peer.url, unit=unit) for unit, name in enumerate("ab", 1)]
-        values = LastValues()
-        async with Fleet(devices, outputs=[values]) as fleet:
-            await until(lambda: len(values.statistics.by_name) == 6)
+        async with Fleet(devices) as fleet:
+            await until(lambda: len(last()) == 6)
             fleet.replace([devices[0]])
-            assert {device for device, _ in values.statistics.by_name} == {"a"}
-            # A reading that waited for this output meanwhile.
-            await values.write([Reading(0.0, "b", "voltage", 230.5, "V", "good")])
-            assert {device for device, _ in values.statistics.by_name} == {"a"}
+            assert {device for device, _ in last()} == {"a"}
             fleet.replace([meter("a", peer.url, items=("power",))])
-            await until(lambda: set(values.statistics.by_name) == {("a", "power")})
+            await until(lambda: last() == {("a", "power")})
+            fleet.take_back()
+            assert last() == set()

@@ -57,7 +57,9 @@ async def test_a_device_has_one_request_at_a_time() -> None:
 @in_simulated_time
 async def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
     points = [Point(f"p{number}", "holding_registers", number, type="bcd16") for number in range(3)]
-    device = Device(Mapping(holding_registers={0: [0x1234, 0x0A00, 0x00B0]}))
+    # A quiet NaN of IEEE 754.
+    ratio = Point("ratio", "holding_registers", 3, type="float32")
+    device = Device(Mapping(holding_registers={0: [0x1234, 0x0A00, 0x00B0, 0x7FC0, 0]}))
 
     async with Server({1: device}).serving("tcp://127.0.0.1:0") as running:
         url = running.urls[0]
@@ -65,10 +67,13 @@ async def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
             meter("both", url, map=RegisterMap(points)),
             meter("last", url, map=RegisterMap(points[::2])),
             meter("none", url, map=RegisterMap(points[:1])),
+            meter("not a number", url, map=RegisterMap([ratio])),
         )
     wrong = "has no value: {} has digits other than 0..9"
-    assert found["both"].problem == f"p1 {wrong.format('0A00')}"
+    count = "points without a good value: 2 of 3"
+    assert found["both"].problem == f"p1 {wrong.format('0A00')}; {count}"
     assert found["last"].problem == f"p2 {wrong.format('00B0')}"
+    assert found["not a number"].problem == "ratio has no value: the device says nan"
     assert found["none"].problem == ""
 
 

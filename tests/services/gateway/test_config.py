@@ -16,7 +16,7 @@ from libmodbus_py.services.gateway.routes import parse_route
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "gateway.toml"
 
-TO = 'to = "tcp://192.0.2.1"\n'
+TO = 'url = "tcp://192.0.2.1"\n'
 
 
 def test_the_example_has_every_key_and_is_read() -> None:
@@ -39,10 +39,11 @@ def test_the_example_has_every_key_and_is_read() -> None:
 WRONG: dict[str, tuple[str, int, str]] = {
     "no route": ("queue = 1\n", 1, "route must hold at least one table"),
     "no such key": ("colour = 1\n[[route]]\n" + TO, 1, "colour: no such key; allowed are listen"),
-    "nowhere": ("[[route]]\nunits = [1]\n", 1, "route[0].to is missing"),
-    "no URL": ('[[route]]\nto = "192.0.2.1:x"\n', 2, "must be a URL"),
+    "nowhere": ("[[route]]\nunits = [1]\n", 1, "route[0].url is missing"),
+    "another word": ('[[route]]\nto = "tcp://192.0.2.1"\n', 2, "; did you mean url?"),
+    "no URL": ('[[route]]\nurl = "192.0.2.1:x"\n', 2, "must be a URL"),
     "unknown port": (
-        '[[route]]\nto = "rtu:///dev/nowhere"\n',
+        '[[route]]\nurl = "rtu:///dev/nowhere"\n',
         2,
         "there is no serial port /dev/nowhere",
     ),
@@ -53,12 +54,12 @@ WRONG: dict[str, tuple[str, int, str]] = {
         "route[1].units: an earlier route has unit 4 already",
     ),
     "two ways to one place": (
-        f'[[route]]\n{TO}units = [1]\n[[route]]\nto = "tcp://192.0.2.1?timeout=2"\nunits = [2]\n',
+        f'[[route]]\n{TO}units = [1]\n[[route]]\nurl = "tcp://192.0.2.1?timeout=2"\nunits = [2]\n',
         5,
         "route[0] has other options for the same",
     ),
     "a circle": (
-        'listen = ["tcp://0.0.0.0:1502"]\n[[route]]\nto = "tcp://localhost:1502"\n',
+        'listen = ["tcp://0.0.0.0:1502"]\n[[route]]\nurl = "tcp://localhost:1502"\n',
         3,
         "the gateway itself listens on tcp://0.0.0.0:1502",
     ),

@@ -76,7 +76,7 @@ def test_a_line_has_its_counters_and_its_state() -> None:
     line.trouble = f"{FIRST} (unit 1): it is gone"
     assert cells(counted.shown)[FIRST][1] == ["down", "it is gone", 12.3]
     assert problems(counted.shown) == [FIRST]
-    assert counted.shown.status() == ("1 of 2 lines down", True)
+    assert counted.shown.status() == (f"1 of 2 lines down ({FIRST})", True)
     assert rows(counted.shown)[SECOND].words == SECOND
 
 
@@ -85,8 +85,10 @@ def test_a_unit_has_its_counters_and_its_state() -> None:
     name, unit = f"{FIRST} unit 3", counted.lines[0].unit(3)
     unit.requests, unit.timeouts, unit.invalid, unit.resting, unit.cached = 9, 2, 3, 4, 5
     details = "timeouts 2, invalid 3, refused 4, cached 5"
-    expected = [[FIRST, "unit 3"], ["new", "", 0], 9, 0, [], [], None, details, 0]
+    expected = [[FIRST, "unit 3"], ["no answer", "", 0], 9, 0, [], [], None, details, 0]
     assert cells(counted.shown)[name] == expected
+    assert problems(counted.shown) == [name]
+    assert counted.shown.status() == (f"units that have never answered: 1 ({name})", True)
     unit.answers, unit.exceptions, unit.seconds = 4, 1, 0.5
     assert cells(counted.shown)[name][1:4] == [["answers", "", 0], 9, 4]
     assert cells(counted.shown)[name][7] == f"mean 125.0 ms, exceptions 1, {details}"
@@ -94,7 +96,7 @@ def test_a_unit_has_its_counters_and_its_state() -> None:
     unit.is_silent = True
     assert cells(counted.shown)[name][1] == ["silent", "4 requests refused meanwhile", 0]
     assert problems(counted.shown) == [name]
-    assert counted.shown.status() == ("silent units: 1", True)
+    assert counted.shown.status() == (f"silent units: 1 ({name})", True)
     assert rows(counted.shown)[name].words == name
 
 

@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import dataclasses
 import gc
+import math
 import re
 import signal
 import socket
@@ -18,11 +19,13 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from http.client import HTTPException
 from pathlib import Path
 from typing import Any
 
 import pytest
 from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import Metric, Sample
 from prometheus_client.openmetrics.exposition import generate_latest as generate_openmetrics
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
 from prometheus_client.parser import text_string_to_metric_families
@@ -31,6 +34,7 @@ from libmodbus_py import (
     AsyncClient,
     Client,
     Device,
+    Fleet,
     Gateway,
     GatewayTargetFailedToRespond,
     IllegalDataAddress,
@@ -39,14 +43,18 @@ from libmodbus_py import (
     Route,
     Server,
 )
-from libmodbus_py.client.statistics import TIME_BOUNDS, Statistics
+from libmodbus_py.client.statistics import TIME_BOUNDS
 from libmodbus_py.protocol.extras import how_to_add
-from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.services.integrations import prometheus
+from libmodbus_py.services.integrations.metrics import OF_ATTRIBUTES
 from libmodbus_py.services.integrations.prometheus import Collector, collect, exposing
+from libmodbus_py.tools import timed_server
+from tests.services.fleet.fleets import Peer, in_simulated_time, meter
+from tests.services.fleet.fleets import until as until_simulated
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.sockets import DELAY
+from tests.support.cases import each_case
 from tests.support.certificates import Papers
 from tests.support.commands import Started, run
 from tests.support.names import NEEDS_IPV6
@@ -75,7 +83,7 @@ def parsed(text: str) -> Scraped:
     return found
 
 
-def of(found: Scraped, name: str, **labels: str) -> float:
+def of(found: Scraped, name: str, /, **labels: str) -> float:
     return found[name, tuple(sorted(labels.items()))]
 
 
@@ -187,29 +195,27 @@ def test_the_last_success_is_a_time_of_day(registry: CollectorRegistry) -> None:
             assert before - 1 <= of(values(registry), name, endpoint=url) <= time.time() + 1
 
 
-# Attributes whose metrics have tests of their own.
-ELSEWHERE = ("answer_times", "answer_seconds", "results", "last_success", "certificate_ends")
+@each_case("kind", OF_ATTRIBUTES)
+def test_every_number_of_statistics_has_a_metric(kind: type) -> None:
+    numbers = {each.name for each in dataclasses.fields(kind) if each.type in ("int", "bool")}
+    assert numbers <= OF_ATTRIBUTES[kind].keys()
 
 
-def test_every_attribute_has_its_metric_and_its_text(registry: CollectorRegistry) -> None:
-    """HELP is what the documentation says; names follow Prometheus's rules."""
+def test_names_and_texts_follow_the_rules_of_prometheus(registry: CollectorRegistry) -> None:
+    fleet = Fleet()
     with served() as (server, url), Client(url) as plc:
         plc.read_coils(0, 1)
-        collect(server, plc, registry=registry)
+        collect(server, plc, fleet, registry=registry)
         text = generate_latest(registry).decode()
     families = {each.name: each for each in text_string_to_metric_families(text)}
-    for kind, prefix in ((Statistics, "modbus_client_"), (ServerStatistics, "modbus_server_")):
-        for field in dataclasses.fields(kind):
-            if field.name in ELSEWHERE:
-                continue
-            name = "requests_sent" if (kind, field.name) == (Statistics, "requests") else field.name
-            family = families[prefix + name]
-            documented = re.sub(r"\s+", " ", kind.__doc__ or "").lower()
-            assert f"{field.name}: {family.documentation}".lower() in documented
-            assert family.type == ("gauge" if field.name == "connections" else "counter")
+    assert families["modbus_client_requests_sent"].type == "counter"
+    assert families["modbus_server_connections"].type == "gauge"
+    assert families["modbus_server_connections"].documentation == (
+        "TCP connections that are open now."
+    )
     for line in text.splitlines():
         if not line.startswith("#"):
-            assert re.match(r"modbus_(client|server)_[a-z_]+[ {]", line)
+            assert re.match(r"modbus_(client|server|fleet)_[a-z_]+[ {]", line)
     # The stricter form of the same.
     strict = [*parse_openmetrics(generate_openmetrics(registry).decode())]
     assert {each.name for each in strict} == families.keys()
@@ -305,7 +311,7 @@ def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(
 def test_what_is_neither_client_nor_server_is_refused(registry: CollectorRegistry) -> None:
     server = Server(DEVICE)
     for wrong in (DEVICE, None, "tcp://127.0.0.1"):
-        with pytest.raises(TypeError, match="objects must be clients, servers, gateways, fleets"):
+        with pytest.raises(TypeError, match="objects must be clients, servers, gateways or fleets"):
             collect(server, wrong, registry=registry)  # type: ignore[arg-type]
     assert not values(registry)  # not the first one without the others
 
@@ -414,6 +420,67 @@ def test_those_who_stall_keep_nobody_waiting(
             fetched(url)
 
 
+class Slow:
+    """A collector with so many samples, each of which takes a time."""
+
+    def __init__(self, count: float, seconds: float = 0.0) -> None:
+        self.count, self.seconds = count, seconds
+        self.is_asked = threading.Event()
+
+    def collect(self) -> Iterator[Metric]:
+        metric = Metric("slow", "A large family.", "gauge")
+        metric.samples = self  # type: ignore[assignment]
+        yield metric
+
+    def __iter__(self) -> Iterator[Sample]:
+        at = 0
+        while at < self.count:
+            self.is_asked.set()
+            time.sleep(self.seconds)
+            yield Sample("slow", {"at": f"{at:09999}"}, 1.0)
+            at += 1
+
+
+@pytest.fixture
+def short_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(prometheus, "LIMIT_S", 0.1)
+    monkeypatch.setattr(timed_server, "SWEEP", 0.01)
+
+
+@pytest.mark.usefixtures("short_limit")
+def test_an_answer_may_take_longer_than_a_client(registry: CollectorRegistry) -> None:
+    registry.register(Slow(10, seconds=0.05))
+    with exposing("127.0.0.1", 0, registry) as url:
+        assert len(fetched(url)) == 10
+
+
+@pytest.mark.usefixtures("short_limit")
+def test_a_client_that_does_not_take_the_answer_is_cut_off(registry: CollectorRegistry) -> None:
+    registry.register(Slow(2000))
+    with exposing("127.0.0.1", 0, registry) as url:
+        port = int(url.split(":")[2].partition("/")[0])
+        with socket.create_connection(("127.0.0.1", port)) as client:
+            client.settimeout(20)
+            client.sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+            client.recv(1)
+            time.sleep(0.5)
+            taken = 1
+            with contextlib.suppress(ConnectionResetError):
+                while data := client.recv(1 << 20):
+                    taken += len(data)
+    assert taken < 2000 * 10_000
+
+
+def test_an_answer_without_end_ends_with_the_server(registry: CollectorRegistry) -> None:
+    endless = Slow(math.inf)
+    registry.register(endless)
+    with ThreadPoolExecutor(1) as threads:
+        with exposing("127.0.0.1", 0, registry) as url:
+            client = threads.submit(urllib.request.urlopen, url, timeout=20)
+            assert endless.is_asked.wait(20)
+        assert isinstance(client.exception(), OSError | HTTPException)
+
+
 ARGUMENTS = ["serve", "tcp://127.0.0.1:0"]
 
 
@@ -458,6 +525,36 @@ def test_serve_says_which_extra_is_missing() -> None:
     assert (done.returncode, done.stdout) == (1, "")
     wanted = f"the exporter needs prometheus_client: {how_to_add('metrics')}"
     assert done.stderr == f"libmodbus-py: {wanted}\n"
+
+
+# --- fleets -----------------------------------------------------------------------------------
+
+
+@in_simulated_time
+async def test_each_device_is_there_once_and_goes_with_its_fleet() -> None:
+    registry = CollectorRegistry()
+    async with Peer() as peer:
+        one, other = meter("a", peer.url, labels={"site 1": "Halle"}), meter("b", peer.url, unit=2)
+        fleets = [Fleet([one]), Fleet([one, other])]
+        collect(*fleets, *fleets, registry=registry)
+        async with fleets[0], fleets[1]:
+            early = values(registry)
+            assert of(early, "modbus_fleet_device_up", device="b") == 0
+            assert of(early, "modbus_fleet_device_down", device="b", reason="NotPolledYet") == 1
+            await until_simulated(lambda: min(each.statistics.readings for each in fleets) > 5)
+            found = values(registry)
+            assert of(found, "modbus_fleet_polls_total") > 2
+            assert of(found, "modbus_fleet_device_up", device="a", site_1="Halle") == 1
+            labels = {"device": "a", "site_1": "Halle", "name": "power", "unit": "W"}
+            assert of(found, "modbus_fleet_value", **labels) == 7
+            assert "modbus_fleet_device_down" not in {name for name, _ in found}
+            named = CollectorRegistry()
+            collect(fleets[0], name="north", registry=named)
+            labels = {"device": "a", "site_1": "Halle", "fleet": "north"}
+            assert of(values(named), "modbus_fleet_device_up", **labels) == 1
+        fleets.clear()
+        gc.collect()
+        assert not values(registry)
 
 
 # --- gateways ---------------------------------------------------------------------------------

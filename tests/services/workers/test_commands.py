@@ -13,7 +13,7 @@ from typing import Any
 import nats.errors
 import pytest
 
-from libmodbus_py.fleet import Reading
+from libmodbus_py.fleet import Output, Reading
 from libmodbus_py.services.fleet.commands import Commands
 from libmodbus_py.services.workers import messages
 from libmodbus_py.services.workers.records import FleetSettings
@@ -231,20 +231,16 @@ async def test_commands_that_wait_are_bounded_and_not_carried_out_any_more(
     assert written == [20]
 
 
-class Broker:
+class Broker(Output):
     """An output that is handed what each of its workers gets: all commands."""
 
     name = "broker"
     takes_commands = True
 
-    def attach(self, commands: Commands) -> None:
+    def attach_commands(self, commands: Commands) -> None:
         self.commands = commands
 
-    async def open(self) -> None: ...
-
-    async def write(self, readings: Sequence[Reading]) -> None: ...
-
-    async def close(self) -> None: ...
+    async def write_readings(self, readings: Sequence[Reading]) -> None: ...
 
 
 @tried(4)

@@ -21,11 +21,11 @@ async def test_the_readings_of_a_poll_are_one_message_and_a_repeated_one_is_drop
     engine: Engine, client: EngineClient
 ) -> None:
     stream = Stream(cast(Any, client), {})
-    await stream.open()
+    await stream.open_output()
     poll = [reading("level", 1.5), reading("höhe", 2)]
-    await stream.write(poll)
-    await stream.write([])
-    await stream.write([*poll, reading("level", 3, time=101.0)])
+    await stream.write_readings(poll)
+    await stream.write_readings([])
+    await stream.write_readings([*poll, reading("level", 3, time=101.0)])
     first, second = (json.loads(data) for _, _, data in engine.stream)
     assert first["device"] == "kälte"
     assert {name: each["value"] for name, each in first["values"].items()} == {

@@ -87,7 +87,7 @@ class Asked:
         return found
 
 
-class _Told:
+class _Told(Output):
     """An output as those of a broker: it keeps what each worker reports, and when."""
 
     name = "told"
@@ -96,12 +96,8 @@ class _Told:
         self._trial = trial
         self._worker = worker
 
-    async def open(self) -> None: ...
-
-    async def write(self, readings: Sequence[Reading]) -> None:
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         self._trial.told += [(self._trial.now, self._worker, each) for each in readings]
-
-    async def close(self) -> None: ...
 
 
 class Trial:

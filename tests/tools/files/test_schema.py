@@ -34,7 +34,7 @@ url = "rtu:///dev/ttyUSB0"
 """
 ROUTE_TEXT = """
 [[route]]
-to = "rtu:///dev/ttyUSB0"
+url = "rtu:///dev/ttyUSB0"
 """
 POINT_TEXT = """
 [[point]]

@@ -79,7 +79,9 @@ class Plant:
     def put(self, device: str, name: str, value: Any, at: float | None = None, **more: Any) -> None:
         quality = more.get("quality", "good" if value is not None else "bad")
         moment = time.time() if at is None else at
-        self.values.put([(moment, device, name, value, "V", quality, more.get("reason", ""))])
+        self.values.put_readings(
+            [(moment, device, name, value, "V", quality, more.get("reason", ""))]
+        )
 
 
 @contextlib.contextmanager

@@ -21,6 +21,7 @@ from libmodbus_py import Client, Device, Server, pdu
 from libmodbus_py.tools.simulator.device_file import SimulatedDevice, load, parse
 from libmodbus_py.tools.simulator.reloading import Reloader
 from libmodbus_py.tools.simulator.simulated import Simulation
+from tests.cli.serving import INFO, reload_line
 from tests.support.cases import each_case
 from tests.support.commands import Started
 from tests.support.peers import until
@@ -129,7 +130,13 @@ def reloading(
     told: list[str] = []
     simulation = load(path)
     server = Server(simulation.devices, faults=simulation.faults)
-    reloader = Reloader(server, str(path), simulation, is_watching=is_watching, tell=told.append)
+    reloader = Reloader(
+        server,
+        str(path),
+        simulation,
+        is_watching=is_watching,
+        tell=lambda lines: told.append("; ".join(lines)),
+    )
     begun: queue.Queue[tuple[asyncio.AbstractEventLoop, asyncio.Event, str]] = queue.Queue()
 
     async def run() -> None:
@@ -291,14 +298,14 @@ def test_devices_that_were_replaced_are_not_kept(path: Path) -> None:
 def test_the_command_reads_its_file_again_and_connections_stay(by: str, path: Path) -> None:
     options = ["--reload"] if by == "a look at the file" else []
     hangups = 200 if by == "hangups" else 0
-    with Started("serve", "tcp://127.0.0.1:0", "--device", path, *options) as process:
+    with Started("serve", "tcp://127.0.0.1:0", "--device", path, *options, *INFO) as process:
         url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
         with Client(url, unit=1, timeout=5) as client:
             assert client.read_holding_registers(0, 1) == [1]
             path.write_text("[[unit]")
             for _ in range(min(hangups, 1)):
                 process.send_signal(signal.SIGHUP)
-            assert process.stderr.readline().startswith(f"the former content is used: {path}: ")
+            assert reload_line(process).startswith(f"the former content is used: {path}: ")
             other = path.with_name("other.toml")
             other.write_text(PLAIN.replace("[1, 2]", "[8, 9]"))
             other.rename(path)
@@ -306,7 +313,7 @@ def test_the_command_reads_its_file_again_and_connections_stay(by: str, path: Pa
                 process.send_signal(signal.SIGHUP)
                 client.read_holding_registers(0, 1)
             until(lambda: client.read_holding_registers(0, 1) == [8])
-        assert process.stderr.readline() == f"{path}: read again, 2 units: 1 changed\n"
+        assert reload_line(process) == f"{path}: read again, 2 units: 1 changed"
         process.send_signal(signal.SIGHUP)
         process.send_signal(signal.SIGTERM)
         assert process.wait() == 0

@@ -195,7 +195,7 @@ class Journal:
         """The id of the next reading."""
         return self.last + 1
 
-    def put(self, readings: Iterable[Reading]) -> list[Reading]:
+    def put_readings(self, readings: Iterable[Reading]) -> list[Reading]:
         """Add readings, and return them with their ids. This never blocks."""
         if self._task is None:
             return list(readings)

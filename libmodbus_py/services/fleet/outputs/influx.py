@@ -21,7 +21,7 @@ from ...tasks import finish
 from ..config import DeviceConfig
 from ..readings import MOST_KEPT, Reading
 from .line_file import Format, LineFile
-from .output import OutputError, ReadingsRefused
+from .output import Output, OutputError, ReadingsRefused
 
 if TYPE_CHECKING:
     import httpx
@@ -44,7 +44,7 @@ LONGEST_ANSWER_BYTES, LONGEST_SHOWN_CHARACTERS = 4096, 200
 ACCEPTED_STATUS, REFUSED = 204, (400, 413, 422)
 
 
-class Influx:
+class Influx(Output):
     """
     Writes readings in the line protocol of InfluxDB, which Telegraf and other databases read, too.
 
@@ -84,7 +84,7 @@ class Influx:
             self.name: str = file.name
             self.is_live: bool = file.is_live
             self.exclusive: tuple[str, ...] = file.exclusive
-            self.identity: str = file.identity
+            self._identity = file.identity
             return
         if path is not None:
             raise WrongValue("path", "cannot be used with url")
@@ -102,18 +102,20 @@ class Influx:
         self._trust = Trust(ca) if server.scheme == "https" else None
         self._client: httpx.AsyncClient | None = None
         self.name = f"influx {server.place}"
-        self.is_live = False
         place = "/".join(each for each in (organization, bucket, database) if each)
         self.exclusive = (f"the measurement {measurement!r} in {place!r} of {self.name}",)
-        self.identity = f"{self.name} {place} {measurement}"
+        self._identity = f"{self.name} {place} {measurement}"
 
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Set the devices of the readings."""
+    @property
+    def identity(self) -> str:
+        return self._identity
+
+    def describe_devices(self, devices: Mapping[str, DeviceConfig]) -> None:
         self._protocol.describe(devices)
 
-    async def open(self) -> None:
+    async def open_output(self) -> None:
         if self._file is not None:
-            await self._file.open()
+            await self._file.open_output()
             return
         try:
             import httpx
@@ -122,15 +124,15 @@ class Influx:
         context = await self._trust.context() if self._trust else False
         self._client = httpx.AsyncClient(verify=context, timeout=TIMEOUT_S)
 
-    async def write(self, readings: Sequence[Reading]) -> None:
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         if self._file is not None:
-            await self._file.write(readings)
+            await self._file.write_readings(readings)
         elif lines := self._protocol.lines(readings):
             await self._send(lines)
 
-    async def close(self) -> None:
+    async def close_output(self) -> None:
         if self._file is not None:
-            await self._file.close()
+            await self._file.close_output()
         elif self._client is not None:
             client, self._client = self._client, None
             await finish(client.aclose())

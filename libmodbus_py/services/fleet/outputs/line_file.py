@@ -21,7 +21,7 @@ from ....system import open_file
 from ...tasks import WriterThread, finish
 from ..readings import MOST_KEPT, Reading
 from .forms import COLUMNS, as_csv, as_json
-from .output import OutputError, file_at
+from .output import Output, OutputError, file_at
 
 __all__ = ["CsvOutput", "Format", "JsonOutput", "LineFile"]
 
@@ -43,7 +43,7 @@ class Format(NamedTuple):
     quote: bytes = b""
 
 
-class LineFile:
+class LineFile(Output):
     """
     An output that appends readings to a file, or to the standard output ("-").
 
@@ -75,14 +75,14 @@ class LineFile:
         """The name of its place in a journal, the same in whatever folder the program starts."""
         return f"{self._form.name} {os.path.abspath(self.path)}"
 
-    async def open(self) -> None:
+    async def open_output(self) -> None:
         self._thread.start()
         await self._thread.call(self._open)
 
-    async def write(self, readings: Sequence[Reading]) -> None:
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         await self._thread.call(self._write, self._form.lines(readings))
 
-    async def close(self) -> None:
+    async def close_output(self) -> None:
         if not self._thread.is_running:
             return
         try:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, groupby
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from ....files.schema import flag
 from ....protocol.checks import integer
@@ -17,8 +17,10 @@ from ...other_servers import SecretFile, server_url
 from ..commands import Commands
 from ..config import DeviceConfig
 from ..readings import MOST_KEPT, Reading
+from .discovery import PREFIX, Discovery, Topics
 from .forms import object_text, poll_messages
 from .mqtt_connection import Message, MqttConnection
+from .output import Output
 from .topics import Topic, plain_topic
 
 if TYPE_CHECKING:
@@ -52,13 +54,14 @@ State = tuple[str, bool]
 """The topic of a device, and True if the device answers."""
 
 
-class Mqtt:
+class Mqtt(Output):
     """
     Publishes each reading to its own topic, or, if `topic` has no {name}, each poll of a device.
 
     The arguments are the keys of fleet files. The last values are published again after each
     connection, because a broker that was restarted may have lost them. Several workers have one
-    `status`, which is "online" while one of them is connected.
+    `status`, which is "online" while one of them is connected. With `discovery`, Home Assistant
+    gets configurations of all points (`Discovery`).
     """
 
     def __init__(
@@ -75,6 +78,7 @@ class Mqtt:
         ca: str | None = None,
         client_id: str | None = None,
         commands: bool = False,
+        discovery: Literal["homeassistant"] | None = None,
         max_message: int | None = None,
         buffer: int = MOST_KEPT,
     ) -> None:
@@ -99,8 +103,14 @@ class Mqtt:
         self._status = plain_topic("status", status)
         if self._status and self._topic.can_be(self._status):
             raise WrongValue("status", f"must not be the topic of a reading: {status!r}")
+        device_status = plain_topic("device_status", device_status)
+        if discovery is not None:
+            topics = {"topic": topic, "status": status, "device_status": device_status}
+            _check_discovery(discovery, topics, has_all=is_of_points or retain)
+            self.exclusive += (f"the status {status!r} of {self.name} for discovery",)
+            device_status = device_status or f"{status}/{{device}}/state"
         self._state_topic: Topic | None = None
-        if plain_topic("device_status", device_status):
+        if device_status:
             self._state_topic = Topic("device_status", device_status, ("device",))
             point = self._point.template
             others = [self._topic.template, self._status, f"{point}/set", f"{point}/set/result"]
@@ -122,6 +132,16 @@ class Mqtt:
             largest=max_message or LARGEST_BYTES,
         )
         self.takes_commands: bool = commands
+        self._discovery: Discovery | None = None
+        if discovery is not None and self._state_topic is not None:
+            states = self._state_topic
+            self._discovery = Discovery(
+                Topics(self._status, states, self._topic, self._point, is_of_points, commands)
+            )
+        self._has_begun = False  # it was open before
+        # False if another poller or worker of this status is connected, whose configurations may be
+        # among those that are left.
+        self._is_alone, self._is_heard = True, False
         self._labels: dict[str, Mapping[str, str]] = {}
         self._commands: Commands | None = None
         self._offline = Message(self._status, OFFLINE) if self._status else None
@@ -136,7 +156,7 @@ class Mqtt:
         """The name of its place in a journal."""
         return f"{self.name} {self._topic.template}"
 
-    def shares(self, other: object) -> str | None:
+    def shares(self, other: Output) -> str | None:
         """Return what another output takes too, in words; None if there is nothing."""
         if not isinstance(other, Mqtt) or other.name != self.name:
             return None
@@ -146,49 +166,79 @@ class Mqtt:
         topics = f"{self._topic.template!r} and {other._topic.template!r}"
         return f"topics of commands that can be the same: {topics} of {self.name}"
 
-    def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
+    def describe_devices(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices; ValueError if one lacks a label that a topic holds, and none is set."""
         for topic in filter(None, (self._topic, self._state_topic)):
             topic.check(devices)
         self._labels = {name: each.labels for name, each in devices.items()}
+        if self._discovery is not None:
+            self._discovery.describe(devices)
 
-    def attach(self, commands: Commands) -> None:
+    def attach_commands(self, commands: Commands) -> None:
         """Set the object that carries out commands."""
         self._commands = commands
 
-    async def open(self) -> None:
+    async def open_output(self) -> None:
         connection = self._connection
         await connection.open(self._hear)
         if self.takes_commands:  # before "online", at which programs may send commands
             await connection.subscribe(f"{self._point.filter}/set")
         if self._status:
-            await connection.publish(Message(self._status, ONLINE))
+            self._is_alone, self._is_heard = True, False
             await connection.subscribe(self._status)
+            await connection.publish(Message(self._status, ONLINE))
+        if not self._has_begun:
+            # Once, whatever happens: a broker may drop its responses behind many thousand messages.
+            self._has_begun = True
+            await self._begin_discovery()
         # The broker may have been restarted, and may have lost what it retained; or it ended the
         # connection at these values each time before.
         self._losses += 1
         if self._losses <= MOST_LOSSES:
-            last = chain(self._messages.again(), self._states.messages(self._states.published))
+            last = chain(
+                () if self._discovery is None else self._discovery.again(),
+                self._messages.again(),
+                self._states.messages(self._states.published),
+            )
             await connection.publish_all(last)
         else:
             logger.error("%s ends connections at last values, which are left out", self.name)
         self._losses = 0
 
-    async def write(self, readings: Sequence[Reading]) -> None:
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         changed = self._states.changed(readings)
         messages = chain(self._messages.of(readings), self._states.messages(changed))
+        leftovers: set[str] = set()
+        devices: Mapping[str, DeviceConfig | None] = {}
+        if self._discovery is not None:
+            leftovers = self._discovery.leftovers(is_alone=self._is_alone)
+            devices = self._discovery.changed(readings)
+            deletions = (Message(topic, b"") for topic in leftovers)
+            messages = chain(deletions, self._discovery.messages(devices), messages)
         await self._connection.publish_all(messages)
+        if self._discovery is not None:
+            self._discovery.keep(devices, readings, leftovers)
         self._messages.keep()
         self._states.keep(changed, readings)
 
-    async def close(self) -> None:
+    async def close_output(self) -> None:
         await self._connection.close(self._offline)
+
+    async def _begin_discovery(self) -> None:
+        """Publish all configurations soon, and hear of those that an earlier run left."""
+        if self._discovery is not None and self._discovery.devices:  # a worker has none at first
+            self._discovery.start()
+            await self._connection.hear_retained(self._discovery.filter, self._discovery.hear)
 
     async def _hear(self, message: aiomqtt.Message) -> None:
         """Answer a command, or the last will of another worker or of an earlier connection."""
         topic = str(message.topic)
         if topic == self._status:
-            if message.payload == OFFLINE:
+            if message.payload == ONLINE:
+                # One that is retained is of before, and the first other one is the own.
+                self._is_alone = not (message.retain or self._is_heard)
+                self._is_heard = True
+            elif message.payload == OFFLINE and not message.retain:
                 await self._connection.publish(Message(self._status, ONLINE))
         elif self._commands is not None and not message.retain:  # a retained one is old
             await self._answer(self._commands, topic, message.payload)
@@ -205,6 +255,20 @@ class Mqtt:
         if outcome is not None:
             result = Message(f"{topic}/result", outcome, self._qos, retain=False)
             await self._connection.publish(result)
+
+
+def _check_discovery(discovery: object, topics: Mapping[str, str], *, has_all: bool) -> None:
+    """Raise WrongValue for what Home Assistant could not understand."""
+    if discovery != PREFIX:
+        raise WrongValue("discovery", f"must be {PREFIX!r}, not {discovery!r}")
+    for key, topic in topics.items():
+        if topic.startswith(f"{PREFIX}/"):
+            where = "where configurations for discovery are"
+            raise WrongValue(key, f"must not begin with {PREFIX}/, {where}")
+    if not topics["status"]:
+        raise WrongValue("status", "must not be empty with discovery: it shows that all are gone")
+    if not has_all:  # a message would lack points that were not due
+        raise WrongValue("retain", "must be true with discovery and a topic without {name}")
 
 
 # --- what the broker retains --------------------------------------------------------------------

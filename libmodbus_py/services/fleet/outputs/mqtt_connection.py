@@ -159,10 +159,24 @@ class MqttConnection:
                 # changes nothing: a connection that it ended because of one of them is noticed.
                 await client.unsubscribe(self.unused, timeout=LONGEST_CONFIRMING_S)
 
-    async def subscribe(self, topics: str) -> None:
-        """Receive the messages of a topic filter, with QoS 1."""
+    async def subscribe(self, topics: str, qos: int = 1) -> None:
+        """Receive the messages of a topic filter."""
         with _as_connection_error():
-            await self._used.subscribe(topics, 1)
+            await self._used.subscribe(topics, qos)
+
+    async def hear_retained(self, topics: str, hear: Callable[[str], None]) -> None:
+        """Call `hear` with each topic of a filter that has a retained message, however many."""
+
+        def receive(_client: object, _userdata: object, message: Any) -> None:
+            if message.retain:
+                hear(message.topic)
+
+        # Not through aiomqtt, in which they would wait with commands, and push these out; with QoS
+        # 0, because mosquitto drops those that wait for acknowledgements beyond a thousand.
+        self._used._client.message_callback_add(topics, receive)
+        await self.subscribe(topics, 0)
+        with _as_connection_error():
+            await self._used.unsubscribe(self.unused)  # whose response comes behind them
 
     async def close(self, last: Message | None) -> None:
         """Publish a last message, if there is one, and disconnect."""

@@ -1,16 +1,17 @@
 """
-Outputs: the protocol that they implement, and what only one may use: a file, the standard output,
+Outputs: their base class, and what only one may use: a file, the standard output,
 a topic.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from itertools import combinations
-from typing import Protocol
 
-from ..readings import Reading
+from ..commands import Commands
+from ..config import DeviceConfig
+from ..readings import MOST_KEPT, Reading
 
 __all__ = [
     "Output", "OutputError", "ReadingsRefused", "check_exclusive", "file_at", "shared", "used",
@@ -25,74 +26,89 @@ class ReadingsRefused(ValueError):
     """The other side will never accept these readings, or one of them."""
 
 
-class Output(Protocol):
+class Output:
     """
-    A destination of readings. One task calls its methods, one call at a time.
+    A destination of readings: the base of all outputs, also of those of a program.
 
-    OSError from `open` or `write` is temporary: both are tried again, after pauses. ConnectionError
-    from `write` may be due to the readings: a poll with which it is raised three times, each time
-    after another poll was written, is dropped. OutputError is permanent, and ends the fleet. After
-    any other exception from `write` the readings are passed again, one poll at a time; a poll for
-    which the exception is raised again is dropped.
+    One task calls its methods, one call at a time. OSError from `open_output` or `write_readings`
+    is temporary: both are tried again, after pauses. ConnectionError from `write_readings` may be
+    due to the readings: a poll with which it is raised three times, each time after another poll
+    was written, is dropped. OutputError is permanent, and ends the fleet. After any other exception
+    from `write_readings` the readings are passed again, one poll at a time; a poll for which the
+    exception is raised again is dropped.
 
-    With a journal, readings are passed again in the next run of the program unless `write` has
-    returned. An output may also have these attributes::
+    With a journal, readings are passed again in the next run of the program unless
+    `write_readings` has returned.
 
-        is_live            True to get the readings of this run only
-        identity           the name of its place in the journal, if it is not that of the output
-        buffer             the most readings that wait without a journal
-        exclusive          a tuple of things that only one output may use, in words
-        shares(other)      returns what it would share with another output, in words, or None
-        describe(devices)  sets the devices by their names, before `open` and when they change;
-                           raises ValueError, and changes nothing, if one lacks a label
-        takes_commands     True if the output receives commands
-        attach(commands)   sets the `Commands` that carry them out, before `open`
+    Attributes:
+        name: the name of the output in statistics and messages.
+        is_live: True to get the readings of this run only.
+        buffer: the most readings that wait without a journal.
+        exclusive: things that only one output may use, in words.
+        takes_commands: True if the output receives commands.
     """
+
+    name: str = "output"
+    is_live: bool = False
+    buffer: int = MOST_KEPT
+    exclusive: tuple[str, ...] = ()
+    takes_commands: bool = False
 
     @property
-    def name(self) -> str:
-        """The name of the output in statistics and messages."""
-        ...
+    def identity(self) -> str:
+        """The name of its place in a journal."""
+        return self.name
 
-    async def open(self) -> None:
-        """Connect; called again after each failure, once `close` was called."""
-        ...
+    def shares(self, other: Output) -> str | None:
+        """Return what it would share with another output, in words; None if there is nothing."""
+        return None
 
-    async def write(self, readings: Sequence[Reading]) -> None:
+    def describe_devices(self, devices: Mapping[str, DeviceConfig]) -> None:
+        """
+        Set the devices by their names, before `open_output` and when they change.
+
+        Raises:
+            ValueError: a device lacks a label that the output needs; then nothing changes.
+        """
+
+    def attach_commands(self, commands: Commands) -> None:
+        """Set what carries out commands, before `open_output`, if it `takes_commands`."""
+
+    async def open_output(self) -> None:
+        """Connect; called again after each failure, once `close_output` was called."""
+
+    async def write_readings(self, readings: Sequence[Reading]) -> None:
         """
         Write readings, all of a poll in one call. From time to time the list is empty, so that a
         lost connection is noticed. ReadingsRefused means that one of them can never be written.
         """
-        ...
+        raise NotImplementedError
 
-    async def close(self) -> None:
-        """Disconnect, until `open` is called again; raise nothing, take two seconds at most."""
-        ...
+    async def close_output(self) -> None:
+        """Disconnect, until it is opened again; raise nothing, take two seconds at most."""
 
 
 def shared(outputs: Sequence[Output]) -> tuple[int, int, str] | None:
     """Return the positions of two outputs that would use one thing, and the thing in words."""
     for (at, first), (second_at, second) in combinations(enumerate(outputs), 2):
         # One task calls an output: an object that is there twice would be called by two.
-        what = f"the same {first.name}" if first is second else used(second, _exclusive(first))
-        shares: Callable[[Output], str | None] | None = getattr(first, "shares", None)
-        if what is None and shares is not None:
-            what = shares(second)
+        what = f"the same {first.name}" if first is second else used(second, first.exclusive)
+        what = what or first.shares(second)
         if what is not None:
             return at, second_at, what
     return None
 
 
 def check_exclusive(
-    outputs: Sequence[Output], journal: object = None, sources: Container[str] = ()
+    outputs: Sequence[Output], of_journal: Container[str] = (), sources: Container[str] = ()
 ) -> None:
     """
-    Raise ValueError if outputs, journal and the files the fleet is read from use a thing twice.
+    Raise ValueError if outputs, a journal and the files the fleet is read from use a thing twice.
     """
     if (found := shared(outputs)) is not None:
         raise ValueError(f"two outputs use {found[2]}")
     for output in outputs:
-        if (both := used(output, _exclusive(journal))) is not None:
+        if (both := used(output, of_journal)) is not None:
             raise ValueError(f"the journal and {output.name} use {both}")
         if (both := used(output, sources)) is not None:
             raise ValueError(f"{output.name} uses {both}, which the fleet is read from")
@@ -100,11 +116,7 @@ def check_exclusive(
 
 def used(output: Output, others: Container[str]) -> str | None:
     """Return the first thing of an output that is among those of others, or None."""
-    return next((each for each in _exclusive(output) if each in others), None)
-
-
-def _exclusive(thing: object) -> tuple[str, ...]:
-    return getattr(thing, "exclusive", ())
+    return next((each for each in output.exclusive if each in others), None)
 
 
 def file_at(path: str) -> str:

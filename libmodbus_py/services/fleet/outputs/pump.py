@@ -16,7 +16,7 @@ import time
 
 from ....protocol.logs import HarmlessLogger
 from ... import tasks
-from ..readings import MOST_KEPT, Buffer, Reading
+from ..readings import Buffer, Reading
 from ..statistics import OutputStatistics
 from .output import Output, OutputError, ReadingsRefused
 
@@ -52,7 +52,7 @@ class Pump:
         self._most = MOST_AT_ONCE
         self._most_ever = MOST_AT_ONCE if waiting is None else MOST_OF_JOURNAL
         if waiting is None:
-            waiting = Buffer(getattr(output, "buffer", MOST_KEPT))
+            waiting = Buffer(output.buffer)
         self.buffer: Buffer = waiting
         self.statistics: OutputStatistics = OutputStatistics(self.buffer)
         self._output = output
@@ -106,12 +106,13 @@ class Pump:
     async def _give(self) -> bool:
         """Write readings until the output fails; return True if the pump is to end."""
         try:
-            await self._output.open()
+            await self._output.open_output()
             self._has_accepted = False
             while not self.buffer.is_over:
                 await self._write_another()
                 most = 1 if self._single else self._most
                 batch = await self.buffer.take_polls(most, LONGEST_SILENCE_S)
+                self.statistics.note_batch(len(batch))
                 if _polls(batch) > 1 and any(each.device in self._refused for each in batch):
                     self.buffer.put_back(batch)
                     self._single = _polls(batch)
@@ -127,7 +128,7 @@ class Pump:
             return self._closing.is_set() and not isinstance(error, ReadingsRefused)
         finally:
             try:
-                await self._output.close()
+                await self._output.close_output()
             except Exception as error:
                 self._note_trouble(error)
 
@@ -145,7 +146,7 @@ class Pump:
         elif others:
             at = self._at % len(others)
             self._at = (at + 1) % MOST_OTHERS  # if it is lost, too, the next time it is another
-            await self._output.write(others[at])
+            await self._output.write_readings(others[at])
             self._at = at
             self._has_accepted = True
             self._pauses.reset()
@@ -154,7 +155,7 @@ class Pump:
         begun = asyncio.get_running_loop().time()
         most, self._most = self._most, MOST_AT_ONCE
         try:
-            await self._output.write([*batch])  # which may change the list
+            await self._output.write_readings([*batch])  # which may change the list
         except BaseException as error:
             self._note_failure(batch, error)
             raise

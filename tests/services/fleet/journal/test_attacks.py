@@ -160,8 +160,8 @@ def test_an_output_that_changes_the_list_it_is_given_loses_nothing(
     path: str, inline: None, change: Callable[[list[Reading]], object]
 ) -> None:
     class Changing(Picky):
-        async def write(self, readings: Any) -> None:
-            await super().write(list(readings))
+        async def write_readings(self, readings: Any) -> None:
+            await super().write_readings(list(readings))
             change(readings)
 
     broker = Changing()
@@ -185,7 +185,7 @@ async def test_what_waits_is_counted_whatever_happens(
         journal = Journal(path, size="60 kB" if seed % 2 else "1 GB")
         [place] = await journal.open(["a"])
         for at in range(150):
-            put += len(journal.put(readings("a", time.time() + at, chance.randint(1, 9))))
+            put += len(journal.put_readings(readings("a", time.time() + at, chance.randint(1, 9))))
             disk.error = JournalDamaged("is damaged") if chance.random() < 0.01 else None
             await asyncio.sleep(chance.choice([0, 0.01, 0.3]))
             if chance.random() < 0.6:

@@ -195,7 +195,7 @@ async def test_an_output_gets_what_memory_has_dropped_when_it_is_in_the_file(
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 4)
     journal = Journal(path)
     [place] = await journal.open(["broker"])
-    journal.put(each for at in range(10) for each in readings("a", float(at)))
+    journal.put_readings(each for at in range(10) for each in readings("a", float(at)))
     found = await place.take_polls(100, timeout=HOUR)
     await journal.close()
     found = [each.id for each in found]
@@ -221,7 +221,7 @@ async def test_each_poll_is_forced_onto_the_disk_although_none_follows(
     journal = Journal(path)
     await journal.open([])
     for at in range(4):
-        journal.put(readings("a", float(at)))
+        journal.put_readings(readings("a", float(at)))
         await asyncio.sleep(0.45)
     await asyncio.sleep(5)
     await journal.close()
@@ -239,10 +239,10 @@ async def test_what_was_written_is_forced_although_later_writes_fail(
     force = Failing(monkeypatch, JournalFile, "force")
     journal = Journal(path)
     await journal.open([])
-    journal.put(readings("a", 1.0))
+    journal.put_readings(readings("a", 1.0))
     await asyncio.sleep(0.1)
     disk.error = FULL
-    journal.put(readings("a", 2.0))
+    journal.put_readings(readings("a", 2.0))
     await asyncio.sleep(1)
     assert (force.calls, journal.statistics.trouble) == (1, str(FULL))
     disk.error = None
@@ -256,7 +256,7 @@ async def test_a_journal_without_readings_leaves_the_disk_alone(
     force = Failing(monkeypatch, JournalFile, "force")
     journal = Journal(path)
     await journal.open([])
-    journal.put(readings("a", 1.0))
+    journal.put_readings(readings("a", 1.0))
     await asyncio.sleep(1000)
     assert force.calls == 1
     assert disk.calls <= 4

@@ -72,7 +72,7 @@ def test_an_output_goes_on_in_the_next_run(path: str, inline: None) -> None:
 def test_a_live_output_gets_the_readings_of_this_run_only(path: str, inline: None) -> None:
     run_for(path, 100, Picky("live", is_away=True))
     live = Picky("live")
-    live.is_live = True  # type: ignore[attr-defined]
+    live.is_live = True
     fleet = run_for(path, 100, live)
     assert len(live.ids) == fleet.statistics.readings
     assert live.ids == in_journal(path)[-len(live.ids) :]
@@ -103,7 +103,7 @@ async def test_an_output_that_is_slower_than_the_readings_is_bounded_by_the_jour
     journal = Journal(path, size="120 kB")
     [place] = await journal.open(["slow"])
     for at in range(5000):
-        journal.put(readings("a", float(at)))
+        journal.put_readings(readings("a", float(at)))
         if at % 10 == 0:
             await asyncio.sleep(1)
     await asyncio.sleep(10)
@@ -157,7 +157,7 @@ async def test_a_journal_may_be_behind_a_link_and_is_the_same_one(
     await journal.open([])
     with pytest.raises(JournalError, match="is used by another program"):
         await Journal(path).open([])
-    journal.put(readings("a", time.time()))
+    journal.put_readings(readings("a", time.time()))
     await journal.close()
     assert len(in_journal(path)) == 2
     assert [each.value for each in Journal(link).history("a", "p1", 0, time.time())] == [0.1]
@@ -180,9 +180,9 @@ async def test_a_journal_belongs_to_one_fleet(path: str) -> None:
 async def test_what_waits_is_written_when_the_fleet_ends(path: str) -> None:
     journal = Journal(path)
     await journal.open(["x"])
-    told = [journal.put(readings("a", time.time() + at)) for at in range(1000)]
+    told = [journal.put_readings(readings("a", time.time() + at)) for at in range(1000)]
     await journal.close()
-    assert journal.put(readings()) == readings()  # nothing is expected any more
+    assert journal.put_readings(readings()) == readings()  # nothing is expected any more
     last = told[-1][-1].id
     found = in_journal(path)
     assert len(found) == 2000
@@ -231,7 +231,7 @@ async def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.M
     [place] = await journal.open(["broker"])
     hangs.set()
     for at in range(50):
-        journal.put(readings("a", time.time() + at))
+        journal.put_readings(readings("a", time.time() + at))
         batch = await place.take_polls(100)
         ids.extend(each.id for each in batch)
         await place.confirm(batch)
@@ -254,14 +254,14 @@ async def test_an_output_that_is_fast_and_behind_gets_larger_batches(
     sizes: list[int] = []
 
     class Fast(Picky):
-        async def write(self, readings: Sequence[Reading]) -> None:
+        async def write_readings(self, readings: Sequence[Reading]) -> None:
             sizes.append(len(readings))
-            await super().write(readings)
+            await super().write_readings(readings)
 
     journal = Journal(path)
     [place] = await journal.open(["broker"])
     for at in range(1000):  # 30 do not divide 500
-        journal.put(readings("a", 1_700_000_000.0 + at, 30))
+        journal.put_readings(readings("a", 1_700_000_000.0 + at, 30))
     output = Fast()
     pump = pumps.Pump(output, waiting=place)
     pump.start()

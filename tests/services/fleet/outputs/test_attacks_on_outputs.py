@@ -65,7 +65,7 @@ async def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
     path = tmp_path / "readings"
     async with pumping(make(str(path))) as pump:
         for at in range(5):
-            pump.buffer.put(poll(at))
+            pump.buffer.put_readings(poll(at))
         await until(lambda: pump.statistics.failures > 3)
         assert "No space left" in pump.statistics.trouble
         assert path.read_bytes()[-1:] in (b"", b"\n")
@@ -84,7 +84,7 @@ async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_rea
     """`run` raises its error; in an `async with` nobody else would hear of it."""
 
     class Broken(Picky):
-        async def open(self) -> None:
+        async def open_output(self) -> None:
             raise OutputError("MQTT needs aiomqtt")
 
     async with Peer() as peer:
@@ -129,10 +129,9 @@ async def test_an_answer_after_a_reload_is_of_nobody(after: list[str]) -> None:
 async def test_metrics_can_be_scraped_while_a_fleet_is_read_again() -> None:
     """From another thread, as a server of metrics does."""
     prometheus = pytest.importorskip("prometheus_client")
-    from libmodbus_py.services.fleet.statistics import LastValues
     from libmodbus_py.services.integrations.prometheus import collect
 
-    registry, values, is_over = prometheus.CollectorRegistry(), LastValues(), asyncio.Event()
+    registry, is_over = prometheus.CollectorRegistry(), asyncio.Event()
 
     def scrape() -> int:
         count = 0
@@ -149,8 +148,8 @@ async def test_metrics_can_be_scraped_while_a_fleet_is_read_again() -> None:
             [meter(f"{kind}{unit}", url, unit=unit, labels={"kind": kind}) for unit in units]
             for kind in ("x", "y")
         )
-        async with polling(*one, outputs=[values]) as (fleet, readings):
-            collect(fleet, values, registry=registry)
+        async with polling(*one) as (fleet, readings):
+            collect(fleet, registry=registry)
             scraping = asyncio.create_task(asyncio.to_thread(scrape))
             for _ in range(30):
                 for devices in (one, other):

@@ -52,15 +52,15 @@ def in_csv(path: Path, readings: Sequence[Reading]) -> list[str]:
 def in_lines(path: Path, readings: Sequence[Reading]) -> list[str]:
     output = Influx(str(path))
     # Neither a label of now nor a device that was removed changes what is known of a reading.
-    output.describe(described(north={"site": "Hof"}))
-    output.describe({})
+    output.describe_devices(described(north={"site": "Hof"}))
+    output.describe_devices({})
     return in_file(output, path, readings)
 
 
 def in_mqtt(topic: str, readings: Sequence[Reading]) -> list[str]:
     output = Mqtt("mqtt://127.0.0.1", topic=topic, status="")
-    output.describe(described(north={"site": "Hof"}))
-    output.describe({})
+    output.describe_devices(described(north={"site": "Hof"}))
+    output.describe_devices({})
     return [f"{at} {data.decode()}" for at, data, *_ in output._messages.of(readings)]
 
 
@@ -145,8 +145,8 @@ def test_a_former_topic_is_taken_back_until_that_was_accepted(topic: str) -> Non
 
 def test_points_with_states_stay_text_when_their_device_is_removed(tmp_path: Path) -> None:
     output = Influx(str(tmp_path / "lines"))
-    output.describe(described(STATES, north={}))
-    output.describe({})
+    output.describe_devices(described(STATES, north={}))
+    output.describe_devices({})
     (line,) = in_file(output, tmp_path / "lines", [reading("north", "level", 7)])
     assert 'level="7"' in line
 
@@ -178,4 +178,4 @@ def test_without_its_package_one_line_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(OutputError, match=told):
-        asyncio.run(output.open())
+        asyncio.run(output.open_output())

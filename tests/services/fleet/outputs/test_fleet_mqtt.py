@@ -79,7 +79,7 @@ async def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> Non
     (tmp_path / "ca.pem").write_text("nothing")
     output = Mqtt("mqtts://127.0.0.1:1", ca=str(tmp_path / "ca.pem"))
     with pytest.raises(OSError, match="contains no certificate"):
-        await output.open()
+        await output.open_output()
 
 
 @in_real_time
@@ -217,7 +217,7 @@ def poll(device: str, at: float, **values: Any) -> list[Reading]:
 
 async def written(pump: Pump, readings: list[Reading]) -> None:
     count = pump.statistics.written + len(readings)
-    pump.buffer.put(readings)
+    pump.buffer.put_readings(readings)
     await until(lambda: pump.statistics.written == count)
 
 

@@ -17,11 +17,9 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Fleet
-from libmodbus_py.fleet import Reading
 from libmodbus_py.services import tasks
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.output import Output, OutputError
-from libmodbus_py.services.fleet.statistics import LastValues
 from tests.services.fleet.fleets import (
     Peer,
     in_real_time,
@@ -154,7 +152,7 @@ async def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path
 class Described(Picky):
     """An output that wants to know the devices."""
 
-    def describe(self, devices: Any) -> None:
+    def describe_devices(self, devices: Any) -> None:
         self.labels = {name: each.labels for name, each in devices.items()}
 
 
@@ -172,27 +170,6 @@ async def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_
             assert outputs[0].labels == {"b": {"site": "there"}}
 
 
-def value_of(device: str, name: str = "v", quality: str = "good", value: float = 1.0) -> Reading:
-    return Reading(1.0, device, name, value, "V", quality)  # type: ignore[arg-type]
-
-
-def test_the_last_reading_of_each_point_is_kept() -> None:
-    values = LastValues()
-    values.describe({name: meter(name, "tcp://192.0.2.1") for name in ("a", "b")})
-    told = [value_of("a"), value_of("a", "w"), value_of("b"), value_of("a", value=2.0)]
-    asyncio.run(values.write(told))
-    assert values.statistics.by_name == {
-        ("a", "v"): told[3],
-        ("a", "w"): told[1],
-        ("b", "v"): told[2],
-    }
-    asyncio.run(values.write([value_of("a", quality="offline"), value_of("b", quality="down")]))
-    assert sorted(values.statistics.by_name) == [("a", "w"), ("b", "v")]
-    values.describe({"a": meter("a", "tcp://192.0.2.1")})
-    assert sorted(values.statistics.by_name) == [("a", "w")]
-
-
 def test_only_the_standard_output_wants_no_earlier_readings() -> None:
     assert JsonOutput("-").is_live is True
     assert JsonOutput("readings.json").is_live is False
-    assert LastValues().is_live is True

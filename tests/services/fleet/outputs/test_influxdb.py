@@ -37,7 +37,7 @@ def write(database: Database, *readings: Reading, **labels: str) -> None:
     points = RegisterMap([Point("state", "holding_registers", 0, states={0: "off"})])
     output = Influx(url=database.url, database="plant")
     names = {each.device for each in readings}
-    output.describe({each: DeviceConfig(each, "tcp://127.0.0.1", points) for each in names})
+    output.describe_devices({each: DeviceConfig(each, "tcp://127.0.0.1", points) for each in names})
     asyncio.run(outputs.write(output, [each._replace(labels=labels) for each in readings]))
 
 

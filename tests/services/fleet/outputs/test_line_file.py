@@ -36,14 +36,14 @@ def written(output: Any, *steps: Reading | Callable[[], object]) -> None:
 
     async def go() -> None:
         try:
-            await output.open()
+            await output.open_output()
             for step in steps:
                 if isinstance(step, Reading):
-                    await output.write([step])
+                    await output.write_readings([step])
                 else:
                     step()
         finally:
-            await output.close()
+            await output.close_output()
 
     asyncio.run(go())
 
@@ -195,12 +195,12 @@ def test_a_standard_output_that_does_not_block_is_waited_for(
 
     async def go() -> None:
         output = JsonOutput("-")
-        await output.open()
-        writing = asyncio.ensure_future(output.write([reading(text)]))
+        await output.open_output()
+        writing = asyncio.ensure_future(output.write_readings([reading(text)]))
         await asyncio.sleep(0)
         thread.start()
         await writing
-        await output.close()
+        await output.close_output()
 
     with capfd.disabled():
         reading_end, writing_end = os.pipe()

@@ -26,15 +26,15 @@ from tests.support.outputs import pumping
 async def test_the_status_is_online_while_one_of_two_is_connected(broker: Broker) -> None:
     async with hearing(broker, "modbus/status") as heard:
         first, second = Mqtt(broker.url), Mqtt(broker.url)
-        await first.open()
-        await second.open()
+        await first.open_output()
+        await second.open_output()
         await until(lambda: len(heard) == 2)
         # The will of a worker that was killed, and the last word of one that ended.
         await publish(broker, "modbus/status", b"offline", retain=True)
         await until(lambda: heard_of(heard, "modbus/status")[2:] == ["offline"] + 2 * ["online"])
-        await first.close()
+        await first.close_output()
         await until(lambda: heard_of(heard, "modbus/status")[5:] == ["offline", "online"])
-        await second.close()
+        await second.close_output()
         await until(lambda: heard_of(heard, "modbus/status")[7:] == ["offline"])
 
 
@@ -48,12 +48,12 @@ async def test_last_values_at_which_the_broker_ends_connections_do_not_stop_othe
     broker: Broker, qos: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with pumping(Mqtt(broker.url, qos=qos)) as pump:
-        pump.buffer.put([reading("a", "x" * 500), reading("b", 1)])
+        pump.buffer.put_readings([reading("a", "x" * 500), reading("b", 1)])
         await until(lambda: pump.statistics.written == 2)
         broker.settings.append("max_packet_size 400")
         await broker.restart(pump.statistics)
         async with hearing(broker, "modbus/+/text") as heard:
-            pump.buffer.put([reading("c", 3, 1)])
+            pump.buffer.put_readings([reading("c", 3, 1)])
             await until(lambda: pump.statistics.written == 3)
             await until(lambda: heard_of(heard, "modbus/c/text"))
     assert "ends connections at last values, which are left out" in caplog.text
@@ -162,14 +162,14 @@ async def test_what_a_broker_retained_is_there_again_each_time_it_returns(
     async with pumping(Mqtt(broker.url, qos=qos, **options)) as pump:
         for readings in polls:
             count = pump.statistics.written + len(readings)
-            pump.buffer.put(readings)
+            pump.buffer.put_readings(readings)
             await until(lambda count=count: pump.statistics.written == count)  # type: ignore[misc]
         assert await heard_later() == {topic: (each, True) for topic, each in retained.items()}
         for _ in range(3):
             await broker.restart(pump.statistics)
         broker.kill()
         await until(lambda: pump.statistics.trouble)
-        pump.buffer.put([reading("c", 7, 9)])
+        pump.buffer.put_readings([reading("c", 7, 9)])
         broker.start()
         found = await heard_later()
         await until(lambda: pump.statistics.written == count + 1)
@@ -196,8 +196,8 @@ async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_told_by_
         hearing(narrow, "modbus/+/text") as heard,
         pumping(Mqtt(narrow.url, qos=qos)) as pump,
     ):
-        pump.buffer.put([reading(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
-        pump.buffer.put([reading(*each) for each in (("c", 1, 2), ("b", "y", 3))])
+        pump.buffer.put_readings([reading(*each) for each in (("a", 1, 0), ("b", "x" * 500, 1))])
+        pump.buffer.put_readings([reading(*each) for each in (("c", 1, 2), ("b", "y", 3))])
         await until(lambda: pump.statistics.written == 3)
         assert (pump.statistics.dropped, len(pump.buffer)) == (1, 0)
         await until(lambda: len({topic for topic, *_ in heard}) == 3)
@@ -212,7 +212,7 @@ async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_told_by_
 async def test_a_connection_is_closed_if_nobody_waits_for_the_broker_any_more() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         output = Mqtt(f"mqtt://127.0.0.1:{listening.getsockname()[1]}")
-        opening = asyncio.create_task(output.open())
+        opening = asyncio.create_task(output.open_output())
         loop = asyncio.get_running_loop()
         listening.setblocking(False)
         accepted, _ = await loop.sock_accept(listening)
@@ -230,22 +230,22 @@ async def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had
     broker: Broker,
 ) -> None:
     output = Mqtt(broker.url)
-    await output.open()
+    await output.open_output()
     broker.send_signal(signal.SIGSTOP)  # what is sent stays in its socket
-    writing = asyncio.create_task(output.write([reading("a", 1)]))
+    writing = asyncio.create_task(output.write_readings([reading("a", 1)]))
     await asyncio.wait([writing], timeout=0.2)
     broker.kill()
     with pytest.raises(ConnectionError):
         await writing
-    await output.close()
+    await output.close_output()
 
 
 @in_real_time
 async def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> None:
     output = Mqtt(broker.url, qos=1)
-    await output.open()
+    await output.open_output()
     broker.send_signal(signal.SIGSTOP)  # it confirms nothing
-    writing = asyncio.create_task(output.write([reading("a", 1)]))
+    writing = asyncio.create_task(output.write_readings([reading("a", 1)]))
     await asyncio.wait([writing], timeout=0.1)
     assert any("_publish_all" in repr(each) for each in asyncio.all_tasks())
     writing.cancel()
@@ -256,15 +256,15 @@ async def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> 
     left = [each for each in asyncio.all_tasks() if "_publish_all" in repr(each)]
     broker.send_signal(signal.SIGCONT)
     assert not left
-    await output.close()
+    await output.close_output()
 
 
 @in_real_time
 async def test_a_confirmation_waits_for_no_ack_of_tcp(broker: Broker) -> None:
     """Nagle's algorithm would hold back the request for it until the broker acknowledged others."""
     output = Mqtt(broker.url)
-    await output.open()
+    await output.open_output()
     assert output._connection._client is not None
     connection = output._connection._client._client.socket()
     assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-    await output.close()
+    await output.close_output()

@@ -59,9 +59,9 @@ def written(output: Picky, devices: str, later: str = "") -> OutputStatistics:
     """Write polls until none waits or one is refused, then `later`; return the counts."""
 
     async def play(pump: Pump) -> None:
-        pump.buffer.put(polls(devices))
+        pump.buffer.put_readings(polls(devices))
         await until(lambda: not pump.buffer or output.failed > 5)
-        pump.buffer.put(polls(later))
+        pump.buffer.put_readings(polls(later))
 
     return played(output, play)
 
@@ -84,7 +84,7 @@ def test_what_fails_for_the_moment_is_not_dropped(error: Exception, failures: in
     output = Picky(refused=("a",), error=error)
 
     async def play(pump: Pump) -> None:
-        pump.buffer.put(polls("ab"))
+        pump.buffer.put_readings(polls("ab"))
         await until(lambda: pump.statistics.failures >= failures)
         output.refused = ()
 
@@ -94,7 +94,7 @@ def test_what_fails_for_the_moment_is_not_dropped(error: Exception, failures: in
 
 def test_an_output_that_raises_when_closed_is_opened_again() -> None:
     class Clumsy(Picky):
-        async def close(self) -> None:
+        async def close_output(self) -> None:
             raise RuntimeError("a bug")
 
     output = Clumsy(refused=("b",))
@@ -158,9 +158,9 @@ def test_a_poll_that_is_dropped_is_told_once(caplog: pytest.LogCaptureFixture) -
 
 def test_an_output_of_one_device_writes_its_later_polls() -> None:
     class OnePoll(Picky):
-        async def write(self, readings: Sequence[Reading]) -> None:
+        async def write_readings(self, readings: Sequence[Reading]) -> None:
             self.refused = "a" if any(each.value == 1 for each in readings) else ""
-            await super().write(readings)
+            await super().write_readings(readings)
 
     output = OnePoll(error=LOST)
     assert written(output, "aaaa").dropped == 2
@@ -182,7 +182,7 @@ def test_a_poll_that_waits_alone_is_kept() -> None:
     output = Picky(refused="a", error=LOST)
 
     async def play(pump: Pump) -> None:
-        pump.buffer.put(polls("a"))
+        pump.buffer.put_readings(polls("a"))
         await until(lambda: output.failed > 10)
         assert pump.statistics.dropped == 0
         output.refused = ""
@@ -195,9 +195,9 @@ def test_a_poll_that_waits_alone_is_kept() -> None:
 async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
     output = Picky(refused="x", error=LOST, buffer=4)
     async with pumping(output) as pump:
-        pump.buffer.put(polls("x"))
+        pump.buffer.put_readings(polls("x"))
         await until(lambda: output.failed > 3)
-        pump.buffer.put(polls("bcd"))
+        pump.buffer.put_readings(polls("bcd"))
         await ended(pump)
     assert {each.device for each in output.accepted} <= set("bcd")
     assert pump.statistics.written + pump.statistics.dropped == 8
@@ -212,11 +212,11 @@ def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
     output = Picky(refused="b", error=LOST)
 
     async def play(pump: Pump) -> None:
-        pump.buffer.put(polls("abc"))
+        pump.buffer.put_readings(polls("abc"))
         await until(lambda: pump.statistics.dropped)
         await ended(pump)
         output.next = [LOST, LOST]
-        pump.buffer.put(polls("ac", first=3))
+        pump.buffer.put_readings(polls("ac", first=3))
 
     statistics = played(output, play)
     assert (statistics.written, statistics.dropped) == (8, 2)
@@ -232,7 +232,7 @@ def test_a_device_that_is_refused_again_costs_few_connections_and_no_time(device
     async def play(pump: Pump) -> None:
         for at in range(20):
             before, begun = output.failed, asyncio.get_running_loop().time()
-            pump.buffer.put([reading(device, "one", 1, 100.0 + at) for device in devices])
+            pump.buffer.put_readings([reading(device, "one", 1, 100.0 + at) for device in devices])
             await until(lambda at=at: pump.statistics.dropped == at + 1 and not pump.buffer)
             failed.append(output.failed - before)
             took.append(asyncio.get_running_loop().time() - begun)
@@ -248,13 +248,13 @@ def test_a_device_that_is_accepted_again_is_believed_again() -> None:
     output = Picky(refused="b", error=LOST)
 
     async def play(pump: Pump) -> None:
-        pump.buffer.put(polls("abc"))
+        pump.buffer.put_readings(polls("abc"))
         await until(lambda: pump.statistics.dropped)
         output.refused = ""
-        pump.buffer.put(polls("abc", first=3))
+        pump.buffer.put_readings(polls("abc", first=3))
         await ended(pump)
         output.refused = "b"
-        pump.buffer.put(polls("abc", first=6))
+        pump.buffer.put_readings(polls("abc", first=6))
         await until(lambda: output.failed > 6)
         output.refused = ""
 
@@ -268,8 +268,8 @@ def test_a_device_that_is_accepted_again_is_believed_again() -> None:
 class Denied(Stream):
     """Its server denies the subject of x: such a publish is never acknowledged."""
 
-    async def open(self) -> None:
-        await super().open()
+    async def open_output(self) -> None:
+        await super().open_output()
         publish = self._js.publish_async
 
         async def denying(subject: str, *given: Any, **named: Any) -> Any:

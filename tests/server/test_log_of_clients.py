@@ -1,0 +1,155 @@
+"""
+What the log says of clients that limits, networks, roles, routes and TLS refuse: a line at once,
+and then a line a minute with their number.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import re
+import ssl
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from libmodbus_py import Device, Gateway, Limits, Mapping, Route, Server
+from libmodbus_py.serve import Allow, Rules
+from tests.simulation.stage import Stage
+from tests.support import certificates
+from tests.support.attacks import READ_ONE, adu
+from tests.support.certificates import Papers
+from tests.support.tls import TlsClient, context
+
+TABLE = (Path(__file__).parents[2] / "docs" / "log.md").read_text()
+
+WRITE_ONE = bytes.fromhex("06 0000 0001")
+
+TIMES = 4
+
+
+@contextmanager
+def asking(stage: Stage, server: Server | Gateway, data: bytes = b"") -> Iterator[None]:
+    """Serve while so many clients send some bytes, and stay."""
+    with server.background("tcp://10.0.0.1:0") as running:
+        for _ in range(TIMES):
+            client = stage.talk(running.urls[0])
+            with contextlib.suppress(OSError):
+                client.sendall(data)
+            stage.pass_time(1)
+        yield
+
+
+def limited(data: bytes = b"", **limits: Any) -> Callable[..., AbstractContextManager[None]]:
+    def cause(stage: Stage, papers: Papers) -> AbstractContextManager[None]:
+        device = Device(Mapping(holding_registers=10))
+        return asking(stage, Server(device, limits=Limits(**limits)), data)
+
+    return cause
+
+
+def without_a_right(stage: Stage, papers: Papers) -> AbstractContextManager[None]:
+    device = Device(Mapping(holding_registers=10), authorize=Rules({None: Allow(read="all")}))
+    return asking(stage, Server(device), adu(WRITE_ONE))
+
+
+def on_a_read_only_route(stage: Stage, papers: Papers) -> AbstractContextManager[None]:
+    stage.line("/dev/line")
+    return asking(stage, Gateway([Route("rtu:///dev/line", read_only=True)]), adu(WRITE_ONE))
+
+
+@contextmanager
+def greeting(stage: Stage, papers: Papers, **options: Any) -> Iterator[int]:
+    server = Server(Device(Mapping(10)), security=papers.server(**options))
+    with server.background("tls://127.0.0.1:0") as running:
+        yield int(running.urls[0].rpartition(":")[2])
+
+
+def presenting(
+    identity: Callable[[], Any], *revoked: Any
+) -> Callable[..., AbstractContextManager[None]]:
+    @contextmanager
+    def cause(stage: Stage, papers: Papers) -> Iterator[None]:
+        options = {}
+        if revoked:
+            path = papers.files(certificates.server()).cert.with_name("crl.pem")
+            path.write_bytes(certificates.revocation_list(*(each() for each in revoked)))
+            options["crl"] = path
+        with greeting(stage, papers, **options) as port:
+            for _ in range(TIMES):
+                told = context(papers, identity(), ssl.TLSVersion.TLSv1_2)
+                with TlsClient(port, told, stage=stage) as client, pytest.raises(ssl.SSLError):
+                    client.handshake()
+            yield
+
+    return cause
+
+
+@contextmanager
+def without_a_handshake(stage: Stage, papers: Papers) -> Iterator[None]:
+    with greeting(stage, papers) as port:
+        waiting = [stage.talk(port) for _ in range(TIMES)]
+        stage.pass_time(6)
+        assert all(client.is_closed() for client in waiting)
+        yield
+
+
+TROUBLES: dict[str, tuple[Callable[..., AbstractContextManager[Any]], str]] = {
+    "a slow frame": (limited(b"\0\1\0\0", frame_timeout=0.5), "(frame_timeout)"),
+    "a flood": (limited(adu(READ_ONE) * 100, requests_per_second=20), "(requests_per_second)"),
+    "too many, the new one": (
+        limited(max_connections=1, when_full="refuse", connections_per_address=9),
+        "1 connections are open (max_connections)",
+    ),
+    "too many, the idle one": (limited(max_connections=1), "another connection (max_connections)"),
+    "too many of an address": (
+        limited(connections_per_address=1, when_full="refuse"),
+        "has 1 connections (connections_per_address)",
+    ),
+    "no Modbus": (limited(b"GET / HTTP/1.1\r\n\r\n"), "connection closed: header with"),
+    "another network": (limited(allow=["192.0.2.0/24"]), "refused: not in an allowed network"),
+    "a wrong role": (
+        without_a_right,
+        "without a role, may not use function 6 of unit 17, write holding_registers 0..0",
+    ),
+    "a read-only route": (
+        on_a_read_only_route,
+        "forwards no function 6 of unit 17, write holding_registers 0..0 (read_only, writable)",
+    ),
+    "no handshake": (without_a_handshake, "no TLS handshake within 5 s (handshake_timeout)"),
+    "no certificate": (presenting(lambda: None), "did not return a certificate"),
+    "an expired one": (
+        presenting(lambda: certificates.client(**certificates.expired())),
+        "certificate has expired: 'CN=",
+    ),
+    "a revoked one": (
+        presenting(certificates.client, certificates.client),
+        "certificate revoked: 'CN=",
+    ),
+    "a foreign one": (
+        presenting(lambda: certificates.client(issuer=certificates.foreign_authority())),
+        "TLS refused: ",
+    ),
+}
+
+
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_trouble_is_a_line_and_then_a_line_a_minute(
+    stage: Stage, papers: Papers, trouble: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    cause, text = TROUBLES[trouble]
+    with ExitStack() as stack, caplog.at_level(logging.WARNING):
+        stack.enter_context(cause(stage, papers))
+        (line,) = caplog.messages
+        stage.pass_time(61)
+        stage.pass_time(600)
+    assert re.match(r"(10|127)\.[\d.]+:\d+[:,] ", line)
+    assert text in line
+    lines = caplog.messages[1:]
+    assert all("since the last line like this" in each for each in lines)
+    assert len(lines) == 1
+    rows = re.findall(r"^\| `(.+?)` \| warning \|", TABLE, re.MULTILINE)
+    assert any(re.fullmatch(re.escape(row).replace("…", ".*"), line) for row in rows)
