@@ -17,6 +17,7 @@ From the caller to the wire:
     call               one request, its timeouts and its outcome; several requests of a caller
     blocking_driver    waits with poll, for any thread; forks, Ctrl-C
     asyncio_driver     waits in an event loop, with one reader and one timer
+    task_caller        a task of an event loop that waits for its requests
     connection         when each request is sent, and its outcome; without sockets or clocks
       queue            which request is next, and how many may be in flight
       outcomes         what becomes of a request: a result, an error with the likely mistake, a

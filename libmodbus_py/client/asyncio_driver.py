@@ -1,8 +1,8 @@
 """
 The driver of asyncio clients: one reader and one timer for a connection.
 
-A caller owns neither a task, a timer nor the connection, but only its call or batch and its future.
-Cancelling the caller removes only these two.
+A caller owns neither a task, a timer nor the connection, but only its call or batch, and a
+`TaskCaller`. Cancelling the caller removes only these two.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import asyncio
 import contextlib
 import errno
 import warnings
-from asyncio import Future
 from collections import deque
 from collections.abc import Callable
 from functools import partial
@@ -25,6 +24,7 @@ from ..protocol.errors import ModbusConnectionError
 from .call import Batch, Call
 from .connection import Transactions
 from .reconnecting import State
+from .task_caller import TaskCaller
 
 if TYPE_CHECKING:
     from ..ports.port import Port
@@ -42,8 +42,8 @@ class AsyncioDriver:
         self._notices = connection.notices
         self._queue = connection.queue
         self._matching = connection.matching
-        # What callers wait for, each with the future or function that tells its caller.
-        self._callers: dict[Call | Batch, Future[None] | Callable[[], object]] = {}
+        # What callers wait for, each with the function that tells its caller.
+        self._callers: dict[Call | Batch, Callable[[], object]] = {}
         self._begin_anew()
         abandoned_in_children(self)
 
@@ -77,19 +77,14 @@ class AsyncioDriver:
                     await self._closed.wait()
         return self._life.state is not State.CLOSED
 
-    async def run(self, job: Call | Batch) -> None:
-        """Send requests; returns when they are over."""
+    def run(self, job: Call | Batch) -> TaskCaller:
+        """Send requests; the caller awaits at once what is returned, until they are over."""
         loop = asyncio.get_running_loop()
         if loop is not self._loop:
             self._bind()
-        done = loop.create_future()
-        try:
-            self._submit(job, done)
-            if not job.is_done:
-                await done
-        finally:
-            if not job.is_done:
-                self.withdraw(job)
+        caller = TaskCaller(loop, job, self.withdraw)
+        self._submit(job, caller.go_on)
+        return caller
 
     def ask(self, job: Call | Batch, caller: Callable[[], object]) -> None:
         """
@@ -100,7 +95,7 @@ class AsyncioDriver:
         self._bind()
         self._submit(job, caller)
 
-    def _submit(self, job: Call | Batch, caller: Future[None] | Callable[[], object]) -> None:
+    def _submit(self, job: Call | Batch, caller: Callable[[], object]) -> None:
         self._callers[job] = caller
         job.on_end(self._note_end)
         try:
@@ -130,12 +125,9 @@ class AsyncioDriver:
             self._enter(self._abandon, job)
 
     def _note_end(self, job: Call | Batch) -> None:
-        """Wake the caller of requests that are over, or call its function later."""
+        """Note the caller of requests that are over, for `_tell`."""
         caller = self._callers.pop(job, None)
-        if isinstance(caller, Future):
-            if not caller.done():
-                caller.set_result(None)  # the caller goes on in a later turn of the loop
-        elif caller is not None:
+        if caller is not None:
             self._ended.append(caller)
 
     def _abandon(self, job: Call | Batch) -> None:
@@ -250,28 +242,26 @@ class AsyncioDriver:
             self._note_end(job)  # if it was over, and the exception came before this
 
     def _tell(self) -> None:
-        """Call user functions, now that the state is consistent."""
+        """Call user functions, and let tasks go on, now that the state is consistent."""
         if self._is_telling:  # a user function uses the client; the others are called after it
             return
         self._is_telling = True
         try:
-            if self._notices.waiting:
-                self._notices.give()
-            while self._ended:
-                self._call(self._ended.popleft())
+            while self._notices.waiting or self._ended:
+                if self._notices.waiting:
+                    self._notices.give()
+                    continue
+                caller = self._ended.popleft()
+                try:
+                    if (result := caller()) is not None:
+                        finished("on_done", result)
+                except Exception:
+                    log_failure(__name__, "on_done failed")
         except BaseException:
             self._bound.call_soon(self._tell)
             raise
         finally:
             self._is_telling = False
-
-    def _call(self, caller: Callable[[], object]) -> None:
-        try:
-            result = caller()
-            if result is not None:
-                finished("on_done", result)
-        except Exception:
-            log_failure(__name__, "on_done failed")
 
     # --- turns ------------------------------------------------------------------------------
 

@@ -184,7 +184,7 @@ class Transactions:
             return False
         adus: list[bytes] = []
         traced: list[Call] = []
-        unsettled, most = self._answered, queue.limit
+        unsettled, most, spacing = self._answered, queue.limit, self._settings["request_spacing"]
         if (is_traced := self._trace.is_on()) is not matching.is_traced:
             matching.trace_frames(is_on=is_traced)
         while (call := queue.next(now, self.in_flight, unsettled)) is not None:
@@ -209,8 +209,8 @@ class Transactions:
                     queue.waiting.append(follower)
                 if 1 < batch.limit < most:
                     most = batch.limit
-            if self._settings["request_spacing"]:
-                self._next_start = now + self._settings["request_spacing"]
+            if spacing:
+                self._next_start = now + spacing
                 break
             if most <= 2 * len(adus) or not (queue.waiting or queue.again):
                 break
@@ -368,29 +368,26 @@ class Transactions:
         """
         Take received bytes; return True if requests wait to be sent. `settle` decodes the answers.
         """
-        matching = self.matching
+        matching, waiting = self.matching, self.queue.waiting
         for data in chunks:
             answered = matching.take(data, now)
             self.in_flight -= len(answered)
             self._answered += answered
             for call in answered:
-                batch = call.batch
-                if batch is not None and batch.limit > 1:
-                    self._go_on_early(call, batch)
+                batch, reply = call.batch, call.reply
+                if batch is None or batch.limit == 1:
+                    continue
+                # After a good answer, a batch goes on before that is decoded.
+                is_good = isinstance(reply, bytes) and reply[0] < 0x80
+                if is_good and (follower := batch.next_after(call)) is not None:
+                    waiting.append(follower)
         if matching.unasked > MAX_UNASKED_BYTES or not matching.is_in_step:
             self.is_flooded = matching.unasked > MAX_UNASKED_BYTES
             if not matching.is_in_step:
                 self._break("closed, because the received bytes cannot be understood")
             elif self._is_socket:
                 self._break("flooded with frames that answer no request")
-        return bool(self.queue.waiting or self.queue.again)
-
-    def _go_on_early(self, call: Call, batch: Batch) -> None:
-        """Let a batch go on after a good answer, before that is decoded."""
-        reply = call.reply
-        is_good = isinstance(reply, bytes) and reply[0] < 0x80
-        if is_good and (follower := batch.next_after(call)) is not None:
-            self.queue.waiting.append(follower)
+        return bool(waiting or self.queue.again)
 
     def _go_on_after(self, call: Call) -> None:
         """Submit the next request of the batch of a request, if it is one of a batch."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError, State, pdu
+from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError, State, Traced, pdu
 from tests.simulation.scripted import Scripted
 from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import TcpPeer, Write, echo
@@ -53,6 +53,22 @@ def test_the_connection() -> None:
         await asyncio.sleep(60)
         assert len(peer.requests) == 1
         await plc.close()
+
+    run_peer(good, main)
+
+
+def test_an_answer_that_is_read_in_the_turn_of_the_cancellation() -> None:
+    async def main(peer: Scripted) -> None:
+        def note(frame: Traced) -> None:
+            if frame.direction == "received" and not reading.done():
+                reading.cancel("no longer needed")
+
+        async with AsyncClient(peer.url, trace=note) as plc:
+            reading = asyncio.create_task(plc.read_holding_registers(1, 1))
+            with pytest.raises(asyncio.CancelledError, match="no longer needed"):
+                await reading
+            assert await plc.read_holding_registers(2, 1) == [2]
+            assert (plc.statistics.responses, plc.statistics.late_answers) == (2, 0)
 
     run_peer(good, main)
 
