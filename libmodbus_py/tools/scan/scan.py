@@ -13,7 +13,7 @@ from typing import NamedTuple
 from ...ports.endpoint import Endpoint, parse
 from ...protocol import pdu
 from ...protocol.checks import integer
-from ...protocol.errors import NO_UNIT, FrameError, ModbusConnectionError, ModbusError
+from ...protocol.errors import NO_UNIT, ModbusConnectionError, ModbusError
 from ...protocol.mistakes import named_parameters
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
@@ -104,7 +104,8 @@ class Scan(Walker[Found]):
         settings: the number of settings that are tried; 1 on networks.
         units: the units that are probed at each setting.
         total: the number of probes, if no unit is found.
-        longest: the most seconds that the scan takes, if no unit is found.
+        longest: the most seconds that the scan takes, if no unit is found; twice as many on a
+            line that is never silent.
         longest_first: the most seconds until the first units have been probed at all settings, if
             no unit is found; `longest` if there are no other units, or only one setting.
         longest_found: the most seconds that each unit found adds.
@@ -215,8 +216,6 @@ class _PlaceScan:
         answer = prober.probe(unit)
         if isinstance(answer, ModbusError):
             self._nothing[unit] = answer
-            # Nothing is sent on a line that is never silent.
-            self.is_left = isinstance(answer, FrameError) and not answer.sent
         elif answer.exception in self._answers_of_none(prober):
             self._alike.append((unit, answer))
             self.is_left = answer.exception is None

@@ -48,7 +48,8 @@ SERIAL = [
 ]
 
 CASES = [
-    *(("tcp", name) for name in SEEN),
+    # A read is sent again if its connection ends before a byte of the answer.
+    *(("tcp", name) for name in SEEN if name != "disconnect"),
     *((scheme, name) for scheme in ("rtu", "ascii") for name in SERIAL),
     *((scheme, "wrong_check") for scheme in ("rtu+tcp", "ascii+tcp")),
     *((scheme, "disconnect midway") for scheme in ("rtu+tcp", "ascii+tcp")),
@@ -76,8 +77,9 @@ def test_a_client_sees_the_fault_and_the_next_request_succeeds(
         assert client.read_holding_registers(0, 3) == [555, 0, 100]
 
 
-@pytest.mark.parametrize("scheme", ["tcp", "rtu"])
-@pytest.mark.parametrize("kind", ["wrong_check", "disconnect"])
+@pytest.mark.parametrize(
+    ("scheme", "kind"), [("tcp", "wrong_check"), ("rtu", "wrong_check"), ("rtu", "disconnect")]
+)
 def test_a_client_of_the_system_sees_the_fault_and_the_next_request_succeeds(
     scheme: str, kind: str
 ) -> None:

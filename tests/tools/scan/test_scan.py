@@ -80,7 +80,7 @@ def test_three_units_are_found_at_their_two_rates(network: Network, scheme: str)
         assert each.identification is not None
         assert each.identification.names == OBJECTS
         assert (each.is_late, each.is_any) == (False, False)
-        assert each.took < 0.1
+        assert each.took < 0.2  # the first answer on a line is held for longer
     assert only_read([asked[2] for asked in bus.asked])
     assert scanned.requests == len(bus.asked)
     with Client(found[0].url) as client:  # the URL is one of a client
@@ -136,14 +136,14 @@ def test_noise_and_an_echo_do_not_make_a_unit(
     assert note in told
 
 
-def test_a_line_that_never_falls_silent_is_left_soon(network: Network) -> None:
+def test_a_line_that_never_falls_silent_is_asked_in_time(network: Network) -> None:
     bus = SimulatedBus(network, {})
     bus.flood(b"\x55", 0.0012)
     scanned = scan(bus.url, baudrates=[9600], parities=["N"], timeout=0.1)
     started = network.events.now
     assert all_of(scanned) == []
-    assert len(bus.asked) < 2  # of 247
-    assert network.events.now - started < 0.02 * scanned.longest
+    assert len({asked[1] for asked in bus.asked}) == 247
+    assert network.events.now - started < 2 * scanned.longest
     assert "or others send" in scanned.notes[0]
 
 
