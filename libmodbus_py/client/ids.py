@@ -10,11 +10,12 @@ some modems.
 from __future__ import annotations
 
 import copy
+import struct
 from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from ..protocol.errors import MAX_RECEIVED, FrameError, InvalidResponse, ModbusError
-from ..protocol.framing import HEADER, TcpFramer, UdpFramer, mbap
+from ..protocol.framing import TcpFramer, UdpFramer, mbap
 from .call import Call, Matching, no_answer
 from .statistics import Statistics
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from ..ports.trace import Trace
 
 __all__ = ["Ids"]
+
+_MBAP = struct.Struct(">HHHB")  # with the unit
 
 # The most ids that are kept for late answers; requests need the others.
 MAX_ABANDONED = 0x8000
@@ -68,7 +71,7 @@ class Ids(Matching):
             self.unasked: int = 0
         if not call.is_silent:
             pending[number] = call
-        return HEADER.pack(number, 0, 1 + len(pdu), call.unit) + pdu
+        return _MBAP.pack(number, 0, 1 + len(pdu), call.unit) + pdu
 
     # --- answers --------------------------------------------------------------------------
 

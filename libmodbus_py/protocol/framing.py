@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 # fmt: off
 __all__ = [
-    "HEADER", "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "Overheard", "RtuFramer",
+    "LINE_FEED", "AsciiFramer", "Frame", "Framer", "Framing", "Overheard", "RtuFramer",
     "TcpFramer", "UdpFramer", "crc16", "cut", "delimiter_after", "is_delimiter", "is_one_frame",
     "lrc", "make_framer", "pdu_of", "split", "transaction_of",
 ]
@@ -46,14 +46,14 @@ TRANSACTION, UNIT, FUNCTION = slice(0, 2), 6, 7
 """The positions of transaction id, unit and function code in a frame with an MBAP header."""
 
 _HEADER = struct.Struct(">HHH")
-HEADER = struct.Struct(">HHHB")  # with the unit
-MAX_FRAME = HEADER.size + MAX_PDU
+_MBAP = struct.Struct(">HHHB")  # with the unit
+MAX_FRAME = _MBAP.size + MAX_PDU
 _CRC = struct.Struct("<H")
 
 
 def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
     """Return a PDU with an MBAP header; nothing is checked."""
-    return HEADER.pack(transaction, 0, 1 + len(pdu), unit) + pdu
+    return _MBAP.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
 
 def rtu(_transaction: int, unit: int, pdu: bytes) -> bytes:
@@ -104,7 +104,7 @@ def is_one_frame(data: bytes) -> bool:
     """Return True if the bytes are one whole frame with an MBAP header, and nothing else."""
     size = len(data)
     return (
-        8 <= size <= HEADER.size + MAX_PDU
+        8 <= size <= _MBAP.size + MAX_PDU
         and size == _HEADER.size + (data[4] << 8 | data[5])
         and not (data[2] or data[3])
     )
@@ -140,7 +140,7 @@ class TcpFramer(Framer):
 
     def encode(self, frame: Frame) -> bytes:
         unit, pdu, transaction = checked_frame(frame)
-        return HEADER.pack(transaction, 0, 1 + len(pdu), unit) + pdu
+        return _MBAP.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
     def whole(self, data: bytes) -> tuple[int, bytes, int] | None:
         """
@@ -150,7 +150,7 @@ class TcpFramer(Framer):
         """
         size = len(data)
         if FUNCTION < size <= MAX_FRAME and not self.rest and self.in_step:
-            transaction, protocol, length, unit = HEADER.unpack_from(data)
+            transaction, protocol, length, unit = _MBAP.unpack_from(data)
             if length == size - UNIT and not protocol:
                 return unit, data[FUNCTION:], transaction
         return None
