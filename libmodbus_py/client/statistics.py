@@ -63,23 +63,35 @@ class Statistics:
     failed_connects: int = 0
     lost: int = 0
     last_success: float | None = None
-    results: defaultdict[tuple[int, str], int] = field(
-        default_factory=lambda: defaultdict(int), repr=False
-    )
     answer_times: list[int] = field(
         default_factory=lambda: [0] * (len(TIME_BOUNDS) + 1), repr=False
     )
     answer_seconds: float = field(default=0.0, repr=False)
+    # The good results by function, of which nearly all are; and the other ones.
+    _good: list[int] = field(default_factory=lambda: [0] * 256, repr=False)
+    _others: defaultdict[tuple[int, str], int] = field(
+        default_factory=lambda: defaultdict(int), repr=False
+    )
+
+    @property
+    def results(self) -> defaultdict[tuple[int, str], int]:
+        """The number of completed requests by function and result, each time counted anew."""
+        results = self._others.copy()
+        results |= {(function, "ok"): count for function, count in enumerate(self._good) if count}
+        return results
 
     def note(self, function: int, result: str) -> None:
-        """Count the result of a request."""
-        self.results[function, result] += 1
+        """Count the result of a request, other than "ok"."""
+        self._others[function, result] += 1
 
     def note_answer(self, function: int, result: str, seconds: float, now: float) -> None:
         """Count a valid response that came now, after so many seconds."""
         self.last_success = now
         self.responses += 1
-        self.results[function, result] += 1
+        if result == "ok":
+            self._good[function] += 1
+        else:
+            self._others[function, result] += 1
         self.answer_times[bisect_left(TIME_BOUNDS, seconds)] += 1
         self.answer_seconds += seconds
 

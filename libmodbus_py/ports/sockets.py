@@ -7,6 +7,7 @@ descriptors of 1024 and above (3.1.6).
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import math
 import os
@@ -30,6 +31,9 @@ __all__ = ["StreamPort", "TcpPort", "UdpPort", "keep_alive", "refuse_own"]
 
 # Value of SO_LINGER: the end of the connection is a reset.
 RESET = struct.pack("ii", 1, 0)
+
+# Received at first, and more only if there is more: Python keeps so small bytes without malloc.
+FIRST_BYTES = 479
 
 # Datagrams taken in one turn.
 DATAGRAMS = 64
@@ -171,13 +175,16 @@ class StreamPort(SocketPort):
 
     def receive(self) -> list[bytes]:
         try:
-            data = self._socket.recv(RECEIVED_BYTES)
+            data = self._socket.recv(FIRST_BYTES)
         except BlockingIOError:
             return []
         except OSError as error:
             raise lost(error) from error
         if not data:
             raise ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
+        if len(data) == FIRST_BYTES:
+            with contextlib.suppress(OSError):  # of which the next call tells again
+                data += self._socket.recv(RECEIVED_BYTES)
         return [data]
 
     def send(self, adus: list[bytes], now: float) -> None:

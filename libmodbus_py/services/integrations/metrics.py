@@ -232,7 +232,7 @@ def _of_server(statistics: ServerStatistics, labels: Labels) -> Values:
 
 def _of_client(statistics: Statistics, labels: Labels) -> Values:
     yield from _of_attributes(statistics, labels)
-    for (function, result), count in statistics.results.copy().items():
+    for (function, result), count in statistics.results.items():
         outcome = (("function", str(function)), ("result", result))
         yield Sample(REQUESTS, "_total", labels + outcome), count
     times, seconds = statistics.answer_times, statistics.answer_seconds

@@ -335,8 +335,8 @@ def test_a_scrape_may_meet_results_that_are_new(registry: CollectorRegistry) -> 
     def grow() -> None:
         while not done.is_set():
             for function in range(1000):
-                plc.statistics.note(function, "ok")
-            plc.statistics.results.clear()
+                plc.statistics.note(function, "lost")
+            plc.statistics._others.clear()
 
     done = threading.Event()
     plc = Client("tcp://127.0.0.1:1")
