@@ -409,7 +409,7 @@ class Transactions:
                 except BaseException as mistake:
                     self._outcomes.note_invalid(mistake, call, now)
                 else:
-                    self.statistics.note_answer(reply[0], "ok", now - call.sent_at, now)
+                    self.statistics.note_answer(reply[0], now - call.sent_at, now)
                     if self.life.fruitless:  # the other side is alive
                         self.life.prove()
                     call.settle(result)

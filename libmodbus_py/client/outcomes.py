@@ -100,7 +100,7 @@ class Outcomes:
         """Set the outcome of a request that failed, or send it again."""
         if isinstance(error, ExceptionResponse):
             self._statistics.exceptions += 1
-            self._statistics.note_answer(call.pdu[0], "exception", now - call.sent_at, now)
+            self._statistics.note_answer(call.pdu[0], now - call.sent_at, now, "exception")
             self._life.prove()
         else:
             self._statistics.note(call.function, result_of(error))

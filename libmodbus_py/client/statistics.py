@@ -84,14 +84,16 @@ class Statistics:
         """Count the result of a request, other than "ok"."""
         self._others[function, result] += 1
 
-    def note_answer(self, function: int, result: str, seconds: float, now: float) -> None:
-        """Count a valid response that came now, after so many seconds."""
+    def note_answer(
+        self, function: int, seconds: float, now: float, other: str | None = None
+    ) -> None:
+        """Count a response that came now, after so many seconds; `other` is its result but "ok"."""
         self.last_success = now
         self.responses += 1
-        if result == "ok":
+        if other is None:
             self._good[function] += 1
         else:
-            self._others[function, result] += 1
+            self._others[function, other] += 1
         self.answer_times[bisect_left(TIME_BOUNDS, seconds)] += 1
         self.answer_seconds += seconds
 

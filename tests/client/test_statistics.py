@@ -182,8 +182,8 @@ def test_bounds_of_times_are_those_of_the_documentation() -> None:
 )
 def test_an_answer_is_counted_up_to_its_bound(seconds: float, place: int) -> None:
     statistics = Statistics()
-    statistics.note_answer(3, "ok", seconds, 0.0)
-    statistics.note_answer(3, "exception", seconds, 0.0)
+    statistics.note_answer(3, seconds, 0.0)
+    statistics.note_answer(3, seconds, 0.0, "exception")
     assert [at for at, count in enumerate(statistics.answer_times) if count] == [place]
     assert statistics.answer_times[place] == statistics.responses == 2
     assert statistics.answer_seconds == 2 * seconds
