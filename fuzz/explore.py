@@ -441,18 +441,18 @@ Steps = list[tuple[str, str]]
 _SURPLUS = ("late", "twice", "three", "refused twice", "cancelled", "lost", "given up")
 _MISSING = ("late", "slow", "never", "lost", "swallowed", "damaged", "cancelled", "given up")
 
-# The most values of other requests that follow one fault of a device.
-MOST_WRONG = 5
+# The most values of other requests that follow one fault of a device, and each of several.
+MOST_WRONG, MOST_WRONG_EACH = 3, 5
 
 EXCEPTIONS: dict[str, str] = {
     "doubled answer": "An answer comes twice, and the second time while another request, or the "
     "same one again, is in flight. It is taken for the answer to that if it comes as long behind "
     "the request as usual answers, and is equal to no earlier one, or if none was doubled on this "
-    "line before. At most five values.",
+    "line before. At most three values.",
     "answer to another program": "A program starts while an answer to another one is under way, "
-    "and the next answer comes later than HOLD lasts. At most five values.",
+    "and the next answer comes later than HOLD lasts. At most three values.",
     "before the first answer": "A unit that has never answered, and then answers after a timeout "
-    "of silence: this is taken for the answer to the request in flight. At most five values.",
+    "of silence: this is taken for the answer to the request in flight. At most three values.",
     "alone in HOLD": "A late or doubled answer, and then a request that is not answered in time "
     "itself, or takes twice as long as any before: the first one is alone while it is held, and is "
     "believed. It concerns one value, or the outcome of one write, for each such pair.",
@@ -501,7 +501,8 @@ def run(has_ids: bool, changes: bool, retries: int, steps: Steps) -> World:
         world.move("AB"[number % 2], "good")
     if any(each.has_failed for each in world.asked[first:]):
         found.add("spoiled")
-    if world.errors or world.wrong_values > MOST_WRONG * len(unusual):
+    most = MOST_WRONG if len(unusual) == 1 else MOST_WRONG_EACH * len(unusual)
+    if world.errors or world.wrong_values > most:
         found.add("lasting")
     world.errors = found
     return world
