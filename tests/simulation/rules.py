@@ -75,6 +75,10 @@ class Witness:
     events: Events
     answered: int = 0
     failed: int = 0
+    # On a line an answer that comes later than any before, while the next one is late as well,
+    # gives one wrong value: "alone in HOLD" in docs/protocol/timing.md. It is one of 500 at most.
+    is_line: bool = False
+    wrong: int = 0
     results: Counter[str] = field(default_factory=Counter)
     resting: dict[int, Rest] = field(default_factory=dict)
     through_gateway: set[Key] = field(default_factory=set)
@@ -101,8 +105,11 @@ class Witness:
             return
         unit, pdu = call.key
         if values[:2] != [unit, int.from_bytes(pdu[1:3], "big")] or len(values) != COUNT:
-            self.fail("an answer is the one to its request", f"{_text(call.key)} gave {values}")
-        elif not call.began - call.age - EXACT <= time_of(values) <= self.events.now + EXACT:
+            self.wrong += 1
+            if self.wrong > self.is_line * (1 + self.answered // 500):
+                self.fail("an answer is the one to its request", f"{_text(call.key)} gave {values}")
+            return
+        if not call.began - call.age - EXACT <= time_of(values) <= self.events.now + EXACT:
             old = call.began - time_of(values)
             self.fail("an answer is the one to its request", f"{_text(call.key)}: {old:.3f} s old")
 

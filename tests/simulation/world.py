@@ -100,6 +100,7 @@ class World:
 
     def bus(self, device: str, numbers: range, timeout: float, baudrate: int) -> None:
         """Put units on a line."""
+        self.witness.is_line = True
         line = self.network.line(device)
         line.character = 11 / baudrate
         faults = set(self.options.faults) - NOT_ON_LINES
@@ -108,6 +109,7 @@ class World:
 
     def host(self, url: str, numbers: range, timeout: float) -> str:
         """Put units behind a TCP port."""
+        self.witness.is_line |= not url.startswith("tcp")
         faults = set(self.options.faults) - NOT_OVER_TCP
         units = [self.unit(number, faults, timeout) for number in numbers]
         host = Host(self.network, url, units, 0.95 if "drop" in faults else 1.0)
