@@ -55,8 +55,8 @@ class PemFile:
                 return file.read().decode("utf-8", "replace")
         except OSError as error:
             raise ValueError(f"{self}: {error.strerror}") from None
-        except ValueError as error:  # a name that no file can have
-            raise ValueError(f"{self}: {error}") from None
+        except ValueError:  # a null byte
+            raise ValueError(f"{self}: no file can have this name") from None
 
     def certificates(self) -> list[bytes]:
         """Return the certificates in DER; raise a ValueError if there is none, or a list."""

@@ -131,7 +131,7 @@ def test_what_is_no_file_is_named(papers: Papers, files: Files, argument: str) -
     directory = papers.ca.parent
     for wrong, error, reason in (
         (directory, ValueError, f"{argument} {str(directory)!r}: Is a directory"),
-        ("a\0b", ValueError, f"{argument} 'a\\x00b': embedded null byte"),
+        ("a\0b", ValueError, f"{argument} 'a\\x00b': no file can have this name"),
         ("", ValueError, f"{argument} '': No such file or directory"),
         (5, TypeError, f"{argument} must be a file.*, not int"),
         (b"x", TypeError, f"{argument} must be a file.*, not (bytes|int)"),
