@@ -108,13 +108,12 @@ class BlockingDriver:
                 self._is_busy = self._is_left = True
                 now = self._now()
                 connection.submit(job, now)
-                while not job.is_done:
-                    if lock is not self.lock:  # a callback or a signal handler forked
-                        raise ModbusConnectionError(FORKED, errno=errno.EBADF)
-                    self._turn(job, now or self._now())
+                if not job.is_done:
+                    self._turn(job, now)
                     if self._notices.waiting:
                         self._notices.give()
-                    now = 0.0
+                    if not job.is_done:  # most requests take one turn
+                        self._take_turns(job, lock)
                 if self._port.resume_at is not None:
                     self._finish_sending()
                 self._is_left = False
@@ -169,6 +168,20 @@ class BlockingDriver:
         self._is_left = False
 
     # --- the requests of one caller -----------------------------------------------------------
+
+    def _take_turns(self, job: Call | Batch, lock: threading.RLock) -> None:
+        """
+        Take turns until the requests are over.
+
+        A function of its own, because CPython 3.13.0 leaves the jump at the end of a loop outside
+        of the `try` around it: Ctrl-C there would leave the lock held.
+        """
+        while not job.is_done:
+            if lock is not self.lock:  # a callback or a signal handler forked
+                raise ModbusConnectionError(FORKED, errno=errno.EBADF)
+            self._turn(job, self._now())
+            if self._notices.waiting:
+                self._notices.give()
 
     def _turn(self, job: Call | Batch, now: float) -> None:
         """Send requests that may be sent, wait for bytes, and process them."""
