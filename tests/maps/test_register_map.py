@@ -235,7 +235,7 @@ def test_a_point_that_failed_has_its_error(connect: Connect) -> None:
 
 
 def test_data_that_is_no_value_takes_no_other_along(connect: Connect) -> None:
-    """solaredge_modbus issue 21: a text with a byte that is no ASCII, behind its end and in it."""
+    """A text of a solar inverter with a byte that is not ASCII, behind its end and in it."""
     cells = [42, *[0x564E, 0x00FF, 0x0700], *[0x564E, 0xFF00, 0], 0xFFFF, 0xFFFF, 0x13, 0]
     types = {"soc": "uint16", "name": "string:6", "bad": "string:6", "level": "bcd16"}
     at = {"soc": 0, "name": 1, "bad": 4, "level": 7, "clock": 8}
