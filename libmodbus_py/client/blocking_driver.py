@@ -73,15 +73,18 @@ class BlockingDriver:
         waker = self._port.waker()
         try:
             self._pauses.add(waker)  # before `_closed` is read: `close` sets it, then wakes
-            while not self._closed and self._now() < at:
-                try:
-                    waker.wait(-1, READ, at)
-                except Woken:
-                    waker.clear()
-            return not self._closed
+            return self._pause(waker, at)
         finally:
             self._pauses.discard(waker)
             waker.close()
+
+    def _pause(self, waker: Waker, at: float) -> bool:
+        while not self._closed and self._now() < at:
+            try:
+                waker.wait(-1, READ, at)
+            except Woken:
+                waker.clear()
+        return not self._closed
 
     def run(self, job: Call | Batch) -> None:
         """
@@ -173,8 +176,9 @@ class BlockingDriver:
         """
         Take turns until the requests are over.
 
-        A function of its own, because CPython 3.13.0 leaves the jump at the end of a loop outside
-        of the `try` around it: Ctrl-C there would leave the lock held.
+        A function of its own, as each loop here that Ctrl-C may end: CPython 3.13 leaves the jump
+        at the end of a loop outside of the `try` and the `with` around it, so that the lock would
+        stay held.
         """
         while not job.is_done:
             if lock is not self.lock:  # a callback or a signal handler forked

@@ -66,14 +66,17 @@ class Notices:
             return
         self._is_giving = True
         try:
-            while self.waiting:
-                name, call = self.waiting.popleft()
-                try:
-                    finished(name, call())
-                except Exception:
-                    log_failure(__name__, "%s failed", name)
+            self._give_all()
         finally:
             self._is_giving = False
+
+    def _give_all(self) -> None:
+        while self.waiting:
+            name, call = self.waiting.popleft()
+            try:
+                finished(name, call())
+            except Exception:
+                log_failure(__name__, "%s failed", name)
 
 
 class Reconnecting:
