@@ -52,49 +52,49 @@ class Functions(ContextBase):
 
     def write_coil(self, address: int, value: bool) -> None:
         """Write one coil (function 5, modbus_write_bit)."""
-        asked = pdu.WriteCoil(address, value)
-        self._write(asked, lib.modbus_write_bit, asked.address, asked.value)
+        request = pdu.WriteCoil(address, value)
+        self._write(request, lib.modbus_write_bit, request.address, request.value)
 
     def write_register(self, address: int, value: int) -> None:
         """Write one holding register, 0..65535 (function 6, modbus_write_register)."""
-        asked = pdu.WriteRegister(address, value)
-        self._write(asked, lib.modbus_write_register, asked.address, asked.value)
+        request = pdu.WriteRegister(address, value)
+        self._write(request, lib.modbus_write_register, request.address, request.value)
 
     def write_coils(self, address: int, values: Iterable[bool]) -> None:
         """Write 1..1968 coils (function 15, modbus_write_bits)."""
-        asked = pdu.WriteCoils(address, values)  # type: ignore[arg-type]
-        bits = bytes(asked.values)
-        self._write(asked, lib.modbus_write_bits, asked.address, len(bits), bits)
+        request = pdu.WriteCoils(address, values)  # type: ignore[arg-type]
+        bits = bytes(request.values)
+        self._write(request, lib.modbus_write_bits, request.address, len(bits), bits)
 
     def write_registers(self, address: int, values: Iterable[int]) -> None:
         """Write 1..123 holding registers, each 0..65535 (function 16, modbus_write_registers)."""
-        asked = pdu.WriteRegisters(address, values)  # type: ignore[arg-type]
-        words = asked.values
-        self._write(asked, lib.modbus_write_registers, asked.address, len(words), words)
+        request = pdu.WriteRegisters(address, values)  # type: ignore[arg-type]
+        words = request.values
+        self._write(request, lib.modbus_write_registers, request.address, len(words), words)
 
     def mask_write_register(self, address: int, and_mask: int, or_mask: int) -> None:
         """
         Set a holding register to (current AND and_mask) OR (or_mask AND NOT and_mask); both masks
         are 0..65535 (function 22, modbus_mask_write_register).
         """
-        asked = pdu.MaskWriteRegister(address, and_mask, or_mask)
-        masks = asked.and_mask, asked.or_mask
-        self._write(asked, lib.modbus_mask_write_register, asked.address, *masks)
+        request = pdu.MaskWriteRegister(address, and_mask, or_mask)
+        masks = request.and_mask, request.or_mask
+        self._write(request, lib.modbus_mask_write_register, request.address, *masks)
 
     def read_write_registers(
         self, read_address: int, read_count: int, write_address: int, values: Iterable[int]
     ) -> list[int]:
         """Write 1..121 registers, then read 1..125 (23, modbus_write_and_read_registers)."""
-        asked = pdu.ReadWriteRegisters(read_address, read_count, write_address, values)  # type: ignore[arg-type]
-        written = asked.write_address, len(asked.values), asked.values
-        read = asked.read_address, asked.read_count, self._registers
+        request = pdu.ReadWriteRegisters(read_address, read_count, write_address, values)  # type: ignore[arg-type]
+        writing = request.write_address, len(request.values), request.values
+        read = request.read_address, request.read_count, self._registers
 
         def act() -> list[int]:
-            check(lib.modbus_write_and_read_registers(self._modbus, *written, *read))
-            words: list[int] = _unpack(self._registers, asked.read_count)
+            check(lib.modbus_write_and_read_registers(self._modbus, *writing, *read))
+            words: list[int] = _unpack(self._registers, request.read_count)
             return words
 
-        return self._transact(asked, act)
+        return self._transact(request, act)
 
     def report_server_id(self) -> pdu.ServerId:
         """

@@ -47,8 +47,8 @@ def integer(name: str | Path, value: object, low: int, high: int) -> int:
     try:
         number = index(value)  # type: ignore[arg-type]
     except TypeError:
-        given = type(value).__name__
-        raise WrongType(name, f"must be an integer in {low}..{high}, not {given}") from None
+        kind = type(value).__name__
+        raise WrongType(name, f"must be an integer in {low}..{high}, not {kind}") from None
     if not low <= number <= high:
         raise WrongValue(name, f"must be in {low}..{high}, not {shown(number)}")
     return number
@@ -74,8 +74,8 @@ def seconds(name: str | Path, value: object, low: float = 0.001, high: float = 8
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise WrongType(name, f"must be a number of seconds, not {type(value).__name__}")
     if not low <= value <= high:
-        given = f"{value:g}" if isinstance(value, float) else shown(value)
-        raise WrongValue(name, f"must be in {low:g}..{high:g} seconds, not {given}")
+        text = f"{value:g}" if isinstance(value, float) else shown(value)
+        raise WrongValue(name, f"must be in {low:g}..{high:g} seconds, not {text}")
     return float(value)
 
 
@@ -104,11 +104,11 @@ UNSTARTED = (CoroutineType, GeneratorType, AsyncGeneratorType)
 NOT_AT_ONCE = 0x20 | 0x80 | 0x100 | 0x200
 
 
-def checked_callback(name: str | Path, given: Given) -> Given:
+def checked_callback(name: str | Path, callback: Given) -> Given:
     """Return a function of a user whose body runs when it is called; raise a TypeError if not."""
-    if not callable(given):
-        raise WrongType(name, f"must be a function, not {type(given).__name__}")
-    function: Any = given
+    if not callable(callback):
+        raise WrongType(name, f"must be a function, not {type(callback).__name__}")
+    function: Any = callback
     while isinstance(function, partial):
         function = function.func
     code = getattr(function, "__code__", None)
@@ -117,7 +117,7 @@ def checked_callback(name: str | Path, given: Given) -> Given:
     flags = getattr(code, "co_flags", 0)
     if isinstance(flags, int) and flags & NOT_AT_ONCE:
         raise WrongType(name, "must be a plain function, because nothing awaits async def")
-    return given
+    return callback
 
 
 def finished(name: str, result: Result) -> Result:
@@ -131,16 +131,16 @@ def finished(name: str, result: Result) -> Result:
 
 def log_failure(logger: str, text: str, *args: object) -> None:
     """Log the exception that is being handled; one that a log handler raises goes to stderr."""
-    found = _logger(logger)
-    if found is not None:
-        found.exception(text, *args, stacklevel=2)
+    log = _logger(logger)
+    if log is not None:
+        log.exception(text, *args, stacklevel=2)
 
 
 def log_warning(logger: str, text: str, *args: object) -> None:
     """Log a warning, as `log_failure` does."""
-    found = _logger(logger)
-    if found is not None:
-        found.warning(text, *args, stacklevel=2)
+    log = _logger(logger)
+    if log is not None:
+        log.warning(text, *args, stacklevel=2)
 
 
 def _logger(name: str) -> HarmlessLogger | None:

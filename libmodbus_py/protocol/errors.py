@@ -48,8 +48,8 @@ MAX_RECEIVED = 600
 
 def in_hex(data: bytes, most: int = 32) -> str:
     """Return the first bytes in hexadecimal, and their number if these are not all."""
-    shown = data[:most].hex(" ")
-    return shown if len(data) <= most else f"{shown} ... ({len(data)} bytes)"
+    text = data[:most].hex(" ")
+    return text if len(data) <= most else f"{text} ... ({len(data)} bytes)"
 
 
 class ModbusError(Exception):
@@ -113,8 +113,10 @@ class ModbusError(Exception):
 
     def __repr__(self) -> str:
         names = ("code", "errno", "unit", "function", "asked", "endpoint", "sent", "received")
-        told = ((name, getattr(self, name, None)) for name in names)
-        parts = (f"{name}={_shown(value)}" for name, value in told if value not in (None, "", b""))
+        fields = ((name, getattr(self, name, None)) for name in names)
+        parts = (
+            f"{name}={_shown(value)}" for name, value in fields if value not in (None, "", b"")
+        )
         return f"{type(self).__name__}({', '.join([repr(super().__str__()), *parts])})"
 
 
@@ -282,6 +284,6 @@ Error = TypeVar("Error", bound=ModbusError)
 
 def alike(error: Error) -> Error:
     """Return a copy of an error that concerns several requests: each request completes its own."""
-    made = copy.copy(error)
-    made.__cause__ = error.__cause__
-    return made
+    twin = copy.copy(error)
+    twin.__cause__ = error.__cause__
+    return twin

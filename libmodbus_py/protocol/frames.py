@@ -69,8 +69,8 @@ class Framer(ABC):
         # False once the stream cannot be understood any more and must be closed.
         self.in_step: bool = True
         self.rest: bytearray = bytearray()
-        self._found: list[Frame | FrameError] = []
-        self._held: FrameError | None = None
+        self._results: list[Frame | FrameError] = []
+        self._error: FrameError | None = None
 
     @property
     def pending(self) -> int:
@@ -108,14 +108,14 @@ class Framer(ABC):
         """Take received bytes; return frames and errors, in the order of the bytes."""
         self.rest += data
         self._scan()
-        found, self._found = self._found, []
-        return found
+        frames, self._results = self._results, []
+        return frames
 
     def scan_silence(self) -> list[Frame | FrameError]:
         """As `scan`, for silence."""
         self._scan_silence()
-        found, self._found = self._found, []
-        return found
+        frames, self._results = self._results, []
+        return frames
 
     @abstractmethod
     def encode(self, frame: Frame) -> bytes:
@@ -132,28 +132,28 @@ class Framer(ABC):
     @abstractmethod
     def _scan_silence(self) -> None: ...
 
-    def _report(self, why: str, received: bytes | bytearray, *, overrun: bool = False) -> None:
-        error = FrameError(why, received=bytes(received))
+    def _report(self, why: str, data: bytes | bytearray, *, overrun: bool = False) -> None:
+        error = FrameError(why, received=bytes(data))
         error.overrun = overrun
-        add_error(self._found, error)
+        add_error(self._results, error)
 
     def _reject(self, why: str, count: int, *, overrun: bool = False) -> None:
         """Drop the first bytes."""
         self._report(why, self.rest[:count], overrun=overrun)
         del self.rest[:count]
 
-    def _frames(self, found: list[Frame | FrameError]) -> list[Frame]:
-        frames = [each for each in found if type(each) is Frame]
-        errors = [each for each in found if isinstance(each, FrameError)]
-        self._held = self._held or (errors[0] if errors else None)
-        if not frames and self._held is not None:
-            error, self._held = self._held, None
+    def _frames(self, results: list[Frame | FrameError]) -> list[Frame]:
+        frames = [item for item in results if type(item) is Frame]
+        errors = [item for item in results if isinstance(item, FrameError)]
+        self._error = self._error or (errors[0] if errors else None)
+        if not frames and self._error is not None:
+            error, self._error = self._error, None
             raise error
         return frames
 
 
-def add_error(found: list[Frame | FrameError], error: FrameError) -> None:
+def add_error(results: list[Frame | FrameError], error: FrameError) -> None:
     """Keep an error, unless it is one of many in a row: the first few are enough."""
-    last = found[-MOST_ERRORS:]
+    last = results[-MOST_ERRORS:]
     if len(last) < MOST_ERRORS or set(map(type, last)) != {FrameError}:
-        found.append(error)
+        results.append(error)

@@ -62,7 +62,7 @@ def rtu(_transaction: int, unit: int, pdu: bytes) -> bytes:
     return body + _CRC.pack(lib.crc16(body, len(body)))
 
 
-def cut(data: bytes | bytearray, start: int, found: list[Frame | FrameError], most: int) -> int:
+def cut(data: bytes | bytearray, start: int, results: list[Frame | FrameError], most: int) -> int:
     """
     Cut out up to `most` frames with MBAP headers, of which the first begins at `start`.
 
@@ -90,11 +90,11 @@ def cut(data: bytes | bytearray, start: int, found: list[Frame | FrameError], mo
         if protocol != 0:
             received = bytes(data[start:end])
             error = FrameError(f"header with protocol {protocol}, not 0", received=received)
-            add_error(found, error)
+            add_error(results, error)
         else:
             unit, pdu = data[start + UNIT], bytes(data[start + FUNCTION : end])
             # As Frame(unit, pdu, transaction), in half the time: bulk reads do little else.
-            found.append(tuple.__new__(Frame, (unit, pdu, transaction)))
+            results.append(tuple.__new__(Frame, (unit, pdu, transaction)))
         start = end
         most -= 1
     return start
@@ -164,13 +164,13 @@ class TcpFramer(Framer):
             self._reject("stream out of step", len(self.rest))
             return
         try:
-            del self.rest[: cut(bytes(self.rest), 0, self._found, len(self.rest))]
+            del self.rest[: cut(bytes(self.rest), 0, self._results, len(self.rest))]
         except FrameError as error:
             self.in_step = False
-            add_error(self._found, error)
+            add_error(self._results, error)
             self.rest.clear()
         if self._is_client and _is_short_exception(self.rest):
-            self._found.append(_frame(self.rest))
+            self._results.append(_frame(self.rest))
             self.rest.clear()
 
     def _scan_silence(self) -> None:
@@ -188,15 +188,15 @@ class UdpFramer(TcpFramer):
     def _scan(self) -> None:
         datagram = bytes(self.rest)
         self.rest.clear()
-        found: list[Frame | FrameError] = []
+        results: list[Frame | FrameError] = []
         with contextlib.suppress(FrameError):
-            if cut(datagram, 0, found, 1) == len(datagram):
-                self._found += found
+            if cut(datagram, 0, results, 1) == len(datagram):
+                self._results += results
                 return
         if self._is_client and _is_short_exception(datagram):
-            self._found.append(_frame(datagram))
+            self._results.append(_frame(datagram))
             return
-        self._found.append(FrameError("a datagram that is not one frame", received=datagram))
+        self._results.append(FrameError("a datagram that is not one frame", received=datagram))
 
 
 def _is_short_exception(data: bytes | bytearray) -> bool:
@@ -260,7 +260,7 @@ class RtuFramer(Framer):
     def _scan(self) -> None:
         data = bytes(self.rest)
         if self._cutter.is_one_frame(data):
-            self._found.append(tuple.__new__(Frame, (data[0], data[1:-2], 0)))
+            self._results.append(tuple.__new__(Frame, (data[0], data[1:-2], 0)))
             self._in_run = False
             self.rest.clear()
         else:
@@ -275,8 +275,8 @@ class RtuFramer(Framer):
         pieces, count = self._cutter.cut(data, is_silent=is_silent)
         for start, end, kind in pieces:
             if kind != "damage":
-                made = Frame if kind == self._usual else Overheard
-                self._found.append(made(data[start], data[start + 1 : end - 2]))
+                frame_class = Frame if kind == self._usual else Overheard
+                self._results.append(frame_class(data[start], data[start + 1 : end - 2]))
             elif not self._in_run:
                 self._report("bytes without a fitting CRC", data[start:end])
             self._in_run = kind == "damage"
@@ -417,7 +417,7 @@ class AsciiFramer(Framer):
         elif sum(body := bytes.fromhex(digits.decode())) & 0xFF:
             self._reject("a frame with a wrong LRC", count)
         else:
-            self._found.append(Frame(body[0], body[1:-1]))
+            self._results.append(Frame(body[0], body[1:-1]))
             del self.rest[:count]
 
 

@@ -33,14 +33,16 @@ def json_line(value: Any) -> str:
     text = JSON.encode(value)
     if text.isprintable():
         return text
-    return "".join(each if each.isprintable() else json_text(each)[1:-1] for each in text)
+    return "".join(
+        character if character.isprintable() else json_text(character)[1:-1] for character in text
+    )
 
 
 def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
     """Return names and values, as `object_pairs_hook`, too; json takes the last of two alike."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, value in pairs:
-        if name in found:
+        if name in values:
             raise WrongValue.about((name,), "occurs twice")
-        found[name] = value
-    return found
+        values[name] = value
+    return values

@@ -38,7 +38,7 @@ class HarmlessLogger(logging.LoggerAdapter[logging.Logger]):
 def log_reload(logger: HarmlessLogger, lines: Iterable[str]) -> str:
     """Log what became of files that were read again, and return the line: INFO, or WARNING."""
     every = [*lines]
-    is_problem = any(isinstance(each, Problem) for each in every)
+    is_problem = any(isinstance(item, Problem) for item in every)
     line = "; ".join(every)
     logger.log(logging.WARNING if is_problem else logging.INFO, "%s", line)
     return line

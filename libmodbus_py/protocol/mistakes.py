@@ -79,7 +79,7 @@ def item(path: str | Path, at: int) -> Path:
 
 def path_text(path: Path) -> str:
     """Return a path as messages have it: ``route[0].units``."""
-    text = "".join(f"[{each}]" if isinstance(each, int) else f".{each}" for each in path)
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
     return text.removeprefix(".")
 
 
@@ -140,33 +140,35 @@ URLS = frozenset(("url", "devices", "routes", "security"))
 """Names of arguments beside which a setting of a serial port may be expected."""
 
 
-def close_to(name: object, known: Iterable[str], prefix: str = "") -> str:
+def close_to(name: object, names: Iterable[str], prefix: str = "") -> str:
     """Return the end of a message about a name that is not known: those that are close to it."""
     from difflib import get_close_matches
 
-    close = get_close_matches(name, known, 3) if isinstance(name, str) else []
-    return f"; did you mean {' or '.join(prefix + each for each in close)}?" if close else ""
+    close = get_close_matches(name, names, 3) if isinstance(name, str) else []
+    return f"; did you mean {' or '.join(prefix + other for other in close)}?" if close else ""
 
 
-def close_option(name: str, known: Collection[str]) -> str:
+def close_option(name: str, names: Collection[str]) -> str:
     """Return the end of a message about an option that is not known: which one may be meant."""
-    meant = OTHER_SPELLINGS.get(name.lower(), name)
-    if meant in known:
-        return f"; did you mean {meant}?"
-    if meant in SERIAL_SETTINGS and not URLS.isdisjoint(known):
-        return f"; {meant} is part of the URL of a serial port: rtu:///dev/ttyUSB0?{meant}=..."
-    return close_to(name, known)
+    spelling = OTHER_SPELLINGS.get(name.lower(), name)
+    if spelling in names:
+        return f"; did you mean {spelling}?"
+    if spelling in SERIAL_SETTINGS and not URLS.isdisjoint(names):
+        return (
+            f"; {spelling} is part of the URL of a serial port: rtu:///dev/ttyUSB0?{spelling}=..."
+        )
+    return close_to(name, names)
 
 
-def unknown_option(name: str, known: Sequence[str]) -> TypeError:
+def unknown_option(name: str, names: Sequence[str]) -> TypeError:
     """Return the error for an argument that does not exist, with the name of the one meant."""
-    return TypeError(f"{name!r} must be one of {', '.join(known)}{close_option(name, known)}")
+    return TypeError(f"{name!r} must be one of {', '.join(names)}{close_option(name, names)}")
 
 
 def named_arguments(cls: Class) -> Class:
     """Decorate a class so that an argument that it does not take is refused with a close name."""
-    changed: Any = cls
-    changed.__init__ = named_parameters(changed.__init__)
+    decorated: Any = cls
+    decorated.__init__ = named_parameters(decorated.__init__)
     return cls
 
 
@@ -174,26 +176,28 @@ def named_parameters(function: Callable[Parameters, Result]) -> Callable[Paramet
     """Decorate a function as `named_arguments` decorates a class."""
 
     @wraps(function)
-    def call(*arguments: Parameters.args, **named: Parameters.kwargs) -> Result:
+    def call(*arguments: Parameters.args, **keywords: Parameters.kwargs) -> Result:
         try:
-            return function(*arguments, **named)
+            return function(*arguments, **keywords)
         except TypeError as error:
             is_of_the_call = error.__traceback__ and not error.__traceback__.tb_next
-            if is_of_the_call and (refused := _refused(function, named)):
-                raise refused from None
+            if is_of_the_call and (mistake := _refused(function, keywords)):
+                raise mistake from None
             raise
 
     return call
 
 
-def _refused(function: Callable[..., object], named: Iterable[str]) -> TypeError | None:
+def _refused(function: Callable[..., object], keywords: Iterable[str]) -> TypeError | None:
     from inspect import Parameter, signature
 
     parameters = [*signature(function).parameters.values()]
     several = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-    known = [each.name for each in parameters if each.name != "self" and each.kind not in several]
-    wrong = [name for name in named if name not in known]
-    if any(each.kind is Parameter.VAR_KEYWORD for each in parameters):  # which has its own check
-        close = ((name, close_option(name, known)) for name in wrong)
+    names = [
+        entry.name for entry in parameters if entry.name != "self" and entry.kind not in several
+    ]
+    wrong = [name for name in keywords if name not in names]
+    if any(entry.kind is Parameter.VAR_KEYWORD for entry in parameters):  # which has its own check
+        close = ((name, close_option(name, names)) for name in wrong)
         return next((TypeError(f"there is no {name!r}{end}") for name, end in close if end), None)
-    return next((unknown_option(name, known) for name in wrong), None)
+    return next((unknown_option(name, names) for name in wrong), None)

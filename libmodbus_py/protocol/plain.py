@@ -44,8 +44,8 @@ def plain(value: Any) -> Any:
     if value is None or isinstance(value, int | str):
         return value
     if isinstance(value, Request):
-        given = {name: plain(each) for name, each in arguments(value).items()}
-        return {"name": type(value).__name__, **given}
+        fields = {name: plain(item) for name, item in arguments(value).items()}
+        return {"name": type(value).__name__, **fields}
     if isinstance(value, bytes):
         return value.hex()
     if hasattr(value, "isoformat"):  # a datetime, whose module most commands never load
@@ -55,15 +55,15 @@ def plain(value: Any) -> Any:
     if hasattr(value, "_asdict"):
         return plain(value._asdict())
     if isinstance(value, dict):
-        return {str(key): plain(each) for key, each in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(each) for each in value]
+        return [plain(item) for item in value]
     return value
 
 
 def without_controls(text: str) -> str:
     """Return a text with ``\\x1b`` and so on in place of control characters, for terminals."""
-    return CONTROL.sub(lambda found: f"\\x{ord(found[0]):02x}", text)
+    return CONTROL.sub(lambda match: f"\\x{ord(match[0]):02x}", text)
 
 
 # --- times ---------------------------------------------------------------------------
@@ -78,10 +78,10 @@ def time_text(seconds: float) -> str:
     from datetime import UTC, datetime  # which most commands never load
 
     try:
-        shown = datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
+        text = datetime.fromtimestamp(seconds, UTC).isoformat(timespec="milliseconds")
     except (OverflowError, ValueError, OSError):  # of a year that datetime, or the system, lacks
         return f"{seconds:.3f}s"
-    return f"{shown[:-6]}Z"
+    return f"{text[:-6]}Z"
 
 
 def clock_text(seconds: float, *, with_milliseconds: bool = False) -> str:
@@ -174,13 +174,13 @@ def time_of(text: str) -> datetime:
     from datetime import datetime
 
     try:
-        found = datetime.fromisoformat(text.strip())
+        time = datetime.fromisoformat(text.strip())
     except ValueError:
-        found = None
-    if found is None or found.utcoffset() is None:
-        wanted = "a date and time with a time zone, such as 2026-07-01T12:00:00Z"
-        raise ValueError(f"value must be {wanted}, not {reprlib.repr(text)}")
-    return found
+        time = None
+    if time is None or time.utcoffset() is None:
+        form = "a date and time with a time zone, such as 2026-07-01T12:00:00Z"
+        raise ValueError(f"value must be {form}, not {reprlib.repr(text)}")
+    return time
 
 
 def _bits(text: str) -> list[int]:
@@ -213,12 +213,12 @@ def units_of(text: str) -> list[int]:
     """Read units 0..255 in the order of the text: numbers and ranges, such as "1-10,17"."""
     units: list[int] = []
     for part in text.split(","):
-        found = _UNITS.fullmatch(part)
-        if found is None:
+        match = _UNITS.fullmatch(part)
+        if match is None:
             raise ValueError(f"{reprlib.repr(part)} must be a unit, or a range such as 1-247")
-        first, last = int(found[1]), int(found[2] or found[1])
+        first, last = int(match[1]), int(match[2] or match[1])
         if not first <= last <= 255:
-            wanted = "be" if found[2] is None else "go up,"
-            raise ValueError(f"{part!r} must {wanted} within 0..255")
+            verb = "be" if match[2] is None else "go up,"
+            raise ValueError(f"{part!r} must {verb} within 0..255")
         units += range(first, last + 1)
     return units

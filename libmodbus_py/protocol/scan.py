@@ -85,8 +85,8 @@ class FrameScanner:
         self._ask = ask
         self.start: int = 0
         self.fresh: int = 0
-        for code, (told, base, at) in rules.items():
-            self._scan.rules[code] = (True, told, base, at)
+        for code, (byte_count_at, base, at) in rules.items():
+            self._scan.rules[code] = (True, byte_count_at, base, at)
 
     def next(self, data: bytes, start: int = 0, state: int = GOES_ON) -> int:
         """Return the end of the first frame from `start` on; negative if none is complete."""

@@ -70,29 +70,27 @@ def checked_table(table: object) -> Any:
     return name
 
 
-def checked_write_function(
-    value: object, allowed: tuple[str, ...] = get_args(WriteFunction)
-) -> Any:
+def checked_write_function(value: object, names: tuple[str, ...] = get_args(WriteFunction)) -> Any:
     """Return a value that is allowed, or raise ValueError."""
-    if value not in allowed:
-        raise WrongValue("write_function", f"must be one of {', '.join(allowed)}, not {value!r}")
+    if value not in names:
+        raise WrongValue("write_function", f"must be one of {', '.join(names)}, not {value!r}")
     return value
 
 
-def register_table(given: object) -> Any:
+def register_table(table: object) -> Any:
     """
     Return the name of a table of registers, which may be written as vendors do.
 
     Raises:
         TypeError, ValueError: there is no such table, or its cells are bits.
     """
-    _check_name(given)
-    name = table_named(given)
+    _check_name(table)
+    name = table_named(table)
     if name not in REGISTER_TABLES:
         words = [word for word, meaning in TABLE_WORDS.items() if meaning in REGISTER_TABLES]
-        close = close_word(given, REGISTER_TABLES, words)
-        wanted = ", ".join(REGISTER_TABLES)
-        raise ValueError(f"table must be one of {wanted}, not {given!r}{close}")
+        close = close_word(table, REGISTER_TABLES, words)
+        names = ", ".join(REGISTER_TABLES)
+        raise ValueError(f"table must be one of {names}, not {table!r}{close}")
     return name
 
 
@@ -114,28 +112,28 @@ START = attrgetter("start")
 
 
 def checked_ranges(
-    name: str, given: Any, expected: str = "a range of addresses or a list of ranges"
+    name: str, value: Any, form: str = "a range of addresses or a list of ranges"
 ) -> list[range]:
     """Return an argument that is a range, or several, as ranges of step 1 in ascending order."""
-    is_one = isinstance(given, range) or not isinstance(given, Iterable)
-    found: list[Any] = [given] if is_one else list(given)
-    if not all(isinstance(each, range) for each in found):
-        raise TypeError(f"{name} must be {expected}, not {reprlib.repr(given)}")
-    for each in found:
-        if each.step != 1 or each.start < 0 or (each and each[-1] >= TABLE_SIZE):
-            raise ValueError(f"{name} must be within 0..{TABLE_SIZE - 1}, step 1, not {each}")
-    return sorted(found, key=START)
+    is_one = isinstance(value, range) or not isinstance(value, Iterable)
+    ranges: list[Any] = [value] if is_one else list(value)
+    if not all(isinstance(span, range) for span in ranges):
+        raise TypeError(f"{name} must be {form}, not {reprlib.repr(value)}")
+    for span in ranges:
+        if span.step != 1 or span.start < 0 or (span and span[-1] >= TABLE_SIZE):
+            raise ValueError(f"{name} must be within 0..{TABLE_SIZE - 1}, step 1, not {span}")
+    return sorted(ranges, key=START)
 
 
 def joined(ranges: Iterable[range]) -> tuple[range, ...]:
     """Return ranges of step 1 in ascending order, without empty ones, and joined."""
-    found: list[range] = []
-    for each in sorted(filter(None, ranges), key=START):
-        if found and each.start <= found[-1].stop:
-            found[-1] = range(found[-1].start, max(found[-1].stop, each.stop))
+    result: list[range] = []
+    for addresses in sorted(filter(None, ranges), key=START):
+        if result and addresses.start <= result[-1].stop:
+            result[-1] = range(result[-1].start, max(result[-1].stop, addresses.stop))
         else:
-            found.append(each)
-    return tuple(found)
+            result.append(addresses)
+    return tuple(result)
 
 
 def contains(ranges: Sequence[range], address: int, count: int = 1) -> bool:
@@ -152,13 +150,13 @@ def touches(ranges: Sequence[range], address: int, count: int = 1) -> bool:
 
 def without(ranges: Iterable[range], others: Sequence[range]) -> tuple[range, ...]:
     """Return the parts of joined ranges that are in none of other joined ranges."""
-    found: list[range] = []
-    for each in ranges:
-        start = each.start
+    result: list[range] = []
+    for addresses in ranges:
+        start = addresses.start
         at = max(bisect_right(others, start, key=START) - 1, 0)
-        while at < len(others) and others[at].start < each.stop:
-            found.append(range(start, others[at].start))
+        while at < len(others) and others[at].start < addresses.stop:
+            result.append(range(start, others[at].start))
             start = max(start, others[at].stop)
             at += 1
-        found.append(range(start, each.stop))
-    return tuple(filter(None, found))
+        result.append(range(start, addresses.stop))
+    return tuple(filter(None, result))

@@ -162,17 +162,17 @@ def unpack_time(form: TimeForm, data: bytes) -> datetime:
 # --- local times --------------------------------------------------------------------------
 
 
-def checked_time_zone(name: str | Path, given: object) -> tzinfo:
+def checked_time_zone(name: str | Path, zone: object) -> tzinfo:
     """Return a time zone of the IANA database, such as "Europe/Berlin"."""
-    if not isinstance(given, str):
-        raise WrongType(name, f"must be the name of a time zone, not {type(given).__name__}")
+    if not isinstance(zone, str):
+        raise WrongType(name, f"must be the name of a time zone, not {type(zone).__name__}")
     from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
     try:
-        return ZoneInfo(given)
+        return ZoneInfo(zone)
     except (ValueError, OSError, ZoneInfoNotFoundError):  # the last one is a KeyError
-        wanted = "a time zone that this system knows, such as Europe/Berlin"
-        raise WrongValue(name, f"must be {wanted}, not {given[:100]!r}") from None
+        form = "a time zone that this system knows, such as Europe/Berlin"
+        raise WrongValue(name, f"must be {form}, not {zone[:100]!r}") from None
 
 
 def in_time_zone(kind: ValueType, zone: tzinfo) -> ValueType:
@@ -209,9 +209,9 @@ def _moment(wall: datetime, zone: tzinfo, *, fold: int) -> datetime:
     local = wall.replace(tzinfo=zone, fold=fold)
     try:
         moment = local.astimezone(UTC)
-        shown = moment.astimezone(zone)
+        clock = moment.astimezone(zone)
     except OverflowError:
         raise ValueError(f"{wall:%Y-%m-%d} is out of range") from None
-    if shown.replace(tzinfo=None) != wall.replace(tzinfo=None):
+    if clock.replace(tzinfo=None) != wall.replace(tzinfo=None):
         raise ValueError(f"clocks in {zone} never show {wall:%Y-%m-%d %H:%M:%S}")
     return moment

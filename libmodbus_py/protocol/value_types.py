@@ -59,11 +59,11 @@ def checked_order(order: object, kind: ValueType) -> str:
     name = name if name in ORDERS else order_named(order) or name
     if name not in ORDERS and name not in WIDE_ORDERS:
         close = close_word(name, ORDERS, ORDER_WORDS)
-        wanted = f"must be one of {', '.join(ORDERS)}"
-        raise WrongValue("order", f"{wanted}, not {reprlib.repr(order)}{close}")
+        form = f"must be one of {', '.join(ORDERS)}"
+        raise WrongValue("order", f"{form}, not {reprlib.repr(order)}{close}")
     if name in WIDE_ORDERS or width not in (None, 1 if kind.is_text else kind.registers):
-        wanted = f"one of {', '.join(ORDERS)}"
-        raise WrongValue("order", f"of {kind.name} must be {wanted}, not {order!r}")
+        form = f"one of {', '.join(ORDERS)}"
+        raise WrongValue("order", f"of {kind.name} must be {form}, not {order!r}")
     return name
 
 
@@ -117,10 +117,10 @@ class ValueType:
             TypeError, ValueError: `values` is not a list, or a value does not fit the type; the
                 message names the value.
         """
-        found = []
+        registers = []
         for at, value in enumerate(items_of("values", values)):
-            found += self._to_registers(("values", at), value)
-        return found
+            registers += self._to_registers(("values", at), value)
+        return registers
 
     def decode(self, registers: Iterable[int]) -> Any:
         """
@@ -223,7 +223,7 @@ def items_of(name: str | Path, values: object) -> list[Any]:
 
 
 def cells_of(registers: object) -> list[int]:
-    given = registers if type(registers) is list else items_of("registers", registers)
-    if are_registers(given):
-        return given
-    return [integer(("registers", at), cell, 0, 0xFFFF) for at, cell in enumerate(given)]
+    values = registers if type(registers) is list else items_of("registers", registers)
+    if are_registers(values):
+        return values
+    return [integer(("registers", at), cell, 0, 0xFFFF) for at, cell in enumerate(values)]

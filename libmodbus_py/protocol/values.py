@@ -144,8 +144,8 @@ def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
         data = _encoded(name, value, encoding)
         room = size - len(data)
         if room < 0:
-            given = f"{reprlib.repr(value)} with {len(data)}"
-            raise WrongValue(name, f"must have 0..{size} bytes in {encoding}, not {given}")
+            text = f"{reprlib.repr(value)} with {len(data)}"
+            raise WrongValue(name, f"must have 0..{size} bytes in {encoding}, not {text}")
         if room % len(fill):
             reason = f"leaves {room} bytes of {size}, and padding fills {len(fill)} at a time"
             raise WrongValue(name, reason)
@@ -186,14 +186,14 @@ def _encoded(name: str | Path, value: str, encoding: str) -> bytes:
 
 def _fill_of(padding: str, encoding: str) -> bytes:
     """Return the bytes of one more padding: without the mark that begins UTF-16 text."""
-    for name, given in (("encoding", encoding), ("padding", padding)):
-        if not isinstance(given, str):
-            raise WrongType(name, f"must be a string, not {type(given).__name__}")
+    for name, value in (("encoding", encoding), ("padding", padding)):
+        if not isinstance(value, str):
+            raise WrongType(name, f"must be a string, not {type(value).__name__}")
     if len(padding) != 1:
         raise WrongValue("padding", f"must be one character, not {reprlib.repr(padding)}")
     if not _known_encoding(encoding):
-        wanted = "ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS"
-        raise WrongValue("encoding", f"must be {wanted}, not {reprlib.repr(encoding)}")
+        form = "ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS"
+        raise WrongValue("encoding", f"must be {form}, not {reprlib.repr(encoding)}")
     one, two = (_encoded("padding", padding * count, encoding) for count in (1, 2))
     return two[len(one) :]
 
@@ -251,18 +251,18 @@ def value_type(
     """
     if not isinstance(name, str):
         raise WrongType("type", f"must be a string, such as float32, not {type(name).__name__}")
-    known = TYPES.get(name) or TYPES.get(type_named(name) or "")
-    kind = known or _string(name, encoding, padding)
+    row = TYPES.get(name) or TYPES.get(type_named(name) or "")
+    kind = row or _string(name, encoding, padding)
     return replace(kind, order=checked_order(order, kind))
 
 
 def _string(name: str, encoding: str, padding: str) -> ValueType:
-    found = re.fullmatch(r"string:([0-9]{1,9})", type_named(name) or "")
-    if not found:
-        wanted = f"one of {', '.join(TYPES)}, string:N"
+    match = re.fullmatch(r"string:([0-9]{1,9})", type_named(name) or "")
+    if not match:
+        names = f"one of {', '.join(TYPES)}, string:N"
         close = close_word(name, [*TYPES, "string:N"], TYPE_WORDS)
-        raise WrongValue("type", f"must be {wanted}, not {reprlib.repr(name)}{close}")
-    size = int(found[1])
+        raise WrongValue("type", f"must be {names}, not {reprlib.repr(name)}{close}")
+    size = int(match[1])
     if not 1 <= size <= MAX_STRING_BYTES:
         raise WrongValue("type", f"string:N: N must be in 1..{MAX_STRING_BYTES}, not {size}")
     return _text(size, encoding, padding, _fill_of(padding, encoding))
@@ -334,7 +334,7 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
     fitting = [kind for kind in TYPES.values() if kind.registers == count]
     names = [kind.name for kind in fitting if re.fullmatch(_USUAL, kind.name)]
     orders = [*ORDERS, *(WIDE_ORDERS if count == WIDE_REGISTERS else ())]
-    found: dict[tuple[str, str], Interpretation] = {}
+    interpretations: dict[tuple[str, str], Interpretation] = {}
     for name in [*names, f"string:{2 * count}"]:
         for order in orders if name in TYPES else ORDERS:
             try:
@@ -344,5 +344,5 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
             if value == "" and any(cells):
                 continue  # numbers with a 0 in front, rather than text
             # By repr, because a nan is not equal to itself.
-            found.setdefault((name, repr(value)), Interpretation(name, order, value))
-    return sorted(found.values(), key=lambda reading: reading.doubt)
+            interpretations.setdefault((name, repr(value)), Interpretation(name, order, value))
+    return sorted(interpretations.values(), key=lambda reading: reading.doubt)

@@ -190,9 +190,9 @@ def type_named(text: object) -> str | None:
     """Return the name of a type, such as "float32" for "FLOAT"; None for none, and for bits."""
     if not isinstance(text, str):
         return None
-    found = _STRING.fullmatch(plain(text))
-    if found and not text.lower().startswith("string:-"):
-        return f"string:{found[1]}"
+    match = _STRING.fullmatch(plain(text))
+    if match and not text.lower().startswith("string:-"):
+        return f"string:{match[1]}"
     name = TYPE_WORDS.get(plain(text))
     return None if name == "bool" else name
 
@@ -244,8 +244,8 @@ def parse_reference(text: str) -> Reference:
         ValueError: the text is not a reference; the message tells what one looks like.
     """
     if not isinstance(text, str):
-        given = type(text).__name__
-        raise TypeError(f'a reference must be a string, such as "40123", not {given}')
+        kind = type(text).__name__
+        raise TypeError(f'a reference must be a string, such as "40123", not {kind}')
     if not re.fullmatch(r"[0-9]{5,6}", text) or text[0] not in REFERENCE_TABLES:
         raise WrongValue(
             "reference",

@@ -38,8 +38,8 @@ def in_words(error: ssl.SSLError, *, guess: bool = False) -> str:
     if isinstance(error, ssl.SSLCertVerificationError):
         return str(error.verify_message)
     reason = error.reason or str(error)
-    found = MEANINGS.get(reason) if guess else None
-    return found or reason.lower().replace("_", " ")
+    meaning = MEANINGS.get(reason) if guess else None
+    return meaning or reason.lower().replace("_", " ")
 
 
 def quoted(what: object) -> str:
@@ -76,12 +76,12 @@ def describe(certificate: bytes) -> str:
     """Describe a certificate in DER, whatever the bytes are, in 500 printable characters."""
     fingerprint = f"SHA-256 {digest_of(certificate)}"
     try:
-        found = _read(certificate)
-        is_own = found.subject == found.issuer
-        issuer = "self-signed" if is_own else f"issued by {_name(found.issuer)}"
-        begin, end = time_in(found, "not_valid_before"), time_in(found, "not_valid_after")
+        fields = _read(certificate)
+        is_own = fields.subject == fields.issuer
+        issuer = "self-signed" if is_own else f"issued by {_name(fields.issuer)}"
+        begin, end = time_in(fields, "not_valid_before"), time_in(fields, "not_valid_after")
         valid = f"{begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S} UTC"
-        return f"{_name(found.subject)}, {issuer}, valid {valid}, {fingerprint}"
+        return f"{_name(fields.subject)}, {issuer}, valid {valid}, {fingerprint}"
     except ImportError:
         return f"{fingerprint} (more with: {how_to_add('security')})"
     except Exception:
@@ -105,9 +105,9 @@ def holder_of(certificate: bytes) -> CertificateHolder:
     """Return the holder of a certificate in DER. Never raises, whatever the bytes are."""
     subject = serial = issuer = ""
     try:
-        found = _read(certificate)
-        serial = f"{found.serial_number:x}"
-        subject, issuer = found.subject.rfc4514_string(), found.issuer.rfc4514_string()
+        fields = _read(certificate)
+        serial = f"{fields.serial_number:x}"
+        subject, issuer = fields.subject.rfc4514_string(), fields.issuer.rfc4514_string()
     except Exception:  # it is no certificate, or cryptography is not installed
         pass
     return CertificateHolder(subject, serial, issuer, digest_of(certificate))
@@ -122,12 +122,12 @@ def end_of(certificate: bytes) -> float | None:
     return None if end is None else end.timestamp()
 
 
-def time_in(found: Any, name: str) -> datetime | None:
+def time_in(fields: Any, name: str) -> datetime | None:
     """Return a time of a certificate or revocation list, in UTC; None if it has none."""
-    if hasattr(found, f"{name}_utc"):  # since cryptography 42, where the one without a zone warns
-        aware: datetime | None = getattr(found, f"{name}_utc")
+    if hasattr(fields, f"{name}_utc"):  # since cryptography 42, where the one without a zone warns
+        aware: datetime | None = getattr(fields, f"{name}_utc")
         return aware
     from datetime import UTC
 
-    naive: datetime | None = getattr(found, name)
+    naive: datetime | None = getattr(fields, name)
     return None if naive is None else naive.replace(tzinfo=UTC)

@@ -64,15 +64,15 @@ class PemFile:
         if "-----BEGIN X509 CRL-----" in text:
             raise ValueError(f"{self} contains a revocation list, which must be given as crl")
         try:
-            found = [ssl.PEM_cert_to_DER_cert(pem) for pem in _parts(text, "CERTIFICATE")]
+            certificates = [ssl.PEM_cert_to_DER_cert(pem) for pem in _parts(text, "CERTIFICATE")]
             reader = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-            for certificate in found:
+            for certificate in certificates:
                 reader.load_verify_locations(cadata=certificate)
         except (ssl.SSLError, ValueError):
-            found = []
-        if not found:
+            certificates = []
+        if not certificates:
             raise ValueError(f"{self}: no certificate in PEM format")
-        return found
+        return certificates
 
 
 def _parts(text: str, kind: str) -> list[str]:
@@ -81,22 +81,22 @@ def _parts(text: str, kind: str) -> list[str]:
 
 def _read_pins(pins: Iterable[File]) -> dict[str, bytes]:
     """Return SHA-256 -> certificate in DER; empty bytes where only the SHA-256 is given."""
-    found: dict[str, bytes] = {}
+    result: dict[str, bytes] = {}
     for pin in pins:
         if not isinstance(pin, str | os.PathLike):
             raise TypeError(f"pin must be a file or a SHA-256, not {type(pin).__name__}")
         digest = os.fspath(pin).replace(":", "").lower()
         if not re.fullmatch("[0-9a-f]{32,}", digest):  # no file has such a name
             certificate = PemFile("pin", pin).certificates()[0]
-            found[digest_of(certificate)] = certificate
+            result[digest_of(certificate)] = certificate
         elif len(digest) == 64:
-            found.setdefault(digest, b"")
+            result.setdefault(digest, b"")
         else:
             digits = len(digest)
             raise ValueError(f"pin {os.fspath(pin)!r}: a SHA-256 has 64 digits, not {digits}")
-    if not found:
+    if not result:
         raise ValueError("pin must contain at least one certificate")
-    return found
+    return result
 
 
 class Revoked:
@@ -123,9 +123,10 @@ class Revoked:
         from cryptography import x509
 
         return any(
-            revoked.issuer == found.issuer
-            and revoked.get_revoked_certificate_by_serial_number(found.serial_number) is not None
-            for found in map(x509.load_der_x509_certificate, certificates)
+            revoked.issuer == certificate.issuer
+            and revoked.get_revoked_certificate_by_serial_number(certificate.serial_number)
+            is not None
+            for certificate in map(x509.load_der_x509_certificate, certificates)
             for revoked in self._lists
         )
 

@@ -42,7 +42,7 @@ def role_of(certificate: bytes) -> str | None:
 
     try:
         extensions = x509.load_der_x509_certificate(certificate).extensions
-        found = extensions.get_extension_for_oid(x509.ObjectIdentifier(ROLE_OID)).value
+        extension = extensions.get_extension_for_oid(x509.ObjectIdentifier(ROLE_OID)).value
     except x509.ExtensionNotFound:
         return None
     except x509.DuplicateExtension as error:
@@ -54,7 +54,9 @@ def role_of(certificate: bytes) -> str | None:
         # peer has sent the certificate, so that each of them means a refusal.
         raise RoleError(f"the certificate cannot be read: {quoted(error)}") from None
     # cryptography does not know this extension, and returns its bytes.
-    return decode_role(found.value if isinstance(found, x509.UnrecognizedExtension) else b"")
+    return decode_role(
+        extension.value if isinstance(extension, x509.UnrecognizedExtension) else b""
+    )
 
 
 def encode_role(role: str) -> bytes:

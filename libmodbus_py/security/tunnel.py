@@ -140,13 +140,13 @@ class Tunnel:
         # Python 3.13 has this in its API; before, only the object within has it.
         inner = self._tls._sslobj  # type: ignore[attr-defined]  # pyright: ignore
         chain = getattr(inner, name)() if inner is not None else None
-        return [ssl.PEM_cert_to_DER_cert(each.public_bytes()) for each in chain or ()]
+        return [ssl.PEM_cert_to_DER_cert(certificate.public_bytes()) for certificate in chain or ()]
 
     @property
     def expires(self) -> str | None:
         """The expiry of the other side's certificate, in OpenSSL's format; None if unchecked."""
-        found = self._tls.getpeercert() or {}
-        return found.get("notAfter")  # type: ignore[return-value]
+        fields = self._tls.getpeercert() or {}
+        return fields.get("notAfter")  # type: ignore[return-value]
 
     @property
     def is_resumed(self) -> bool:

@@ -113,11 +113,11 @@ class ReadFileRecords(Request[list[list[int]]]):
         return cls(tuple((file, record, length) for _, file, record, length in pieces))
 
     def encode_response(self, result: Sequence[Sequence[int]]) -> bytes:
-        given = checked_sequence("result", result, len(self.records))
-        if len(given) != len(self.records):
-            raise ValueError(f"result must hold {len(self.records)} pieces, not {len(given)}")
+        records = checked_sequence("result", result, len(self.records))
+        if len(records) != len(self.records):
+            raise ValueError(f"result must hold {len(self.records)} pieces, not {len(records)}")
         pieces = bytearray()
-        for piece, (*_, length) in zip(given, self.records, strict=True):
+        for piece, (*_, length) in zip(records, self.records, strict=True):
             values = checked_registers("result", piece, length)
             if len(values) != length:
                 raise ValueError(f"result must hold {length} registers, not {len(values)}")
@@ -158,8 +158,8 @@ class WriteFileRecords(Echoed):
         checked = []
         for position, record in enumerate(checked_sequence("records", self.records, 27)):
             name = f"records[{position}]"
-            file, start, given = _triple(name, record, "file, record, values")
-            values = checked_registers(f"{name} values", given, 122)
+            file, start, registers = _triple(name, record, "file, record, values")
+            values = checked_registers(f"{name} values", registers, 122)
             checked.append((*_record_span(name, file, start, len(values)), values))
         store(self, records=tuple(checked))
         size = sum(7 + 2 * len(values) for *_, values in checked)

@@ -56,9 +56,9 @@ def register(request: Kind) -> Kind:
         raise ValueError(f"{request.__name__}: function must be in 1..127, not {function!r}")
     for name in ("request_length", "response_length"):
         checked_callback((request.__name__, name), getattr(request, name, None))
-    taken = REQUESTS.get(function)
-    if taken is not None and taken is not request:
-        raise ValueError(f"{request.__name__}: function {function} is {taken.__name__}")
+    other = REQUESTS.get(function)
+    if other is not None and other is not request:
+        raise ValueError(f"{request.__name__}: function {function} is {other.__name__}")
     REQUESTS[function] = request
     return request
 

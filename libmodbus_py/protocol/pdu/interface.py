@@ -332,11 +332,11 @@ def pages(request: ReadDeviceIdentification, objects: Mapping[int, bytes]) -> Id
     A request for an object that is not in its stream starts it over (section 6.21).
     """
     last = LAST_OBJECT[ReadDeviceIdCode(request.code)]
-    known = [number for number in objects if number <= last]
-    start = request.object_id if request.object_id in known else 0
+    numbers = [number for number in objects if number <= last]
+    start = request.object_id if request.object_id in numbers else 0
     page: dict[int, bytes] = {}
     room = request.room
-    for number in known:
+    for number in numbers:
         if number < start:
             continue
         room -= 2 + len(objects[number])

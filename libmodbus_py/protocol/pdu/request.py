@@ -60,27 +60,27 @@ def checked_sequence(name: str, values: object, limit: int) -> tuple[Any, ...]:
     # Text, sets and mappings are iterable, but never a run of registers.
     unfit = isinstance(values, str | bytes | bytearray | Set | Mapping)
     if unfit or not isinstance(values, Iterable):
-        given = type(values).__name__
-        raise WrongType(name, f"must be a sequence of 1..{limit} values, not {given}")
-    taken = tuple(islice(values, limit + 1))
-    if not 1 <= len(taken) <= limit:
-        given = f"{len(taken)}" if len(taken) <= limit else f"more than {limit}"
-        raise WrongValue(name, f"must hold 1..{limit} values, not {given}")
-    return taken
+        text = type(values).__name__
+        raise WrongType(name, f"must be a sequence of 1..{limit} values, not {text}")
+    items = tuple(islice(values, limit + 1))
+    if not 1 <= len(items) <= limit:
+        text = f"{len(items)}" if len(items) <= limit else f"more than {limit}"
+        raise WrongValue(name, f"must hold 1..{limit} values, not {text}")
+    return items
 
 
 def checked_bits(name: str, values: object, limit: int) -> tuple[bool, ...]:
-    taken = checked_sequence(name, values, limit)
-    if set(map(type, taken)) == {bool}:
-        return taken
-    return tuple(checked_bit(f"{name}[{at}]", value) for at, value in enumerate(taken))
+    bits = checked_sequence(name, values, limit)
+    if set(map(type, bits)) == {bool}:
+        return bits
+    return tuple(checked_bit(f"{name}[{at}]", value) for at, value in enumerate(bits))
 
 
 def checked_registers(name: str, values: object, limit: int) -> tuple[int, ...]:
-    taken = checked_sequence(name, values, limit)
-    if are_registers(taken):
-        return taken
-    return tuple(checked_register(f"{name}[{at}]", value) for at, value in enumerate(taken))
+    registers = checked_sequence(name, values, limit)
+    if are_registers(registers):
+        return registers
+    return tuple(checked_register(f"{name}[{at}]", value) for at, value in enumerate(registers))
 
 
 def checked_data(name: str, value: object, limit: int) -> bytes:
@@ -147,10 +147,10 @@ def encode_registers(function: int, result: Sequence[int], count: int) -> bytes:
 IN_C: dict[LengthRule, tuple[int, int, int]] = {}
 
 
-def in_c(rule: LengthRule, told: int, base: int = 0, at: int = 0) -> LengthRule:
+def in_c(rule: LengthRule, byte_count_at: int, base: int = 0, at: int = 0) -> LengthRule:
     """Note that C knows this rule, too."""
     if 0 <= base <= MAX_PDU and 0 <= at < MAX_PDU:
-        IN_C[rule] = told, base, at
+        IN_C[rule] = byte_count_at, base, at
     return rule
 
 
@@ -266,8 +266,8 @@ class Request(Generic[Result]):
         return InvalidResponse(f"answered with {what}", function=self.function, asked=str(self))
 
     def __str__(self) -> str:
-        shown = (f"{name}={reprlib.repr(value)}" for name, value in arguments(self).items())
-        return f"{type(self).__name__}({', '.join(shown)})"
+        texts = (f"{name}={reprlib.repr(value)}" for name, value in arguments(self).items())
+        return f"{type(self).__name__}({', '.join(texts)})"
 
 
 # Classes of which a mistake in a length rule has been logged.
@@ -298,8 +298,8 @@ def arguments(request: Request[Any]) -> dict[str, Any]:
     from dataclasses import fields, is_dataclass
 
     if not is_dataclass(request):
-        given = getattr(request, "__dict__", {})
-        return {name: value for name, value in given.items() if name[0] != "_"}
+        attributes = getattr(request, "__dict__", {})
+        return {name: value for name, value in attributes.items() if name[0] != "_"}
     names = [field.name for field in fields(request) if field.repr]
     return {name: getattr(request, name) for name in names if hasattr(request, name)}
 

@@ -119,8 +119,8 @@ class Diagnostics(Request[bytes]):
         checked_data("data", self.data, self.longest)
         longest = self.longest if sub_function == SubFunction.RETURN_QUERY_DATA else 2
         if not 2 <= len(self.data) <= longest or len(self.data) % 2:
-            allowed = "2 bytes" if longest == 2 else f"2, 4..{longest} bytes"
-            raise ValueError(f"data must be {allowed}, not {len(self.data)}")
+            sizes = "2 bytes" if longest == 2 else f"2, 4..{longest} bytes"
+            raise ValueError(f"data must be {sizes}, not {len(self.data)}")
         store(self, sub_function=sub_function)
 
     @property
