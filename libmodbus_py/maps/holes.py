@@ -94,7 +94,7 @@ Block = Sequence[BlockPiece]
 
 
 def _span(block: Block) -> Span:
-    return block[0].span._replace(stop=max(each.span.stop for each in block))
+    return block[0].span._replace(stop=max(piece.span.stop for piece in block))
 
 
 def _halves(block: Block) -> tuple[Block, Block]:
@@ -195,50 +195,52 @@ class _PlanRun:
         """Read all pieces but the holes, and search for others."""
         self._forget_old_cuts()
         left_out = self._leave_out()
-        asked = self._portions()
+        portions = self._portions()
         oldest = min(left_out, key=lambda piece: left_out[piece].at, default=None)
-        tried = [oldest] if oldest and (not asked or left_out[oldest].is_due(*self._time)) else []
-        refused = yield from self._send([*asked, *([piece] for piece in tried)])
-        for piece in tried:
+        trials = (
+            [oldest] if oldest and (not portions or left_out[oldest].is_due(*self._time)) else []
+        )
+        refusals = yield from self._send([*portions, *([piece] for piece in trials)])
+        for piece in trials:
             outcome = self._read[piece.span]
             if not isinstance(outcome, ModbusError):
                 self._holes.forget()
-                for other in left_out.keys() - tried:
+                for other in left_out.keys() - trials:
                     self._read.pop(other.span, None)
-                refused += yield from self._send(self._portions())
+                refusals += yield from self._send(self._portions())
             else:
                 error = outcome if is_refusal(outcome) else left_out[piece].error
                 self._holes.refused[piece.span] = PastRefusal(error, *self._time)
-        yield from self._search(refused)
+        yield from self._search(refusals)
         return [self._answer(block) for block in self._blocks]
 
     def strict(self) -> _PlanSteps[list[Any]]:
         """Read everything; or return the first error, with the names of a piece refused alone."""
         self._forget_old_cuts()
         # Each with the refusal of the longer block that it is a part of.
-        asked: list[tuple[Block, ModbusError | None]]
-        asked = [(block, None) for block in self._portions()]
+        pending: list[tuple[Block, ModbusError | None]]
+        pending = [(block, None) for block in self._portions()]
         halved: list[tuple[Block, Block, ModbusError]] = []
-        refused: set[Span] = set()
-        while asked:
-            outcomes = yield [_request(block) for block, _ in asked]
-            count = self._keep_answers(asked, outcomes)
-            if count == len(asked):
+        spans: set[Span] = set()
+        while pending:
+            outcomes = yield [_request(block) for block, _ in pending]
+            count = self._keep_answers(pending, outcomes)
+            if count == len(pending):
                 break
-            (block, reason), outcome, rest = asked[count], outcomes[count], asked[count + 1 :]
+            (block, reason), outcome, rest = pending[count], outcomes[count], pending[count + 1 :]
             if not is_refusal(outcome):
                 return [reason or outcome]
             if len(block) == 1:
                 return [self._named(block[0])]
-            if known := [piece for piece in block if piece.span in self._holes.refused][:1]:
-                asked = [(known, outcome), (block, reason), *rest]
+            if pieces := [piece for piece in block if piece.span in self._holes.refused][:1]:
+                pending = [(pieces, outcome), (block, reason), *rest]
                 continue
             first, second = _halves(block)
             halved.append((first, second, outcome))
-            refused.add(_span(block))
-            asked = [(first, outcome), (second, outcome), *rest]
+            spans.add(_span(block))
+            pending = [(first, outcome), (second, outcome), *rest]
         for first, second, error in halved:
-            if refused.isdisjoint((_span(first), _span(second))):
+            if spans.isdisjoint((_span(first), _span(second))):
                 self._add_cut(second, error)
         return [self._answer(block) for block in self._blocks]
 
@@ -249,8 +251,8 @@ class _PlanRun:
                 if is_new:
                     pieces = list(group)
                     names = [str(name) for piece in pieces for name in piece.names]
-                    told = ", ".join(names[:3]) + ", ..." * (len(names) > 3)
-                    yield f"{told}, {_span(pieces)}: {_reason_of(self._read[pieces[0].span])}"
+                    text = ", ".join(names[:3]) + ", ..." * (len(names) > 3)
+                    yield f"{text}, {_span(pieces)}: {_reason_of(self._read[pieces[0].span])}"
 
     def _forget_old_cuts(self) -> None:
         cuts = self._holes.cuts
@@ -259,32 +261,34 @@ class _PlanRun:
 
     def _leave_out(self) -> dict[BlockPiece, PastRefusal]:
         """Leave known holes out, and return them."""
-        known = self._holes.refused.copy()
-        found = {piece: known[piece.span] for piece in self._pieces if piece.span in known}
-        self._read = {piece.span: alike(hole.error) for piece, hole in found.items()}
-        return found
+        refusals = self._holes.refused.copy()
+        left_out = {piece: refusals[piece.span] for piece in self._pieces if piece.span in refusals}
+        self._read = {piece.span: alike(hole.error) for piece, hole in left_out.items()}
+        return left_out
 
     def _portions(self) -> list[list[BlockPiece]]:
         """Return what is to be asked for, in as few requests as holes and cuts allow."""
-        found: list[list[BlockPiece]] = []
+        portions: list[list[BlockPiece]] = []
         for block in self._blocks:
             is_open = False
             for piece in block:
                 if piece.span in self._read:
                     is_open = False
                 elif is_open and piece.span[:2] not in self._holes.cuts:
-                    found[-1].append(piece)
+                    portions[-1].append(piece)
                 else:
-                    found.append([piece])
+                    portions.append([piece])
                     is_open = True
-        return found
+        return portions
 
-    def _send(self, asked: Sequence[Block]) -> _PlanSteps[list[Block]]:
+    def _send(self, portions: Sequence[Block]) -> _PlanSteps[list[Block]]:
         """Read some pieces; return those blocks that are refused."""
-        outcomes = (yield [_request(block) for block in asked]) if asked else []
-        for block, outcome in zip(asked, outcomes, strict=True):
+        outcomes = (yield [_request(block) for block in portions]) if portions else []
+        for block, outcome in zip(portions, outcomes, strict=True):
             self._keep(block, outcome)
-        return [block for block, each in zip(asked, outcomes, strict=True) if is_refusal(each)]
+        return [
+            block for block, result in zip(portions, outcomes, strict=True) if is_refusal(result)
+        ]
 
     def _keep(self, block: Block, outcome: Any) -> None:
         """Keep the cells of each piece of a block, or why they were not read."""
@@ -294,27 +298,29 @@ class _PlanRun:
             cells = slice(span.start - first, span.stop - first)
             self._read[span] = outcome if is_error else outcome[cells]
 
-    def _keep_answers(self, asked: Sequence[tuple[Block, object]], outcomes: Sequence[Any]) -> int:
+    def _keep_answers(
+        self, requests: Sequence[tuple[Block, object]], outcomes: Sequence[Any]
+    ) -> int:
         """Keep outcomes up to the first failure; return the number of those before it."""
-        for at, ((block, _), outcome) in enumerate(zip(asked, outcomes, strict=False)):
+        for at, ((block, _), outcome) in enumerate(zip(requests, outcomes, strict=False)):
             self._keep(block, outcome)
             if isinstance(outcome, ModbusError):
                 return at
             if any(piece.span in self._holes.refused for piece in block):
                 self._holes.forget()
-        return len(asked)
+        return len(requests)
 
     def _has_failed(self, block: Block) -> bool:
         """Return True if what was sent for a block failed, but was not refused."""
         outcome = self._read[block[0].span]
         return isinstance(outcome, ModbusError) and not is_refusal(outcome)
 
-    def _search(self, refused: list[Block]) -> _PlanSteps[None]:
+    def _search(self, blocks: list[Block]) -> _PlanSteps[None]:
         """Find the holes in what was refused."""
-        refused.sort(key=len, reverse=True)
+        blocks.sort(key=len, reverse=True)
         is_second = False  # True once a piece was refused alone
-        while refused:
-            block = refused.pop(0)
+        while blocks:
+            block = blocks.pop(0)
             if len(block) == 1:
                 self._add(block[0])
                 if is_second and not self._is_answered:
@@ -330,7 +336,7 @@ class _PlanRun:
                 return
             if not again:
                 self._add_cut(halves[1], error)
-            refused = [*again, *refused]
+            blocks = [*again, *blocks]
 
     def _named(self, piece: BlockPiece) -> ModbusError:
         """Return the refusal of a piece that was refused alone, with the names of its items."""
@@ -350,12 +356,12 @@ class _PlanRun:
 
     def _answer(self, block: Block) -> Any:
         """Return the answer to the request of a block, as `Plan.results` takes it."""
-        found = [self._read[span] for span, _ in block]
-        if all(isinstance(each, ModbusError) for each in found):
-            return found[0]
+        answers = [self._read[span] for span, _ in block]
+        if all(isinstance(result, ModbusError) for result in answers):
+            return answers[0]
         _, first, end = _span(block)
         answer = PartialAnswer(end - first)
-        for (span, names), cells in zip(block, found, strict=True):
+        for (span, names), cells in zip(block, answers, strict=True):
             start, stop = span.start - first, span.stop - first
             if isinstance(cells, ModbusError):
                 answer.errors[start, stop] = cells
@@ -387,8 +393,8 @@ def reading(
         return (yield from (run.strict() if is_strict else run.tolerant()))
     finally:
         if tell is not None:
-            for each in run.news():
-                tell(each)
+            for line in run.news():
+                tell(line)
 
 
 def carried_out(

@@ -136,15 +136,15 @@ def _toml_entries(text: str) -> Iterator[MapEntry]:
         mistake = placed(error, ())
         raise MapError.of(mistake, place(mistake.path)) from None
     defaults = content.get("defaults", {})
-    for at, given in enumerate(content.get("point", [])):
+    for at, entry in enumerate(content.get("point", [])):
         path = ("point", at)
-        yield MapEntry(path, place, partial(_with_defaults, path, given, defaults))
+        yield MapEntry(path, place, partial(_with_defaults, path, entry, defaults))
 
 
-def _with_defaults(path: Path, given: object, defaults: Mapping[str, Any]) -> dict[str, Any]:
+def _with_defaults(path: Path, entry: object, defaults: Mapping[str, Any]) -> dict[str, Any]:
     usual = dict(defaults)
     first = usual.pop("first_address", 0)
-    keys = {**usual, **table(path, given)}
+    keys = {**usual, **table(path, entry)}
     if first and isinstance(keys.get("address"), int):
         keys["address"] -= first
     return keys

@@ -104,13 +104,13 @@ class Judged(NamedTuple):
     reason: Reason | Literal[""] = ""
 
     @classmethod
-    def of(cls, found: Sequence[Any], *, is_list: bool) -> Judged:
+    def of(cls, results: Sequence[Any], *, is_list: bool) -> Judged:
         """Return the values that were found in a point, where `NoValue` stands for none."""
-        bad = [each for each in found if isinstance(each, NoValue)]
+        bad = [result for result in results if isinstance(result, NoValue)]
         if not is_list:
-            return cls(None, "bad", bad[0].reason) if bad else cls(found[0])
-        values = [None if isinstance(each, NoValue) else each for each in found]
-        quality: Literal["good", "bad"] = "bad" if len(bad) == len(found) else "good"
+            return cls(None, "bad", bad[0].reason) if bad else cls(results[0])
+        values = [None if isinstance(result, NoValue) else result for result in results]
+        quality: Literal["good", "bad"] = "bad" if len(bad) == len(results) else "good"
         return cls(values, quality, bad[0].reason if bad else "")
 
 
@@ -146,10 +146,10 @@ class Part(NamedTuple):
 
     def of(self, number: int) -> int:
         """Return the part of a number; True or False for a flag."""
-        found = (number & self.mask) >> self.shift
+        value = (number & self.mask) >> self.shift
         if self.is_flag:
-            return bool(found)
-        return found - (1 << self.width) if self.is_signed and found >> self.width - 1 else found
+            return bool(value)
+        return value - (1 << self.width) if self.is_signed and value >> self.width - 1 else value
 
     def put(self, name: str | Path, value: object) -> int:
         """Return the bits of a value, all others 0, or raise TypeError or ValueError."""
@@ -158,22 +158,22 @@ class Part(NamedTuple):
         return integer(name, value, *self.limits) << self.shift & self.mask
 
 
-def part_of(path: str | Path, given: object, bits: int, *, is_signed: bool = False) -> Part:
+def part_of(path: str | Path, text: object, bits: int, *, is_signed: bool = False) -> Part:
     """Return the part that a number such as 3 or a text such as "4..7" names, or raise an error."""
-    if isinstance(given, int) and not isinstance(given, bool):
-        return Part(integer(path, given, 0, bits - 1), 1, is_flag=True)
-    if not isinstance(given, str):
-        raise WrongType(path, f"must be a bit such as 3, or bits such as '4..7', not {given!r}")
-    found = _SPAN.fullmatch(given)
-    if found is None:
-        wanted = "a bit such as 3, or bits such as '4..7'"
-        raise WrongValue(path, f"must be {wanted}, not {reprlib.repr(given)}")
-    if found[2] is None:
-        return part_of(path, int(found[1]), bits)
-    first, last = int(found[1]), int(found[2])
+    if isinstance(text, int) and not isinstance(text, bool):
+        return Part(integer(path, text, 0, bits - 1), 1, is_flag=True)
+    if not isinstance(text, str):
+        raise WrongType(path, f"must be a bit such as 3, or bits such as '4..7', not {text!r}")
+    match = _SPAN.fullmatch(text)
+    if match is None:
+        form = "a bit such as 3, or bits such as '4..7'"
+        raise WrongValue(path, f"must be {form}, not {reprlib.repr(text)}")
+    if match[2] is None:
+        return part_of(path, int(match[1]), bits)
+    first, last = int(match[1]), int(match[2])
     if not first <= last < bits:
-        wanted = f"within 0..{bits - 1}, the lower number first"
-        raise WrongValue(path, f"must be {wanted}, not {reprlib.repr(given)}")
+        form = f"within 0..{bits - 1}, the lower number first"
+        raise WrongValue(path, f"must be {form}, not {reprlib.repr(text)}")
     return Part(first, last - first + 1, is_signed=is_signed)
 
 
@@ -190,8 +190,8 @@ class CellChange(NamedTuple):
         """Return the cells after the change, where bits that do not change stay as before."""
         if self.masks is None:
             return self.cells
-        changed = zip(before, self.cells, self.masks, strict=True)
-        return [int(old) & ~mask | bits for old, bits, mask in changed]
+        triples = zip(before, self.cells, self.masks, strict=True)
+        return [int(old) & ~mask | bits for old, bits, mask in triples]
 
 
 class Meaning:
@@ -297,8 +297,8 @@ class Meaning:
             return self._missed(value)
         if self._span is None or self._span[0] <= value <= self._span[1]:
             return value
-        wanted = "..".join("" if math.isinf(each) else str(each) for each in self._span)
-        text = f"is {shown(value)}, and plausible is {wanted}"
+        span = "..".join("" if math.isinf(bound) else str(bound) for bound in self._span)
+        text = f"is {shown(value)}, and plausible is {span}"
         return NoValue(self._name, "Implausible", text)
 
     def _missed(self, raw: object) -> NoValue:
@@ -346,11 +346,11 @@ class Meaning:
         if not isinstance(value, Mapping):
             raise WrongType("value", f"must be a dict of named bits, not {type(value).__name__}")
         bits = mask = 0
-        for name, each in value.items():
+        for name, bit in value.items():
             if name not in self.bits:
-                allowed = ", ".join(self.bits)
-                raise WrongValue("value", f"must have names of {allowed}, not {shown(name)}")
-            bits |= self.bits[name].put(("value", name), each)
+                names = ", ".join(self.bits)
+                raise WrongValue("value", f"must have names of {names}, not {shown(name)}")
+            bits |= self.bits[name].put(("value", name), bit)
             mask |= self.bits[name].mask
         return bits, mask
 
@@ -363,8 +363,8 @@ def _has_numbers(kind: ValueType | None, part: Part | None) -> bool:
 
 def number(name: str, value: object) -> int | float:
     """Check a number of a map: an int or float in -1e30..1e30, not True or False."""
-    found = checks.number(name, value, -LARGEST, LARGEST)
-    return int(found) if isinstance(found, int) else float(found)
+    amount = checks.number(name, value, -LARGEST, LARGEST)
+    return int(amount) if isinstance(amount, int) else float(amount)
 
 
 class Scaling:
@@ -459,12 +459,12 @@ def exact_scale(scale: float) -> Fraction:
     """Return a scale as it is written, and 1/n where a file has the divisor n, such as 3."""
     from fractions import Fraction
 
-    written = exact(scale)
+    digits = exact(scale)
     divisor = round(1 / scale)
     # No text of a person has as many digits as the nearest float of a third.
-    if divisor and 1 / divisor == scale and len(str(written.numerator)) >= DIGITS_OF_DIVISION:
+    if divisor and 1 / divisor == scale and len(str(digits.numerator)) >= DIGITS_OF_DIVISION:
         return Fraction(1, divisor)
-    return written
+    return digits
 
 
 def _is_exact(value: object) -> bool:

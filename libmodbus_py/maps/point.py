@@ -230,12 +230,12 @@ class Point:
                 scaling = self.scaling_for(source)
             except NoValue as none:
                 return Judged.of([none] * self.count, is_list=self.count > 1)
-            found = self.meaning.values_in(cells, scaling)
+            results = self.meaning.values_in(cells, scaling)
         except (TypeError, ValueError) as error:
             # A plain error: readings of fleets have the name of its class as their reason.
             kind = TypeError if isinstance(error, TypeError) else ValueError
             raise kind(f"{self.name}: {error}") from None
-        return Judged.of(found, is_list=self.count > 1)
+        return Judged.of(results, is_list=self.count > 1)
 
     def scaling_for(self, source: object) -> Scaling | None:
         """Return the scaling, None where raw values are values; or raise NoValue for no scale."""
@@ -251,8 +251,8 @@ class Point:
 
     def values_in(self, cells: Sequence[Any], scaling: Scaling | None = None) -> list[Any]:
         """Return the values that some of the cells hold; None stands for no value."""
-        found = self.meaning.values_in(cells, scaling or self._scaling)
-        return [None if isinstance(each, NoValue) else each for each in found]
+        results = self.meaning.values_in(cells, scaling or self._scaling)
+        return [None if isinstance(result, NoValue) else result for result in results]
 
     # --- cells of values -------------------------------------------------------------------
 
@@ -295,8 +295,8 @@ class Point:
 
     def cells_for(self, values: Iterable[Any]) -> list[Any]:
         """Return the cells of some of the values; `minimum` and `maximum` are not checked."""
-        changes = [self.meaning.change(each, self._scaling) for each in values]
-        return [cell for each in changes for cell in each.cells]
+        changes = [self.meaning.change(value, self._scaling) for value in values]
+        return [cell for value in changes for cell in value.cells]
 
     def _change(self, value: Any, scaling: Scaling | None) -> CellChange:
         if self.count == 1:
@@ -304,9 +304,9 @@ class Point:
         values = checked_sequence("value", value, self.count)
         if len(values) != self.count:
             raise WrongValue("value", f"must be a list of {self.count}, not of {len(values)}")
-        changes = [self._change_of_one(each, scaling) for each in values]
-        masks = [mask for each in changes for mask in each.masks or ()]
-        return CellChange([cell for each in changes for cell in each.cells], masks or None)
+        changes = [self._change_of_one(change, scaling) for change in values]
+        masks = [mask for change in changes for mask in change.masks or ()]
+        return CellChange([cell for change in changes for cell in change.cells], masks or None)
 
     def _change_of_one(self, value: Any, scaling: Scaling | None) -> CellChange:
         scaling = scaling or self._scaling
@@ -319,17 +319,23 @@ class Point:
                 self.check_bounds(scaling.to_value(raw), value)
         return change
 
-    def check_bounds(self, value: Any, given: Any = None) -> None:
+    def check_bounds(self, value: Any, written_value: Any = None) -> None:
         """Check a value, that was rounded from the one given, against `minimum` and `maximum`."""
         low, high = self.minimum, self.maximum
         if not _is_within(value, low, high):
             span = f"{'' if low is None else low}..{'' if high is None else high}"
-            told = shown(value) if given is None else f"{shown(given)}, written as {shown(value)}"
-            raise WrongValue("value", f"must be in {span}, not {told}")
+            text = (
+                shown(value)
+                if written_value is None
+                else f"{shown(written_value)}, written as {shown(value)}"
+            )
+            raise WrongValue("value", f"must be in {span}, not {text}")
 
 
 def _is_within(value: Any, low: Any, high: Any) -> bool:
     """Return True if the bounds hold as they are written: Decimal("0.3") is not above 0.3."""
     if not isinstance(value, int | float):
-        value, low, high = (each if each is None else exact(each) for each in (value, low, high))
+        value, low, high = (
+            bound if bound is None else exact(bound) for bound in (value, low, high)
+        )
     return (low is None or value >= low) and (high is None or value <= high)

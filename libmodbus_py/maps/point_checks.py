@@ -129,7 +129,9 @@ def _check_text(name: str | Path, value: Any, least: int, most: int) -> None:
     if not least <= len(value) <= most:
         raise WrongValue(name, f"must have {least}..{most} characters, not {len(value)}")
     spaces = "\n\t" if name == "description" else ""
-    unfit = [each for each in value if not each.isprintable() and each not in spaces]
+    unfit = [
+        character for character in value if not character.isprintable() and character not in spaces
+    ]
     if unfit or (name != "description" and value != value.strip()):
         raise WrongValue(
             name, f"must be printable characters, without spaces around: {reprlib.repr(value)}"
@@ -152,8 +154,8 @@ def _access(point: Point) -> str:
     if point.access is None:
         return "read_write" if can_be_written else "read"
     if point.access not in ACCESSES:
-        given = reprlib.repr(point.access)
-        raise WrongValue("access", f"must be one of {', '.join(ACCESSES)}, not {given}")
+        text = reprlib.repr(point.access)
+        raise WrongValue("access", f"must be one of {', '.join(ACCESSES)}, not {text}")
     if point.access != "read" and not can_be_written:
         raise WrongValue("access", f"must be read for {point.table}, not {point.access!r}")
     return str(point.access)
@@ -207,14 +209,14 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
 
 def _part(point: Point, kind: ValueType | None) -> Part | None:
     """Return the bits that are the raw value; None if all are."""
-    given = [name for name in NEED_BITS if getattr(point, name) is not None]
-    if not given:
+    names = [name for name in NEED_BITS if getattr(point, name) is not None]
+    if not names:
         if kind is None or kind.name not in BYTE_TYPES:
             return None
         return part_of("byte", BYTES["low"], 16, is_signed=kind.name.startswith("int"))
-    if len(given) > 1:
-        raise WrongValue(given[1], f"cannot be given together with {given[0]}")
-    name = given[0]
+    if len(names) > 1:
+        raise WrongValue(names[1], f"cannot be given together with {names[0]}")
+    name = names[0]
     if kind is None or not kind.name.startswith(("int", "uint", "bits")):
         raise WrongValue(name, f"must be left out for {point.type_name}, which has no single bits")
     width, is_signed = 16 * kind.registers, kind.name.startswith("int")
@@ -230,26 +232,26 @@ def _part(point: Point, kind: ValueType | None) -> Part | None:
 
 
 def _names(
-    name: str, given: object, key_of: Callable[[Path, Any], Any], *, are_unique: bool = True
+    name: str, names: object, key_of: Callable[[Path, Any], Any], *, are_unique: bool = True
 ) -> dict[Any, str]:
     """Return the names that an argument gives to numbers or bits; the keys of files are text."""
-    if given is None:
+    if names is None:
         return {}
-    if not isinstance(given, Mapping):
-        raise WrongType(name, f"must be a table of names, not {type(given).__name__}")
-    if not given:
+    if not isinstance(names, Mapping):
+        raise WrongType(name, f"must be a table of names, not {type(names).__name__}")
+    if not names:
         raise WrongValue(name, "must not be empty")
-    found: dict[Any, str] = {}
-    for key, text in given.items():
+    result: dict[Any, str] = {}
+    for key, text in names.items():
         path = (name, str(key))
         _check_text(path, text, 1, MAX_NAME)
-        made = key_of(path, key)
-        if made in found:
+        name_key = key_of(path, key)
+        if name_key in result:
             raise WrongValue(path, "is given twice")
-        if are_unique and text in found.values():
+        if are_unique and text in result.values():
             raise WrongValue(path, f"must have a name of its own; {text!r} occurs twice")
-        found[made] = text
-    return found
+        result[name_key] = text
+    return result
 
 
 def _states(point: Point, kind: ValueType | None, part: Part | None) -> dict[Any, str]:
@@ -272,15 +274,15 @@ def _states(point: Point, kind: ValueType | None, part: Part | None) -> dict[Any
 
 def _bits(point: Point, kind: ValueType | None) -> dict[str, Part]:
     width = 0 if kind is None else 16 * kind.registers
-    found: dict[str, Part] = {}
-    taken = 0
-    named = _names("bits", point.bits, lambda path, key: part_of(path, key, width))
-    for part, name in named.items():
-        if part.mask & taken:
+    parts: dict[str, Part] = {}
+    used_mask = 0
+    names = _names("bits", point.bits, lambda path, key: part_of(path, key, width))
+    for part, name in names.items():
+        if part.mask & used_mask:
             raise WrongValue(("bits", str(part.key)), "overlaps bits before it")
-        taken |= part.mask
-        found[name] = part
-    return found
+        used_mask |= part.mask
+        parts[name] = part
+    return parts
 
 
 def _check_numbers(point: Point, meaning: Meaning) -> None:
@@ -299,12 +301,12 @@ def _check_numbers(point: Point, meaning: Meaning) -> None:
         raise WrongValue("never_falls", "must be left out where count is more than 1")
     if meaning.has_numbers:
         return
-    given = [name for name in ("states", "bits", "bit") if getattr(point, name) is not None]
-    about = f"a point with {given[0]}" if given else point.type_name
+    names = [name for name in ("states", "bits", "bit") if getattr(point, name) is not None]
+    about = f"a point with {names[0]}" if names else point.type_name
     for name, usual in NEED_NUMBERS.items():
         if getattr(point, name) != usual:
-            wanted = "be left out" if usual is None or usual is False else f"be {usual}"
-            raise WrongValue(name, f"must {wanted} for {about}, which has no numbers")
+            form = "be left out" if usual is None or usual is False else f"be {usual}"
+            raise WrongValue(name, f"must {form} for {about}, which has no numbers")
 
 
 # --- missing ------------------------------------------------------------------------------
@@ -314,10 +316,10 @@ def _listed(missing: Any) -> Any:
     """Return the argument `missing`: a text, a tuple of numbers, or None."""
     if missing is None or isinstance(missing, str):
         return missing
-    found = tuple(missing) if isinstance(missing, Iterable) else (missing,)
-    if not found:
+    values = tuple(missing) if isinstance(missing, Iterable) else (missing,)
+    if not values:
         raise WrongValue("missing", "must not be empty")
-    return found
+    return values
 
 
 def _missing(
@@ -340,8 +342,8 @@ def _missing(
         raise WrongValue("missing", f'must be numbers or "sunspec", not {reprlib.repr(missing)}')
     return frozenset(
         raw
-        for at, given in enumerate(missing)
-        for raw in _raws(("missing", at), point, kind, part, given)
+        for at, value in enumerate(missing)
+        for raw in _raws(("missing", at), point, kind, part, value)
     )
 
 

@@ -55,16 +55,16 @@ def _circle(points: Mapping[str, Point], point: Point, ending: set[str]) -> str:
     return ""
 
 
-def sources_of(points: Iterable[Point], known: Mapping[str, Point]) -> dict[str, Point]:
+def sources_of(points: Iterable[Point], points_by_name: Mapping[str, Point]) -> dict[str, Point]:
     """Return the points that scale some points, by name; each before those that it scales."""
-    found: dict[str, Point] = {}
+    sources: dict[str, Point] = {}
     for point in points:
         chain = []
-        while (name := point.scale_from) is not None and name not in found:
-            point = known[name]
+        while (name := point.scale_from) is not None and name not in sources:
+            point = points_by_name[name]
             chain.append(point)
-        found |= {each.name: each for each in reversed(chain)}
-    return found
+        sources |= {source.name: source for source in reversed(chain)}
+    return sources
 
 
 def borders_of(points: Iterable[Point]) -> list[tuple[Table, int]]:
@@ -134,7 +134,7 @@ class PointPlan(Plan):
         reads = {name: point.read for name, point in self._all.items()}
         super().__init__(reads, borders=borders, **options)
         self._quick = list(self._quick_ones(scale_of))
-        are_quick = {each.name for each in self._quick}
+        are_quick = {entry.name for entry in self._quick}
         self._slow = [name for name in self._points if name not in are_quick]
 
     @property
@@ -175,11 +175,11 @@ class PointPlan(Plan):
 
         With `return_exceptions` a `NoValue` tells why there is none.
         """
-        given = self._checked_answers(list(answers))
-        data = self._data(given)
-        scales = self._scales(given)
+        answer_list = self._checked_answers(list(answers))
+        data = self._data(answer_list)
+        scales = self._scales(answer_list)
         functions = scales.functions
-        found: dict[str, Any] = dict.fromkeys(self._points)
+        results: dict[str, Any] = dict.fromkeys(self._points)
         slow = self._slow.copy()
         for name, at, place, from_bytes, convert, judge, scale in self._quick:
             try:
@@ -191,38 +191,38 @@ class PointPlan(Plan):
                 if judge is not None:
                     value = judge(raw, convert)
                     if return_exceptions or value.__class__ is not NoValue:
-                        found[name] = value
+                        results[name] = value
                     continue
                 value = raw if convert is None else convert(raw)
                 if value == value:  # only nan differs from itself
-                    found[name] = value
+                    results[name] = value
                     continue
             except (TypeError, LookupError, ValueError):
                 pass  # an error in place of the answer or the scale, or registers without a value
             slow.append(name)
-        for answer in given:
+        for answer in answer_list:
             if isinstance(answer, PartialAnswer):  # its lost cells count as zeros until here
-                slow += [name for name in answer.lost if name in found]
+                slow += [name for name in answer.lost if name in results]
         for name in slow:
-            value = self._value(name, given, scales)
+            value = self._value(name, answer_list, scales)
             is_none = isinstance(value, NoValue) and not return_exceptions
-            found[name] = None if is_none else value
-        return found
+            results[name] = None if is_none else value
+        return results
 
     def _value(self, name: str, answers: list[Any], scales: _Scales) -> Any:
         """Return a value, a `NoValue`, or the error of the request."""
         point, cells = self._all[name], self._values(name, answers)
         source = scales.values.get(point.scale_from or "")
-        for each in (cells, source):
-            if isinstance(each, ModbusError) and not isinstance(each, NoValue):
-                return each
+        for part in (cells, source):
+            if isinstance(part, ModbusError) and not isinstance(part, NoValue):
+                return part
         try:
-            found = point.meaning.values_in(cells, point.scaling_for(source))
+            results = point.meaning.values_in(cells, point.scaling_for(source))
         except NoValue as none:
             return none
         if point.count == 1:
-            return found[0]
-        return [None if isinstance(each, NoValue) else each for each in found]
+            return results[0]
+        return [None if isinstance(part, NoValue) else part for part in results]
 
     def _scales(self, answers: list[Any]) -> _Scales:
         scales = _Scales({}, {})

@@ -51,15 +51,15 @@ class States(dict[Any, Any]):
 
     def number_of(self, name: str) -> Any:
         """Return the number of a name; raise WrongValue if there is none, or several."""
-        keys = sorted(key for key, each in self.items() if each == name)
-        spans = [span.key for span, each in self._spans if each == name]
+        keys = sorted(key for key, state in self.items() if state == name)
+        spans = [span.key for span, state in self._spans if state == name]
         if len(keys) == 1 and not spans:
             return keys[0]
         if keys or spans:
             several = ", ".join(map(str, [*keys, *spans]))
             raise WrongValue("value", f"must be a number: {name!r} is the name of {several}")
-        allowed = ", ".join(dict.fromkeys(self.values()))
-        raise WrongValue("value", f"must be one of {allowed}, or a number, not {name!r}")
+        names = ", ".join(dict.fromkeys(self.values()))
+        raise WrongValue("value", f"must be one of {names}, or a number, not {name!r}")
 
 
 # --- keys of maps -------------------------------------------------------------------------------

@@ -86,9 +86,11 @@ def write_requests(
     """
     runs: list[_Run | _Masked] = []
     masked: dict[int, _Masked] = {}
-    made = [(point, point.change(value, source=source)) for point, value, source in changes]
-    check_overlaps(made)
-    for point, (cells, masks) in made:
+    changed_points = [
+        (point, point.change(value, source=source)) for point, value, source in changes
+    ]
+    check_overlaps(changed_points)
+    for point, (cells, masks) in changed_points:
         own = point.write_function or function
         if masks is not None:
             runs += _mask(point, cells, masks, masked, own)
@@ -136,16 +138,16 @@ def check_overlaps(changes: Iterable[tuple[Point, CellChange]]) -> None:
     """Raise ValueError, with both names, if two changes of points share cells or bits of them."""
     ordered = sorted(changes, key=lambda change: (change[0].table, change[0].address))
     # Bits that are taken in the cells of the table, and the point that takes them first.
-    taken: dict[tuple[str, int], tuple[int, str]] = {}
+    writers: dict[tuple[str, int], tuple[int, str]] = {}
     for point, (_, masks) in ordered:
         for at, address in enumerate(point.cells):
             mask = 0xFFFF if masks is None else masks[at]
-            before, first = taken.get((point.table, address), (0, point.name))
+            before, first = writers.get((point.table, address), (0, point.name))
             if before & mask:
                 raise ValueError(
                     f"{first} and {point.name} share {point.table} {address}: write one of them"
                 )
-            taken[point.table, address] = before | mask, first
+            writers[point.table, address] = before | mask, first
 
 
 def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> None:
@@ -158,13 +160,13 @@ def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> No
         return
     # Integers hold a bound, or it lies between two of them; so do those that another point scales.
     is_exact = bool(point.step) or point.scale_from is not None
-    held = [] if is_exact else _held_bounds(point)
+    bounds = [] if is_exact else _held_bounds(point)
     scaling = point.scaling_for(source)
     try:
         for value in point.values_in(cells, scaling):
             if value is None:
                 raise WrongValue("value", "must not be the raw value that means no value")
-            if value not in held:
+            if value not in bounds:
                 point.check_bounds(value)
     except ValueError as error:
         raise WrongValue.about(point.name, str(error)) from None
@@ -172,8 +174,8 @@ def check_cells(point: Point, cells: Sequence[Any], *, source: Any = None) -> No
 
 def _held_bounds(point: Point) -> list[Any]:
     """Return the values that cells hold in which the bounds are written."""
-    found: list[Any] = []
+    bounds: list[Any] = []
     for bound in (point.minimum, point.maximum):
         with contextlib.suppress(ValueError):  # cells cannot hold every bound
-            found += [] if bound is None else point.values_in(point.cells_for([bound]))
-    return found
+            bounds += [] if bound is None else point.values_in(point.cells_for([bound]))
+    return bounds

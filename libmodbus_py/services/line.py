@@ -83,107 +83,107 @@ class LineRequest:
         self.submitted: Submitted | None = None  # while it is in flight
 
 
-Each = TypeVar("Each", bound=LineRequest)
+Job = TypeVar("Job", bound=LineRequest)
 
 
-class FairQueue(Generic[Each]):
+class FairQueue(Generic[Job]):
     """Requests that wait: hosts take turns, within each its clients, which keep their order."""
 
     def __init__(self, most_of_client: float = math.inf, most: float = math.inf) -> None:
         self._most_of_client = most_of_client
         self._most = most
         # The host, and within it the client, whose turn is next is first.
-        self._hosts: dict[Hashable, dict[Hashable, deque[Each]]] = {}
+        self._hosts: dict[Hashable, dict[Hashable, deque[Job]]] = {}
         self.count: int = 0
 
-    def __iter__(self) -> Iterator[Each]:
-        return (each for host in self._hosts.values() for queue in host.values() for each in queue)
+    def __iter__(self) -> Iterator[Job]:
+        return (job for host in self._hosts.values() for queue in host.values() for job in queue)
 
-    def put(self, each: Each) -> bool:
+    def put(self, job: Job) -> bool:
         """Add a request; return False if too many wait."""
-        clients = self._hosts.get(each.host, {})
-        queue = clients.get(each.client, deque())
+        clients = self._hosts.get(job.host, {})
+        queue = clients.get(job.client, deque())
         if self.count >= self._most or len(queue) >= self._most_of_client:
             return False
-        queue.append(each)
-        self._hosts[each.host] = clients
-        clients[each.client] = queue
+        queue.append(job)
+        self._hosts[job.host] = clients
+        clients[job.client] = queue
         self.count += 1
         return True
 
-    def pick(self, may_ask: Callable[[Each], bool]) -> Each | None:
+    def pick(self, may_ask: Callable[[Job], bool]) -> Job | None:
         """Remove and return the first request that may be asked now; None if none may."""
-        each = next(filter(may_ask, self), None)
-        if each is not None:
-            self.remove(each)
-            if clients := self._hosts.pop(each.host, None):
-                self._hosts[each.host] = clients
-                if queue := clients.pop(each.client, None):
-                    clients[each.client] = queue
-        return each
+        job = next(filter(may_ask, self), None)
+        if job is not None:
+            self.remove(job)
+            if clients := self._hosts.pop(job.host, None):
+                self._hosts[job.host] = clients
+                if queue := clients.pop(job.client, None):
+                    clients[job.client] = queue
+        return job
 
-    def remove(self, each: Each) -> bool:
+    def remove(self, job: Job) -> bool:
         """Remove a request; return False if it does not wait here."""
-        clients = self._hosts.get(each.host, {})
-        queue = clients.get(each.client, deque())
-        if each not in queue:
+        clients = self._hosts.get(job.host, {})
+        queue = clients.get(job.client, deque())
+        if job not in queue:
             return False
-        queue.remove(each)
+        queue.remove(job)
         self.count -= 1
         if not queue:
-            del clients[each.client]
+            del clients[job.client]
             if not clients:
-                del self._hosts[each.host]
+                del self._hosts[job.host]
         return True
 
 
-class SharedLine(ABC, Generic[Each]):
+class SharedLine(ABC, Generic[Job]):
     """One connection, and the requests that share it; trials may wait for any time."""
 
     def __init__(
         self,
         sender: Sender,
-        make_queue: Callable[[], FairQueue[Each]],
+        make_queue: Callable[[], FairQueue[Job]],
         *,
         longest_wait: float = math.inf,
         most_trials: float = math.inf,
     ) -> None:
         self.client: AsyncClient = sender.client
         self.sender: Sender = sender
-        self.in_flight: dict[Each, None] = {}  # in the order in which they were sent
+        self.in_flight: dict[Job, None] = {}  # in the order in which they were sent
         self.is_closed: bool = False
         self._loop = asyncio.get_running_loop()
         self._has_ids = sender.has_ids
         self._longest_wait = longest_wait
         self._most_trials = most_trials
         self._urgent, self._usual = make_queue(), make_queue()
-        self._trials: FairQueue[Each] = FairQueue()
-        self._trying: dict[Each, None] = {}  # the trials in flight, in their order
+        self._trials: FairQueue[Job] = FairQueue()
+        self._trying: dict[Job, None] = {}  # the trials in flight, in their order
         self._was_trial = False  # the request that was sent last
         # Unit -> the longest time that its answers took, fading.
         self._took: dict[int, float] = {}
         self._failed_at = 0.0
-        self._done: list[Each] = []
+        self._done: list[Job] = []
         self._alarm = Alarm(self.go_on)
         self._next_at = math.inf
 
     # --- what the users of a line decide ------------------------------------------------------
 
     @abstractmethod
-    def conclude(self, each: Each, outcome: Any, now: float) -> None:
+    def conclude(self, job: Job, outcome: Any, now: float) -> None:
         """Take the outcome of a request: its result, or an exception."""
 
-    def sender_of(self, each: Each) -> Sender:
+    def sender_of(self, job: Job) -> Sender:
         """Return what sends a request, with the timeout of the request."""
         return self.sender
 
-    def give_up(self, each: Each, now: float) -> None:
+    def give_up(self, job: Job, now: float) -> None:
         """Conclude a trial that made way for others."""
-        self.conclude(each, ModbusTimeoutError("no answer while others waited"), now)
+        self.conclude(job, ModbusTimeoutError("no answer while others waited"), now)
 
-    def expire(self, each: Each, now: float) -> None:
+    def expire(self, job: Job, now: float) -> None:
         """Conclude a request that waited for too long, and was not sent."""
-        self.conclude(each, ModbusTimeoutError("not sent: others took too long"), now)
+        self.conclude(job, ModbusTimeoutError("not sent: others took too long"), now)
 
     # --- requests -----------------------------------------------------------------------------
 
@@ -192,57 +192,57 @@ class SharedLine(ABC, Generic[Each]):
         """The number of requests that wait, trials excepted."""
         return self._urgent.count + self._usual.count
 
-    def others(self) -> list[Each]:
+    def others(self) -> list[Job]:
         """Return the requests that wait, trials excepted."""
         return [*self._urgent, *self._usual]
 
-    def ask(self, each: Each, now: float) -> bool:
+    def ask(self, job: Job, now: float) -> bool:
         """Send a request now, or when it is its turn; return False if too many wait."""
-        is_next = not (each.is_trial or self.is_closed or self._trials.count or self.waiting)
-        if is_next and not self._is_full() and self._ready_at(each) <= now:
-            self._send(each, now)
+        is_next = not (job.is_trial or self.is_closed or self._trials.count or self.waiting)
+        if is_next and not self._is_full() and self._ready_at(job) <= now:
+            self._send(job, now)
             return True
-        queue = self._trials if each.is_trial else self._usual
-        if not (self._urgent if each.is_urgent else queue).put(each):
+        queue = self._trials if job.is_trial else self._usual
+        if not (self._urgent if job.is_urgent else queue).put(job):
             return False
         self.go_on()
         return True
 
-    def drop(self, each: Each) -> bool:
+    def drop(self, job: Job) -> bool:
         """Do not send a request; return False if it was sent already, or is over."""
-        if each.submitted is None:
-            if not self.remove(each):
+        if job.submitted is None:
+            if not self.remove(job):
                 return False
-        elif each.submitted.send_no_more():
-            self._end(each)
+        elif job.submitted.send_no_more():
+            self._end(job)
         else:
             return False
         self._go_on_soon()
         return True
 
-    def withdraw(self, each: Each) -> None:
+    def withdraw(self, job: Job) -> None:
         """Forget a request, in whatever state it is."""
-        if each.submitted is None:
-            self.remove(each)
+        if job.submitted is None:
+            self.remove(job)
         else:
-            if each in self._done:
-                self._done.remove(each)
+            if job in self._done:
+                self._done.remove(job)
             else:
-                each.submitted.withdraw()
-            self._end(each)
+                job.submitted.withdraw()
+            self._end(job)
         self._go_on_soon()
 
-    def remove(self, each: Each) -> bool:
+    def remove(self, job: Job) -> bool:
         """Remove a request that waits; return False if it does not."""
-        return any(queue.remove(each) for queue in (self._urgent, self._usual, self._trials))
+        return any(queue.remove(job) for queue in (self._urgent, self._usual, self._trials))
 
-    def stop(self) -> list[Each]:
+    def stop(self) -> list[Job]:
         """Send nothing any more; remove and return all requests that wait."""
         self.is_closed = True
         self._alarm.cancel()
         waiting = [*self.others(), *self._trials]
-        for each in waiting:
-            self.remove(each)
+        for job in waiting:
+            self.remove(job)
         return waiting
 
     async def close(self) -> None:
@@ -261,11 +261,11 @@ class SharedLine(ABC, Generic[Each]):
         if self.is_closed:
             return
         now = self._loop.time() if now is None else now
-        while (each := self._pick(now)) is not None:
-            if each.is_trial or now - each.waits_since <= self._longest_wait:
-                self._send(each, now)
+        while (job := self._pick(now)) is not None:
+            if job.is_trial or now - job.waits_since <= self._longest_wait:
+                self._send(job, now)
             else:
-                self.expire(each, now)
+                self.expire(job, now)
         if self._trying:
             self._end_overstayed(now)
         if self._next_at < self._alarm.at:
@@ -274,28 +274,28 @@ class SharedLine(ABC, Generic[Each]):
     def _is_full(self) -> bool:
         return bool(self.in_flight) and len(self.in_flight) >= self.sender.room
 
-    def _ready_at(self, each: Each) -> float:
+    def _ready_at(self, job: Job) -> float:
         if self._has_ids:
             return 0.0
-        return self.sender.ready_at(each.unit, each.request.function)
+        return self.sender.ready_at(job.unit, job.request.function)
 
-    def _pick(self, now: float) -> Each | None:
+    def _pick(self, now: float) -> Job | None:
         """Remove and return the request to send now; None if none may be."""
         self._next_at = math.inf
         if not (self._trials.count or self.waiting) or self._is_full():
             return None
 
-        def may_ask(each: Each) -> bool:
-            at = self._ready_at(each)
+        def may_ask(candidate: Job) -> bool:
+            at = self._ready_at(candidate)
             if at > now:
                 self._next_at = min(self._next_at, at)
             return at <= now
 
-        each = self._trials.pick(may_ask) if self._is_trial_due(now) else None
-        each = each or self._urgent.pick(may_ask) or self._usual.pick(may_ask)
-        if each is None and len(self._trying) < self._most_trials:
-            each = self._trials.pick(may_ask)
-        return each
+        job = self._trials.pick(may_ask) if self._is_trial_due(now) else None
+        job = job or self._urgent.pick(may_ask) or self._usual.pick(may_ask)
+        if job is None and len(self._trying) < self._most_trials:
+            job = self._trials.pick(may_ask)
+        return job
 
     def _is_trial_due(self, now: float) -> bool:
         """Return True if a trial is to be sent before others, which wait."""
@@ -306,41 +306,41 @@ class SharedLine(ABC, Generic[Each]):
 
     def _end_overstayed(self, now: float) -> None:
         """End a trial that others have waited for, for long enough."""
-        each = next((each for each in self._trying if each.misses % TRIALS_BEFORE_LONG), None)
-        if each is None or not self.waiting or not self._is_full():
+        job = next((job for job in self._trying if job.misses % TRIALS_BEFORE_LONG), None)
+        if job is None or not self.waiting or not self._is_full():
             return
         took = max([SHORTEST_TRIAL_S, *self._took.values()])
-        until = each.asked_at + min(self.sender_of(each).client.timeout, took)
+        until = job.asked_at + min(self.sender_of(job).client.timeout, took)
         if until > now:
             self._next_at = min(self._next_at, until)
             return
-        assert each.submitted is not None
-        if not (each.submitted.is_answered or each in self._done):
-            each.submitted.withdraw()
-            self._end(each)
-            self.give_up(each, now)
+        assert job.submitted is not None
+        if not (job.submitted.is_answered or job in self._done):
+            job.submitted.withdraw()
+            self._end(job)
+            self.give_up(job, now)
             self.go_on()
 
     # --- in flight ----------------------------------------------------------------------------
 
-    def _send(self, each: Each, now: float) -> None:
-        self.in_flight[each] = None
-        self._was_trial = each.is_trial
-        if each.is_trial:
-            self._trying[each] = None
-        each.asked_at = now
-        each.submitted = self.sender_of(each).submit(
-            each.unit, each.request, partial(self._note_done, each)
+    def _send(self, job: Job, now: float) -> None:
+        self.in_flight[job] = None
+        self._was_trial = job.is_trial
+        if job.is_trial:
+            self._trying[job] = None
+        job.asked_at = now
+        job.submitted = self.sender_of(job).submit(
+            job.unit, job.request, partial(self._note_done, job)
         )
 
-    def _end(self, each: Each) -> None:
-        each.submitted = None
-        del self.in_flight[each]
-        self._trying.pop(each, None)
+    def _end(self, job: Job) -> None:
+        job.submitted = None
+        del self.in_flight[job]
+        self._trying.pop(job, None)
 
-    def _note_done(self, each: Each) -> None:
+    def _note_done(self, job: Job) -> None:
         self._go_on_soon()
-        self._done.append(each)
+        self._done.append(job)
 
     def _go_on_soon(self) -> None:
         if not self._done:
@@ -348,18 +348,18 @@ class SharedLine(ABC, Generic[Each]):
 
     def _finish(self) -> None:
         """Conclude the requests that are done, all at once, and send the next ones."""
-        done, self._done = self._done, []
+        jobs, self._done = self._done, []
         now = self._loop.time()
-        for each in done:
-            if each.submitted is None:  # withdrawn because of what was concluded before
+        for job in jobs:
+            if job.submitted is None:  # withdrawn because of what was concluded before
                 continue
-            outcome: Any = each.submitted.outcome
-            self._end(each)
+            outcome: Any = job.submitted.outcome
+            self._end(job)
             if isinstance(outcome, BaseException) and not isinstance(outcome, ExceptionResponse):
                 self._failed_at = now
             elif outcome is not None:
                 # It may have been sent after one that failed.
-                took = now - max(each.asked_at, self._failed_at)
-                self._took[each.unit] = max(took, FADING * self._took.get(each.unit, 0.0))
-            self.conclude(each, outcome, now)
+                took = now - max(job.asked_at, self._failed_at)
+                self._took[job.unit] = max(took, FADING * self._took.get(job.unit, 0.0))
+            self.conclude(job, outcome, now)
         self.go_on()

@@ -211,7 +211,7 @@ def test_what_can_be_read_is_read_at_last(seed: int, count: int) -> None:
     """However wrong the first search was: it ends early while nothing is answered."""
     missing = set(random.Random(seed).sample(range(200), count))
     polls = Polls(singles(200), Registers(missing))
-    for now in range(200):
+    for now in range(201):  # the search, and then one refusal in each poll
         _, values = polls.poll(now)
         if lost(values) == sorted(missing):
             break

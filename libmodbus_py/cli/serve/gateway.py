@@ -153,4 +153,4 @@ def _read_again(gateway: Gateway, path: str, before: config.GatewayFile) -> str:
             line = Problem(f"{line}; changes that are not routes need a restart of the gateway")
         return line
 
-    return reread(lambda: config.load(path, known=before.routes), use)
+    return reread(lambda: config.load(path, before.routes), use)

@@ -181,8 +181,8 @@ async def open_bucket(client: Client, name: str, *, create: bool = False) -> Buc
                 lambda replicas: js.create_key_value(config.evolve(replicas=replicas))
             )
             keys = await js.key_value(name)
-        known = (await keys.status()).stream_info.config
-    history, age = known.max_msgs_per_subject, known.max_age or 0
+        former = (await keys.status()).stream_info.config
+    history, age = former.max_msgs_per_subject, former.max_age or 0
     if (history, age) != (1, 0):
         wrong = f"history {history}, not 1, or time to live {age}, not 0"
         raise EngineError(f"bucket {name} has unexpected settings: {wrong}")
@@ -207,12 +207,12 @@ async def keep_stream(client: Client, name: str, subjects: str, limits: dict[str
     )
     with explained(name):
         try:
-            known = (await js.stream_info(name)).config
+            former = (await js.stream_info(name)).config
         except js_errors.NotFoundError:
             await _replicated(lambda replicas: js.add_stream(config.evolve(num_replicas=replicas)))
             return
-        if any(getattr(known, key) != value for key, value in limits.items()):
-            await js.update_stream(known.evolve(**limits))
+        if any(getattr(former, key) != value for key, value in limits.items()):
+            await js.update_stream(former.evolve(**limits))
 
 
 async def _replicated(make: Callable[[int], Any]) -> None:

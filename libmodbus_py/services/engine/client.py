@@ -71,10 +71,8 @@ class SteadyClient(Client):
     @property
     def ssl_context(self) -> ssl.SSLContext:
         """The settings of TLS; read again from their files for each connection."""
-        given = self.options.get("tls")
-        context: ssl.SSLContext = (
-            given.fresh() if isinstance(given, Renewed) else super().ssl_context
-        )
+        tls = self.options.get("tls")
+        context: ssl.SSLContext = tls.fresh() if isinstance(tls, Renewed) else super().ssl_context
         return context
 
     def _connect_command(self) -> bytes:
@@ -96,7 +94,7 @@ class SteadyClient(Client):
         self, sid: int, subject: bytes, reply: bytes, data: bytes, headers: dict[str, str] | None
     ) -> Msg:
         # No name of a fleet is spelled with replaced characters.
-        subject, reply = (each.decode(errors="replace").encode() for each in (subject, reply))
+        subject, reply = (name.decode(errors="replace").encode() for name in (subject, reply))
         message: Msg = super()._build_message(sid, subject, reply, data, headers)
         return message
 
@@ -117,22 +115,22 @@ class _Lines(Parser):
         self._message: tuple[bytes, int, bytes, int, int] | None = None
 
     async def parse(self, data: bytes = b"") -> None:
-        received = self._received
-        received += data
-        while received is self._received:  # else the connection was lost meanwhile
+        buffer = self._received
+        buffer += data
+        while buffer is self._received:  # else the connection was lost meanwhile
             if self._message is not None:
                 *_, size = self._message
-                if len(received) < size + 2:
+                if len(buffer) < size + 2:
                     return
-                await self._take(bytes(received[:size]))
+                await self._take(bytes(buffer[:size]))
             else:
-                end = received.find(b"\n")
-                if end > LONGEST_LINE or (end < 0 and len(received) > LONGEST_LINE):
+                end = buffer.find(b"\n")
+                if end > LONGEST_LINE or (end < 0 and len(buffer) > LONGEST_LINE):
                     raise nats.errors.ProtocolError
                 if end < 0:
                     return
-                line = bytes(received[:end])
-                del received[: end + 1]
+                line = bytes(buffer[:end])
+                del buffer[: end + 1]
                 await self._obey(line)
 
     async def _take(self, content: bytes) -> None:

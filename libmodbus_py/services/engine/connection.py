@@ -91,9 +91,9 @@ def _secret(where: str, path: str, needed: tuple[str, ...]) -> str:
         text = read_secret(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"{where}: {getattr(error, 'strerror', None) or error}") from None
-    for each in needed:
-        if each not in text:
-            raise ValueError(f"{where}: contains no {each!r}")
+    for name in needed:
+        if name not in text:
+            raise ValueError(f"{where}: contains no {name!r}")
     return text
 
 
@@ -135,11 +135,9 @@ async def connected(
     version = client.connected_server_version
     if (version.major, version.minor) < OLDEST:
         await disconnect(client)
-        wanted = ".".join(map(str, OLDEST))
-        known = f"{version.major}.{version.minor}.{version.patch}"
-        raise EngineError(
-            f"{','.join(servers)}: nats-server {known} is too old; {wanted} or newer is needed"
-        )
+        oldest = ".".join(map(str, OLDEST))
+        text = f"nats-server {version.major}.{version.minor}.{version.patch} is too old"
+        raise EngineError(f"{','.join(servers)}: {text}; {oldest} or newer is needed")
     return client
 
 
@@ -180,7 +178,7 @@ async def disconnect(client: Client) -> None:
 
 def _identity(environment: Mapping[str, str]) -> dict[str, Any]:
     names = {"NATS_USER": "user", "NATS_PASSWORD": "password", "NATS_TOKEN": "token"}
-    found: dict[str, Any] = {
+    options: dict[str, Any] = {
         key: environment[name] for name, key in names.items() if environment.get(name)
     }
     for name, (key, needed) in FILES.items():
@@ -188,10 +186,10 @@ def _identity(environment: Mapping[str, str]) -> dict[str, Any]:
             if find_spec("nkeys") is None:
                 raise EngineError(f"{name} needs nkeys: pip install nkeys")
             try:
-                found[key] = FileText(name, environment[name], *needed)
+                options[key] = FileText(name, environment[name], *needed)
             except ValueError as error:
                 raise EngineError(str(error)) from None
-    return found
+    return options
 
 
 def _trust(servers: list[str], environment: Mapping[str, str]) -> dict[str, Any]:
@@ -201,13 +199,13 @@ def _trust(servers: list[str], environment: Mapping[str, str]) -> dict[str, Any]
 
     def context() -> ssl.SSLContext:
         try:
-            made = ssl.create_default_context(cafile=ca or None)
+            context = ssl.create_default_context(cafile=ca or None)
             if cert:
-                made.load_cert_chain(cert, key or None)
+                context.load_cert_chain(cert, key or None)
         except OSError as error:
             files = ", ".join(filter(None, (ca, cert, key)))
             raise ValueError(f"NATS_CA, NATS_CERT, NATS_KEY: {files}: {what(error)}") from None
-        return made
+        return context
 
     try:
         return {"tls": Renewed(context)}

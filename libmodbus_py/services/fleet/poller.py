@@ -116,11 +116,11 @@ class Poller(LineRequest):
         again = None
         if config.at_least is not None:
             # At the last poll that is not too late.
-            own = (each or config.interval for each in self.reads.intervals)
-            again = [config.at_least - each * (1 - TOLERANCE) for each in own]
-        bands = [config.dead_bands.get(each) for each in names]
+            own = (item or config.interval for item in self.reads.intervals)
+            again = [config.at_least - item * (1 - TOLERANCE) for item in own]
+        bands = [config.dead_bands.get(item) for item in names]
         self._changes = Changes(config.on_change, bands, again)
-        self._totals = Totals(at for at, each in enumerate(names) if config.map[each].never_falls)
+        self._totals = Totals(at for at, item in enumerate(names) if config.map[item].never_falls)
 
     @property
     def interval(self) -> float:
@@ -166,9 +166,10 @@ class Poller(LineRequest):
 
     def note_written(self, names: Iterable[str]) -> None:
         """Note points that were written: the next poll reads and reports them in any case."""
-        wanted = set(names)
+        written_names = set(names)
         self.is_written = True
-        self._written.update(at for at, name in enumerate(self.reads.names) if name in wanted)
+        own = enumerate(self.reads.names)
+        self._written.update(at for at, name in own if name in written_names)
 
     def cancel_pause(self) -> None:
         """Do not poll the device because of a write."""
@@ -221,9 +222,10 @@ class Poller(LineRequest):
         self.state = DeviceState.DOWN if self.misses else DeviceState.UP
 
     def _advance(self) -> None:
-        done, requests = len(self._outcomes), self._requests
-        is_over = done == len(requests)
-        self.request: Any = None if is_over else requests[(self._first + done) % len(requests)]
+        answer_count, requests = len(self._outcomes), self._requests
+        is_over = answer_count == len(requests)
+        at = (self._first + answer_count) % len(requests)
+        self.request: Any = None if is_over else requests[at]
 
     def _search(self) -> Sequence[Any]:
         """Begin to leave out what is refused; return the first requests."""
@@ -254,8 +256,8 @@ class Poller(LineRequest):
     def values(self) -> dict[str, Any]:
         """Return the values of the poll that is over by name, with errors for missing ones."""
         answers, self._answers = self._answers, []
-        found: dict[str, Any] = self._plan.results(answers, return_exceptions=True)
-        return found
+        results: dict[str, Any] = self._plan.results(answers, return_exceptions=True)
+        return results
 
     def readings(self, time: float, first: int) -> list[Reading]:
         """Return the readings of the poll that is over, with ids from `first` on; 0 for no ids."""
@@ -263,12 +265,12 @@ class Poller(LineRequest):
         values = [*map(self.values().get, names)]
         doubtful, fell = self._totals.take(values)
         if self._pace is not None:
-            lost = {
+            missing = {
                 at
                 for at, value in enumerate(values)
                 if isinstance(value, ModbusError) and is_down(value)
             }
-            self._pace.done(lost | doubtful)
+            self._pace.done(missing | doubtful)
         due = self._due
         if doubtful:
             every = range(len(names)) if due is None else due
@@ -342,8 +344,8 @@ class FleetLine(SharedLine[Poller]):
         self._on_polled = on_polled
         self._on_back = on_back
 
-    def sender_of(self, each: Poller) -> Sender:
-        timeout = each.config.timeout
+    def sender_of(self, job: Poller) -> Sender:
+        timeout = job.config.timeout
         if timeout not in self._senders:
             self._senders[timeout] = Sender(self.client.for_unit(1, timeout=timeout))
         return self._senders[timeout]
@@ -383,35 +385,35 @@ class FleetLine(SharedLine[Poller]):
         else:
             self.due(poller, self._loop.time())
 
-    def _ready_at(self, each: Poller) -> float:
-        return max(super()._ready_at(each), each.rest_until)
+    def _ready_at(self, job: Poller) -> float:
+        return max(super()._ready_at(job), job.rest_until)
 
     def _end_overstayed(self, now: float) -> None:
-        if any(each.rest_until <= now for each in self.others()):  # one that rests does not wait
+        if any(poller.rest_until <= now for poller in self.others()):  # the others wait
             super()._end_overstayed(now)
 
-    def _send(self, each: Poller, now: float) -> None:
-        if not each.is_urgent:
-            self._statistics.note_start(max(0.0, now - each.waits_since))
-        super()._send(each, now)
+    def _send(self, job: Poller, now: float) -> None:
+        if not job.is_urgent:
+            self._statistics.note_start(max(0.0, now - job.waits_since))
+        super()._send(job, now)
 
-    def conclude(self, each: Poller, outcome: Any, now: float) -> None:
+    def conclude(self, job: Poller, outcome: Any, now: float) -> None:
         """Pass the outcome of a request to its poll, which continues or is over."""
         # Requests that `may_ask` refused fail with EPERM.
         if self._is_gated and getattr(outcome, "errno", 0) == errno.EPERM:
-            each.request = None
+            job.request = None
             self._statistics.held += 1
-            self._on_polled(each, None)
+            self._on_polled(job, None)
             return
-        before = each.state
-        each.take(outcome, now)
-        if each.request is None:
-            self._on_polled(each, before)
+        before = job.state
+        job.take(outcome, now)
+        if job.request is None:
+            self._on_polled(job, before)
         else:
-            each.is_urgent = True
-            self.ask(each, now)
+            job.is_urgent = True
+            self.ask(job, now)
 
     def _note_state(self, state: State, error: ModbusError | None) -> None:
-        for each in self.pollers.values() if state is State.CONNECTED else ():
-            if isinstance(each.error, ModbusConnectionError):
-                self._on_back(each)
+        for poller in self.pollers.values() if state is State.CONNECTED else ():
+            if isinstance(poller.error, ModbusConnectionError):
+                self._on_back(poller)

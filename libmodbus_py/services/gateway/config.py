@@ -40,44 +40,44 @@ class GatewayFile:
     options: dict[str, Any] = field(default_factory=dict)
 
 
-def load(path: str | PathLike[str], known: Iterable[Route] = ()) -> GatewayFile:
+def load(path: str | PathLike[str], former_routes: Iterable[Route] = ()) -> GatewayFile:
     """
     Read a gateway file, or raise FileError. Serial ports of `known`, earlier routes, may be
     missing now, because they may come back.
     """
-    return load_file(path, partial(parse, known=known), FileError)
+    return load_file(path, partial(parse, former_routes=former_routes), FileError)
 
 
-def parse(text: str, known: Iterable[Route] = ()) -> GatewayFile:
+def parse(text: str, former_routes: Iterable[Route] = ()) -> GatewayFile:
     """Read the text of a gateway file, or raise TypeError or ValueError."""
-    given = FILE.read((), read_toml(text))
-    listen, routes = given.pop("listen", ()), given.pop("route", ())
+    settings = FILE.read((), read_toml(text))
+    listen, routes = settings.pop("listen", ()), settings.pop("route", ())
     if not routes:
         raise WrongValue("route", "must hold at least one table: [[route]]")
     check_routes(routes, "route")
-    there = {route.endpoint.url for route in known}
+    there = {route.endpoint.url for route in former_routes}
     for at, route in enumerate(routes):
         if route.endpoint.url not in there:
             check_line(("route", at, "url"), route.endpoint, map(parse_to_listen, listen))
-    GatewayOptions(**{name: given[name] for name in OPTIONS if name in given})
-    if "roles" in given:
-        given["authorize"] = given.pop("roles")
-    return GatewayFile(listen, routes, given)
+    GatewayOptions(**{name: settings[name] for name in OPTIONS if name in settings})
+    if "roles" in settings:
+        settings["authorize"] = settings.pop("roles")
+    return GatewayFile(listen, routes, settings)
 
 
 # --- the keys ----------------------------------------------------------------------------
 
 
-def _listen(path: Path, given: object) -> tuple[str, ...]:
-    urls = tuple(a_list(path, given))
+def _listen(path: Path, value: object) -> tuple[str, ...]:
+    urls = tuple(a_list(path, value))
     for at, url in enumerate(urls):
         with inside(*item(path, at)):
             parse_to_listen(url)
     return urls
 
 
-def _routes(path: Path, given: object) -> list[Route]:
-    return [ROUTE.read(item(path, at), each) for at, each in enumerate(tables(path, given))]
+def _routes(path: Path, value: object) -> list[Route]:
+    return [ROUTE.read(item(path, at), route) for at, route in enumerate(tables(path, value))]
 
 
 OPTIONS = keys_of(Gateway).only(*keys_of(GatewayOptions))

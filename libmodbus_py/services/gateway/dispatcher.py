@@ -168,11 +168,11 @@ class Dispatcher:
         if self._guard is None and allow is None:
             return
         who: Who = unit, session.peer, session.role
-        known, accesses = request.known, touched(request.known, who)
-        asked = Asked(session.role, unit, session.peer, request.function, known, *accesses)
+        pdu_request, accesses = request.known, touched(request.known, who)
+        action = Asked(session.role, unit, session.peer, request.function, pdu_request, *accesses)
         try:
             if self._guard is not None:
-                self._guard.check(asked)
+                self._guard.check(action)
         except UnauthorizedError as refusal:
             session.statistics.unauthorized += 1
             self.statistics.refused += 1
@@ -187,10 +187,10 @@ class Dispatcher:
                 logger.exception("authorize failed; answered with exception 4")
             raise NotAllowed(ServerDeviceFailure.code) from None
         # A request that cannot be decoded may access anything.
-        if allow is not None and (known is None or not allow.allows(asked)):
+        if allow is not None and (pdu_request is None or not allow.allows(action)):
             self.statistics.refused += 1
             message = "%s: the route forwards no %s (read_only, writable)"
-            self._log.warning(message, session.peer, what_is_asked(asked))
+            self._log.warning(message, session.peer, what_is_asked(action))
             raise NotAllowed(IllegalFunction.code)
 
     def _broadcast(

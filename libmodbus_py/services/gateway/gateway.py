@@ -173,8 +173,8 @@ class Gateway(Serving):
 def _checked(routes: Iterable[Route]) -> list[Route]:
     if isinstance(routes, Route) or not isinstance(routes, Iterable):
         raise TypeError(f"routes must be a list of routes, not {type(routes).__name__}")
-    given = list(routes)
-    if not given:
+    route_list = list(routes)
+    if not route_list:
         raise ValueError("routes must hold at least one")
-    check_routes(given)
-    return given
+    check_routes(route_list)
+    return route_list

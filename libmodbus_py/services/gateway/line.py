@@ -86,16 +86,16 @@ class RequestBytes(pdu.Request[bytes]):
     )
     # fmt: on
 
-    def __init__(self, data: bytes, known: pdu.Request[Any] | None) -> None:
+    def __init__(self, data: bytes, request: pdu.Request[Any] | None) -> None:
         self.pdu: bytes = data
-        self.known: pdu.Request[Any] | None = known
+        self.known: pdu.Request[Any] | None = request
         self.function: int = data[0]  # type: ignore[misc]  # here it is data, not the class's own
-        self.is_read: bool = isinstance(known, READS)
-        is_write = known is not None and known.may_be_broadcast
+        self.is_read: bool = isinstance(request, READS)
+        is_write = request is not None and request.may_be_broadcast
         self.may_be_broadcast: bool = is_write  # type: ignore[misc]
-        self.repeatable: bool = known is not None and known.repeatable  # type: ignore[misc]
-        self.changes: bool = known is None or known.changes
-        self.expects_response: bool = known is None or known.expects_response
+        self.repeatable: bool = request is not None and request.repeatable  # type: ignore[misc]
+        self.changes: bool = request is None or request.changes
+        self.expects_response: bool = request is None or request.expects_response
 
     def encode(self) -> bytes:
         return self.pdu
@@ -170,7 +170,7 @@ class Forwarded(LineRequest):
     @property
     def is_wanted(self) -> bool:
         """True if a client waits for the response."""
-        return any(each.asker is not None for each in (self, *self.others))
+        return any(forwarded.asker is not None for forwarded in (self, *self.others))
 
     @property
     def is_sent(self) -> bool:
@@ -180,15 +180,15 @@ class Forwarded(LineRequest):
 
     def answer(self, response: bytes | None) -> int:
         """Pass the response to all that wait for it; return how many do not wait any more."""
-        gone = 0
-        for each in (self, *self.others):
-            asker, each.asker = each.asker, None
-            each.first = None  # breaks a reference cycle
+        departures = 0
+        for forwarded in (self, *self.others):
+            asker, forwarded.asker = forwarded.asker, None
+            forwarded.first = None  # breaks a reference cycle
             if asker is None:
-                gone += 1
+                departures += 1
             else:
-                asker.answered(each, response)
-        return gone
+                asker.answered(forwarded, response)
+        return departures
 
 
 class Cache:
@@ -201,16 +201,16 @@ class Cache:
 
     def get(self, unit: int, request: bytes, age: float, now: float) -> bytes | None:
         """Return a response that is at most `age` seconds old, or None."""
-        found = self._answers.get((unit, request))
-        return found[1] if found is not None and now - found[0] <= age else None
+        entry = self._answers.get((unit, request))
+        return entry[1] if entry is not None and now - entry[0] <= age else None
 
-    def keep(self, unit: int, request: bytes, answer: bytes, asked: float) -> None:
+    def keep(self, unit: int, request: bytes, answer: bytes, asked_at: float) -> None:
         """Keep the response to a request that was sent at a time; it is no older."""
-        if asked <= max(self._written.get(each, -math.inf) for each in (0, unit)):
+        if asked_at <= max(self._written.get(number, -math.inf) for number in (0, unit)):
             return
         key = unit, request
         self._answers.pop(key, None)
-        self._answers[key] = asked, answer
+        self._answers[key] = asked_at, answer
         if len(self._answers) > MOST_CACHED:
             del self._answers[next(iter(self._answers))]
 
@@ -252,10 +252,10 @@ class GatewayLine(SharedLine[Forwarded]):
             self.statistics.unit(unit).cached += 1
         return answer
 
-    def put(self, each: Forwarded, *, merge: bool = False) -> int:
+    def put(self, forwarded: Forwarded, *, merge: bool = False) -> int:
         """Enqueue a request; return 0, or the code of the exception that answers it at once."""
-        unit, request, now = each.unit, each.request, each.waits_since
-        if self.is_closed or (self._is_broadcast(each) and not request.may_be_broadcast):
+        unit, request, now = forwarded.unit, forwarded.request, forwarded.waits_since
+        if self.is_closed or (self._is_broadcast(forwarded) and not request.may_be_broadcast):
             return NO_ANSWER
         state = self._silent.state(unit, request.function, now)
         if state is UnitState.RESTING:
@@ -264,32 +264,34 @@ class GatewayLine(SharedLine[Forwarded]):
         if not request.is_read:
             self._note_write(unit, now)
         if state is UnitState.DUE:
-            each.is_trial = True
-            each.misses = self._silent.start_trial(unit, request.function)
-        elif merge and self._join(each):
+            forwarded.is_trial = True
+            forwarded.misses = self._silent.start_trial(unit, request.function)
+        elif merge and self._join(forwarded):
             return 0
-        each.is_urgent = self._writes_first and not (request.is_read or each.is_trial)
-        is_queued = self.ask(each, now)
+        forwarded.is_urgent = self._writes_first and not (request.is_read or forwarded.is_trial)
+        is_queued = self.ask(forwarded, now)
         if not is_queued:
-            self._forget_joinable(each)
+            self._forget_joinable(forwarded)
             self.statistics.full += 1
         self._count()
         return 0 if is_queued else BUSY
 
-    def leave(self, each: Forwarded) -> None:
+    def leave(self, forwarded: Forwarded) -> None:
         """Do not send the request of a client that is gone, unless others wait for it."""
-        each.asker = None
-        each = each.first or each
-        if not each.is_wanted and self.drop(each):
-            self._forget_joinable(each)
+        forwarded.asker = None
+        forwarded = forwarded.first or forwarded
+        if not forwarded.is_wanted and self.drop(forwarded):
+            self._forget_joinable(forwarded)
             self._count()
-            if each.is_trial:
-                self._silent.cancel_trial(each.unit, each.request.function, self._loop.time())
+            if forwarded.is_trial:
+                self._silent.cancel_trial(
+                    forwarded.unit, forwarded.request.function, self._loop.time()
+                )
 
     async def close(self) -> None:
         """Close the connection for good, and refuse all requests that wait."""
-        for each in self.stop():
-            self._refuse(each, NO_ANSWER)
+        for forwarded in self.stop():
+            self._refuse(forwarded, NO_ANSWER)
         await super().close()
 
     def go_on(self, now: float | None = None) -> None:
@@ -299,24 +301,24 @@ class GatewayLine(SharedLine[Forwarded]):
     def _count(self) -> None:
         self.statistics.waiting, self.statistics.in_flight = self.waiting, len(self.in_flight)
 
-    def _is_broadcast(self, each: Forwarded) -> bool:
-        return each.unit == 0 and self._has_broadcast
+    def _is_broadcast(self, forwarded: Forwarded) -> bool:
+        return forwarded.unit == 0 and self._has_broadcast
 
-    def _join(self, each: Forwarded) -> bool:
+    def _join(self, forwarded: Forwarded) -> bool:
         """Join an equal read that waits, if there is one; else later ones may join this one."""
-        first = self._joinable.setdefault((each.unit, each.request.pdu), each)
-        if first is each:
+        first = self._joinable.setdefault((forwarded.unit, forwarded.request.pdu), forwarded)
+        if first is forwarded:
             return False
-        first.others.append(each)
-        each.first = first
-        first.waits_since = each.waits_since  # it must not be refused before the last is
-        self.statistics.unit(each.unit).merged += 1
+        first.others.append(forwarded)
+        forwarded.first = first
+        first.waits_since = forwarded.waits_since  # it must not be refused before the last is
+        self.statistics.unit(forwarded.unit).merged += 1
         return True
 
-    def _forget_joinable(self, each: Forwarded) -> None:
+    def _forget_joinable(self, forwarded: Forwarded) -> None:
         """Let no later read join a request that does not wait any more."""
-        if self._joinable.get((each.unit, each.request.pdu)) is each:
-            del self._joinable[each.unit, each.request.pdu]
+        if self._joinable.get((forwarded.unit, forwarded.request.pdu)) is forwarded:
+            del self._joinable[forwarded.unit, forwarded.request.pdu]
 
     def _note_write(self, unit: int, now: float) -> None:
         """Forget what was read before a write, and have no later read join an earlier one."""
@@ -324,67 +326,67 @@ class GatewayLine(SharedLine[Forwarded]):
         for key in [key for key in self._joinable if unit in (0, key[0])]:
             del self._joinable[key]
 
-    def _send(self, each: Forwarded, now: float) -> None:
-        self._forget_joinable(each)
-        each.counters = self.statistics.unit(each.unit)
-        each.counters.requests += 1
-        super()._send(each, now)
+    def _send(self, job: Forwarded, now: float) -> None:
+        self._forget_joinable(job)
+        job.counters = self.statistics.unit(job.unit)
+        job.counters.requests += 1
+        super()._send(job, now)
 
     # --- responses ----------------------------------------------------------------------------
 
-    def conclude(self, each: Forwarded, outcome: Any, now: float) -> None:
-        function = each.request.function
-        if not each.request.is_read:
-            self._note_write(each.unit, now)
+    def conclude(self, job: Forwarded, outcome: Any, now: float) -> None:
+        function = job.request.function
+        if not job.request.is_read:
+            self._note_write(job.unit, now)
         if outcome is None:  # a broadcast
-            if each.is_trial:
-                self._silent.cancel_trial(each.unit, function, now)
-            self._answer(each, None)
+            if job.is_trial:
+                self._silent.cancel_trial(job.unit, function, now)
+            self._answer(job, None)
         elif isinstance(outcome, bytes):
-            self._note_answer(each, now)
-            if each.age:
-                self._cache.keep(each.unit, each.request.pdu, outcome, each.asked_at)
-            self._answer(each, outcome)
+            self._note_answer(job, now)
+            if job.age:
+                self._cache.keep(job.unit, job.request.pdu, outcome, job.asked_at)
+            self._answer(job, outcome)
         elif isinstance(outcome, ExceptionResponse):
-            self._note_answer(each, now)
-            each.counters.exceptions += 1
-            self._refuse(each, outcome.code)
+            self._note_answer(job, now)
+            job.counters.exceptions += 1
+            self._refuse(job, outcome.code)
         else:
-            if self._count_failure(each, outcome, now) or each.is_trial:
-                self._note_silence(each, now)
+            if self._count_failure(job, outcome, now) or job.is_trial:
+                self._note_silence(job, now)
             is_ours = not isinstance(outcome, ModbusError)
-            self._refuse(each, ServerDeviceFailure.code if is_ours else NO_ANSWER)
+            self._refuse(job, ServerDeviceFailure.code if is_ours else NO_ANSWER)
 
-    def give_up(self, each: Forwarded, now: float) -> None:
-        each.counters.given_up += 1
-        self._note_silence(each, now)
-        self._refuse(each, NO_ANSWER)
+    def give_up(self, job: Forwarded, now: float) -> None:
+        job.counters.given_up += 1
+        self._note_silence(job, now)
+        self._refuse(job, NO_ANSWER)
 
-    def expire(self, each: Forwarded, now: float) -> None:
+    def expire(self, job: Forwarded, now: float) -> None:
         self.statistics.full += 1
-        self._refuse(each, BUSY)
+        self._refuse(job, BUSY)
 
-    def _note_answer(self, each: Forwarded, now: float) -> None:
-        unit = each.counters
+    def _note_answer(self, forwarded: Forwarded, now: float) -> None:
+        unit = forwarded.counters
         unit.answers += 1
-        unit.seconds += now - each.asked_at
-        if self._silent.note_answer(each.unit, each.request.function):
-            what = "" if unit.is_silent else f" function {each.request.function}"
+        unit.seconds += now - forwarded.asked_at
+        if self._silent.note_answer(forwarded.unit, forwarded.request.function):
+            what = "" if unit.is_silent else f" function {forwarded.request.function}"
             unit.is_silent = False
-            logger.info("%s: unit %d answers%s again", self.url, each.unit, what)
+            logger.info("%s: unit %d answers%s again", self.url, forwarded.unit, what)
 
-    def _count_failure(self, each: Forwarded, error: BaseException, now: float) -> bool:
+    def _count_failure(self, forwarded: Forwarded, error: BaseException, now: float) -> bool:
         """Count a failure; return True if the unit was silent for most of its timeout."""
         if isinstance(error, ModbusTimeoutError):
-            each.counters.timeouts += 1
+            forwarded.counters.timeouts += 1
             # The connection may have taken the first part of it.
-            return now - max(each.asked_at, self._open_since) >= self.client.timeout / 2
+            return now - max(forwarded.asked_at, self._open_since) >= self.client.timeout / 2
         if isinstance(error, FrameError | InvalidResponse):
-            each.counters.invalid += 1
+            forwarded.counters.invalid += 1
         elif isinstance(error, ModbusConnectionError):
-            each.counters.lost += 1
+            forwarded.counters.lost += 1
         else:
-            logger.error("%s: %s failed", self.url, each.request, exc_info=error)
+            logger.error("%s: %s failed", self.url, forwarded.request, exc_info=error)
         return False
 
     def _note_silence(self, silent: Forwarded, now: float) -> None:
@@ -398,19 +400,21 @@ class GatewayLine(SharedLine[Forwarded]):
             what = "" if is_whole else f" function {function}"
             logger.info("%s: unit %d does not answer%s", self.url, unit, what)
         self.statistics.unit(unit).is_silent = is_whole
-        for each in [*self.others(), *self.in_flight]:
-            is_same = each.unit == unit and (is_whole or each.request.function == function)
-            if is_same and not (each.is_trial or each.is_sent):
-                self.withdraw(each)
+        for forwarded in [*self.others(), *self.in_flight]:
+            is_same = forwarded.unit == unit and (
+                is_whole or forwarded.request.function == function
+            )
+            if is_same and not (forwarded.is_trial or forwarded.is_sent):
+                self.withdraw(forwarded)
                 self.statistics.unit(unit).resting += 1
-                self._refuse(each, NO_ANSWER)
+                self._refuse(forwarded, NO_ANSWER)
 
-    def _refuse(self, each: Forwarded, code: int) -> None:
-        self._forget_joinable(each)
-        self._answer(each, bytes([each.request.function | 0x80, code]))
+    def _refuse(self, forwarded: Forwarded, code: int) -> None:
+        self._forget_joinable(forwarded)
+        self._answer(forwarded, bytes([forwarded.request.function | 0x80, code]))
 
-    def _answer(self, each: Forwarded, response: bytes | None) -> None:
-        self.statistics.unwanted += each.answer(response)
+    def _answer(self, forwarded: Forwarded, response: bytes | None) -> None:
+        self.statistics.unwanted += forwarded.answer(response)
 
     # --- the connection -----------------------------------------------------------------------
 

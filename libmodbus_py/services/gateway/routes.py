@@ -86,18 +86,20 @@ class Route:
             object.__setattr__(self, name, value)
 
     def _ways(self, units: tuple[int, ...]) -> dict[int, int]:
-        given = self.device_units
+        device_units = self.device_units
         if twice := [unit for unit in units if units.count(unit) > 1]:
             raise WrongValue.about("units", f"{min(twice)} is given twice")
-        if given is None:
+        if device_units is None:
             return dict(zip(units, units, strict=True))
-        found = units_of("device_units", [given] if isinstance(given, int) else given)
-        self._set(device_units=tuple(found))
-        if len(found) not in (1, len(units)):
+        numbers = units_of(
+            "device_units", [device_units] if isinstance(device_units, int) else device_units
+        )
+        self._set(device_units=tuple(numbers))
+        if len(numbers) not in (1, len(units)):
             raise WrongValue(
-                "device_units", f"must be one, or {len(units)} as units, not {len(found)}"
+                "device_units", f"must be one, or {len(units)} as units, not {len(numbers)}"
             )
-        return dict(zip(units, found if len(found) > 1 else found * len(units), strict=True))
+        return dict(zip(units, numbers if len(numbers) > 1 else numbers * len(units), strict=True))
 
     def _allow(self) -> Allow | None:
         if self.read_only:
@@ -105,32 +107,32 @@ class Route:
         if self.writable is None:
             return None
         try:
-            made = Allow(read="all", write=self.writable, functions=HARMLESS)
+            rule = Allow(read="all", write=self.writable, functions=HARMLESS)
         except (TypeError, ValueError) as error:
             raise placed(error, ()).renamed(("writable",)) from None
-        self._set(writable="all" if self.writable == "all" else made.write)
-        return made
+        self._set(writable="all" if self.writable == "all" else rule.write)
+        return rule
 
 
-def _check_flag(name: str, given: object) -> None:
-    if not isinstance(given, bool):
-        raise WrongType(name, f"must be True or False, not {given!r}")
+def _check_flag(name: str, value: object) -> None:
+    if not isinstance(value, bool):
+        raise WrongType(name, f"must be True or False, not {value!r}")
 
 
-def units_of(name: str, given: object) -> list[int]:
+def units_of(name: str, units: object) -> list[int]:
     """Read units: numbers, or text such as "1-10,17"; messages of errors begin with `name`."""
-    if isinstance(given, str):
+    if isinstance(units, str):
         try:
-            found = units_in(given)
+            numbers = units_in(units)
         except ValueError as error:
             raise WrongValue.about(name, f"{error}") from None
-    elif isinstance(given, Iterable):
-        found = [integer((name, at), unit, 0, 255) for at, unit in enumerate(given)]
+    elif isinstance(units, Iterable):
+        numbers = [integer((name, at), unit, 0, 255) for at, unit in enumerate(units)]
     else:
-        raise WrongType(name, f"must be text or a list, not {type(given).__name__}")
-    if not found:
+        raise WrongType(name, f"must be text or a list, not {type(units).__name__}")
+    if not numbers:
         raise WrongValue(name, "must hold at least one")
-    return found
+    return numbers
 
 
 def parse_route(text: str, units: Iterable[int] | None = None) -> Route:
@@ -150,7 +152,7 @@ def check_routes(routes: Iterable[Route], name: str = "routes") -> None:
     Refuse two routes for one unit, and two to the same host and port or serial port with different
     options; `name` is that of the list.
     """
-    known: set[int] = set()
+    served: set[int] = set()
     places: dict[tuple[str, str], tuple[int, str]] = {}
     for at, route in enumerate(routes):
         if not isinstance(route, Route):
@@ -161,10 +163,10 @@ def check_routes(routes: Iterable[Route], name: str = "routes") -> None:
             reason = f"{name}[{first}] has other options for the same connection: {url}"
             raise WrongValue.about((name, at, "url"), reason)
         for unit in route.ways:
-            if unit in known:
+            if unit in served:
                 reason = f"an earlier route has unit {unit} already"
                 raise WrongValue.about((name, at, "units"), reason)
-            known.add(unit)
+            served.add(unit)
 
 
 def check_line(name: Path, line: Endpoint, listening: Iterable[Endpoint]) -> None:
@@ -200,8 +202,12 @@ class GatewayOptions:
     own: frozenset[int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        given = self.own_units
-        units = [] if isinstance(given, Sized) and not len(given) else units_of("own_units", given)
+        own_units = self.own_units
+        units = (
+            []
+            if isinstance(own_units, Sized) and not len(own_units)
+            else units_of("own_units", own_units)
+        )
         object.__setattr__(self, "own", frozenset(units))
         integer("queue", self.queue, 1, 1024)
         seconds("longest_wait", self.longest_wait)

@@ -81,7 +81,7 @@ class ShownGateway:
     def status(self) -> tuple[str, bool]:
         """Return which lines are down, and which units answer nothing, or that there are none."""
         lines = self._lines()
-        units = [(line, *each) for line in lines for each in line.units.copy().items()]
+        units = [(line, *entry) for line in lines for entry in line.units.copy().items()]
         down = [line.url.partition("?")[0] for line in lines if line.is_down]
         silent = [_unit_name(line, at) for line, at, unit in units if unit.is_silent]
         new = [_unit_name(line, at) for line, at, unit in units if _has_only_failed(unit)]
@@ -98,9 +98,9 @@ class ShownGateway:
         return {
             "clients": server.connections,
             "requests": traffic.requests,
-            "waiting": sum(each.waiting for each in lines),
+            "waiting": sum(line.waiting for line in lines),
             "refused": traffic.refused + traffic.no_route + traffic.malformed,
-            "down": sum(each.is_down for each in lines),
+            "down": sum(line.is_down for line in lines),
         }
 
     def rows(self) -> Sequence[PageRow]:
@@ -127,17 +127,17 @@ def _unit_name(line: LineStatistics, number: int) -> str:
 
 def _has_only_failed(unit: UnitStatistics) -> bool:
     """Return True if requests failed, the unit has never answered, and does not rest."""
-    failed = unit.timeouts or unit.invalid  # without a connection, the line is down
-    return bool(failed) and not unit.answers and not unit.is_silent
+    failures = unit.timeouts or unit.invalid  # without a connection, the line is down
+    return bool(failures) and not unit.answers and not unit.is_silent
 
 
 def _line_row(name: Name, line: LineStatistics, spark: Spark) -> GatewayRow:
     def cells() -> list[Any]:
         word = "down" if line.trouble else "open" if line.connection.connects else "new"
         state = [word, problem_text(line.trouble) if line.trouble else "", round(line.since, 1)]
-        counted = line.connection.requests, line.connection.responses
+        counts = line.connection.requests, line.connection.responses
         details = _listed(waiting=line.waiting, in_flight=line.in_flight, refused=line.full)
-        return [state, *counted, spark(name, "rate"), None, spark(name, "queue"), details, 0]
+        return [state, *counts, spark(name, "rate"), None, spark(name, "queue"), details, 0]
 
     counts = Counts(line.connection.requests, waiting=line.waiting)
     return GatewayRow(name, line.is_down, counts, cells)
@@ -149,7 +149,7 @@ def _unit_row(name: Name, unit: UnitStatistics, spark: Spark) -> GatewayRow:
         if _has_only_failed(unit):
             word = "no answer"
         reason = f"{unit.resting} requests refused meanwhile" if unit.is_silent else ""
-        counted = unit.requests, unit.answers
+        counts = unit.requests, unit.answers
         mean = f"mean {unit.mean_us / 1000:.1f} ms" if unit.answers else ""
         numbers = _listed(
             exceptions=unit.exceptions,
@@ -160,7 +160,7 @@ def _unit_row(name: Name, unit: UnitStatistics, spark: Spark) -> GatewayRow:
         )
         details = ", ".join(filter(None, [mean, numbers]))
         sparks = spark(name, "rate"), spark(name, "time"), None
-        return [[word, reason, 0], *counted, *sparks, details, 0]
+        return [[word, reason, 0], *counts, *sparks, details, 0]
 
     counts = Counts(unit.requests, unit.answers, unit.seconds)
     return GatewayRow(name, unit.is_silent or _has_only_failed(unit), counts, cells)
@@ -168,8 +168,8 @@ def _unit_row(name: Name, unit: UnitStatistics, spark: Spark) -> GatewayRow:
 
 def _listed(**numbers: int) -> str:
     """Return the numbers that are not 0 with their names."""
-    named = ((name.replace("_", " "), count) for name, count in numbers.items())
-    return ", ".join(f"{name} {count}" for name, count in named if count)
+    items = ((name.replace("_", " "), count) for name, count in numbers.items())
+    return ", ".join(f"{name} {count}" for name, count in items if count)
 
 
 class Clients:
@@ -184,28 +184,28 @@ class Clients:
         if traced.unit is None or traced.function is None:
             return
         key = host_of_peer(traced.peer or ""), traced.unit, traced.function & 0x7F
-        found = self._asking.get(key)
+        entry = self._asking.get(key)
         if traced.direction == "received":
-            if found is None and len(self._asking) >= MOST_ASKING:
+            if entry is None and len(self._asking) >= MOST_ASKING:
                 self._asking.pop(next(iter(self._asking)), None)
-            requests, exceptions, _ = found or (0, 0, 0.0)
+            requests, exceptions, _ = entry or (0, 0, 0.0)
             self._asking[key] = requests + 1, exceptions, traced.time
-        elif found is not None and traced.function & 0x80:
-            requests, exceptions, time = found
+        elif entry is not None and traced.function & 0x80:
+            requests, exceptions, time = entry
             self._asking[key] = requests, exceptions + 1, time
 
     def rows(self) -> list[GatewayRow]:
         """Return the clients in the order of their addresses, units and functions."""
-        return [_client_row(*each) for each in sorted(self._asking.copy().items())]
+        return [_client_row(*item) for item in sorted(self._asking.copy().items())]
 
 
-def _client_row(key: tuple[str, int, int], counted: tuple[int, int, float]) -> GatewayRow:
+def _client_row(key: tuple[str, int, int], counts: tuple[int, int, float]) -> GatewayRow:
     host, unit, function = key
-    requests, exceptions, time = counted
-    known = REQUESTS.get(function)
-    called = f"{function} {'' if known is None else request_name(known)}".rstrip()
+    requests, exceptions, time = counts
+    request = REQUESTS.get(function)
+    title = f"{function} {'' if request is None else request_name(request)}".rstrip()
     state = ["client", _listed(exceptions=exceptions), 0]
     cells = [state, requests, "", None, None, None, "", round(time, 1)]
-    name = cell_text(host), f"unit {unit}, {called}"
+    name = cell_text(host), f"unit {unit}, {title}"
     words = f"function {function}"
     return GatewayRow(name, exceptions > 0, Counts(requests), lambda: cells, words)

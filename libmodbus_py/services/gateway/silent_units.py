@@ -92,7 +92,7 @@ class SilentUnits:
     def note_silence(self, unit: int, function: int, now: float) -> bool:
         """Note that no answer came in time; return True if what rests now did not rest before."""
         self._answering.discard((unit, function))
-        is_whole = all(each != unit for each, _ in self._answering)
+        is_whole = all(other != unit for other, _ in self._answering)
         rest = self._rests.setdefault((unit, None if is_whole else function), Rest(function))
         if now < rest.end_for(rest.function) < math.inf:
             return False  # it was sent before the rest began

@@ -114,10 +114,10 @@ class LineStatistics:
 
     def unit(self, number: int) -> UnitStatistics:
         """Return the counters of a unit."""
-        found = self.units.get(number)
-        if found is None:
-            found = self.units[number] = UnitStatistics()
-        return found
+        statistics = self.units.get(number)
+        if statistics is None:
+            statistics = self.units[number] = UnitStatistics()
+        return statistics
 
 
 @dataclass(slots=True, weakref_slot=True)
@@ -169,13 +169,13 @@ def own_device(
     """Return the device; `unit_of` returns the counters of a unit as clients number it."""
     mapping = Mapping(input_registers=UNITS + MOST_UNITS * EACH)
     now = asyncio.get_running_loop().time
-    made = now()
+    start = now()
 
     def blocks(access: Access) -> Iterator[tuple[int, Sequence[int]]]:
         """Yield the numbers in a range, and the address at which they begin."""
         if access.address < LINES:
             requests, *others = numbers_of_gateway(statistics)
-            head = [VERSION, len(statistics.lines), int(now() - made), clients.connections]
+            head = [VERSION, len(statistics.lines), int(now() - start), clients.connections]
             yield 0, [*head, requests, clients.refused, *others, clients.bad_frames]
         if access.address < UNITS:
             lines = [*map(numbers_of_line, statistics.lines.values())]

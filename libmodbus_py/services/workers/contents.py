@@ -64,7 +64,7 @@ class Pushed(NamedTuple):
 
 def connections_of(devices: Iterable[DeviceConfig], lease: float) -> list[Connection]:
     """Return the connections of devices, as the bucket holds them; ValueError if that is wrong."""
-    found = []
+    connections = []
     for key, group in by_connection(devices).items():
         first = group[0]
         in_key(first.zone)
@@ -75,21 +75,21 @@ def connections_of(devices: Iterable[DeviceConfig], lease: float) -> list[Connec
                     f" uses the same connection {key}, is in zone {first.zone!r}"
                 )
         usual = checked_options(first.endpoint, {})["timeout"]
-        timeout = max(usual if each.timeout is None else each.timeout for each in group)
+        timeout = max(usual if member.timeout is None else member.timeout for member in group)
         if timeout > lease * LONGEST_ANSWER:
             raise ValueError(
                 f"device {first.name!r}: a timeout of {timeout:g} s needs an engine.lease of"
                 f" {timeout / LONGEST_ANSWER:.3g} s or more, not {lease:g}"
             )
-        found.append(Connection(first.zone, key, timeout, devices_to_json(group)))
-    return found
+        connections.append(Connection(first.zone, key, timeout, devices_to_json(group)))
+    return connections
 
 
 def devices_of(connection: Connection) -> list[DeviceConfig]:
     """Return the devices of a connection; ValueError if another program has written wrong ones."""
     try:
         devices = devices_from_json(connection.devices)
-        if any(each.connection_key != connection.key for each in devices):
+        if any(device.connection_key != connection.key for device in devices):
             raise ValueError("a device belongs to another connection")
         return checked(devices)
     except Exception as error:
@@ -104,12 +104,12 @@ def changes(
     if view.settings != settings:
         yield Put(SETTINGS, settings.encode(), view.seen_at(SETTINGS).revision)
     # Compared as encoded: the order of keys has no meaning.
-    wanted = {each.bucket_key: each.encode() for each in connections}
-    known = {each.bucket_key: each.encode() for each in view.all_connections}
-    for key, value in wanted.items():
-        if known.get(key) != value:
+    target = {connection.bucket_key: connection.encode() for connection in connections}
+    stored = {connection.bucket_key: connection.encode() for connection in view.all_connections}
+    for key, value in target.items():
+        if stored.get(key) != value:
             yield Put(key, value, view.seen_at(key).revision)
-    for key in known.keys() - wanted.keys():
+    for key in stored.keys() - target.keys():
         yield Put(key, None, view.seen_at(key).revision)
 
 
@@ -122,13 +122,13 @@ async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connec
         if not puts:
             return Pushed(new, changed, gone)
         # Revisions do not show which keys are new: deleted keys have revisions, too.
-        known = {SETTINGS, *(each.bucket_key for each in view.all_connections)}
+        stored = {SETTINGS, *(connection.bucket_key for connection in view.all_connections)}
         deleted = [put for put in puts if put.value is None]
-        written = [put for put in puts if put.value is not None]
+        updates = [put for put in puts if put.value is not None]
         gone += len(deleted)
-        new += sum(put.key not in known for put in written)
-        changed += sum(put.key in known and put.key != SETTINGS for put in written)
-        for several in (written, deleted):
+        new += sum(put.key not in stored for put in updates)
+        changed += sum(put.key in stored and put.key != SETTINGS for put in updates)
+        for several in (updates, deleted):
             for at in range(0, len(several), AT_ONCE):
                 await asyncio.gather(*(bucket.put(*put) for put in several[at : at + AT_ONCE]))
     raise EngineError(f"{bucket.name}: other programs change the bucket at the same time")
@@ -180,7 +180,7 @@ async def fleet_status(bucket: Bucket) -> dict[str, Any]:
 def is_polled(status: dict[str, Any]) -> bool:
     """Return True if a worker polls each part of the fleet."""
     zones = status["zones"].values()
-    return all(each["served_slots"] == each["slots"] and not each["unreadable"] for each in zones)
+    return all(zone["served_slots"] == zone["slots"] and not zone["unreadable"] for zone in zones)
 
 
 def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
@@ -199,7 +199,7 @@ def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
             devices_of(connection)
         except ValueError as error:
             unreadable[connection.bucket_key] = str(error)
-    here = {each["id"] for each in workers if each["state"] == "here"}
+    here = {worker["id"] for worker in workers if worker["state"] == "here"}
     return {
         "workers": workers,
         "zones": _zones(view, here, unreadable),
@@ -211,7 +211,7 @@ def _zones(view: BucketView, here: set[str], unreadable: Iterable[str]) -> dict[
     """Return numbers by zone, for the ids of workers that poll, and unreadable keys."""
     parts = (key.split(".") for key in unreadable)
     numbers = {
-        "connections": Counter(each.zone for each in view.connections),
+        "connections": Counter(connection.zone for connection in view.connections),
         "slots": Counter(slot.zone for slot in view.used_slots),
         "served_slots": Counter(
             slot.zone for slot in view.used_slots if view.holders.get(slot) in here
@@ -220,7 +220,7 @@ def _zones(view: BucketView, here: set[str], unreadable: Iterable[str]) -> dict[
         "unreadable": Counter(zone_of(part[1]) for part in parts if part[0] == "connection"),
     }
     return {
-        zone: {name: counted[zone] for name, counted in numbers.items()}
+        zone: {name: counts[zone] for name, counts in numbers.items()}
         for zone in sorted({*numbers["slots"], *numbers["unreadable"]})
     }
 
@@ -239,15 +239,15 @@ def tables(status: dict[str, Any]) -> str:
     """Format a status as tables."""
     heads = ("connections", "devices", "up", "down", "polls/s", "zones")
     lines = [WORKERS.format("worker", "state", "slots", *heads)]
-    for each in status["workers"]:
-        numbers = [f"{each[name]:g}" for name in NUMBERS]
-        cells = each["id"][:28], each["state"], each["slots"], *numbers, ", ".join(each["zones"])
+    for row in status["workers"]:
+        numbers = [f"{row[name]:g}" for name in NUMBERS]
+        cells = row["id"][:28], row["state"], row["slots"], *numbers, ", ".join(row["zones"])
         lines.append(WORKERS.format(*cells).rstrip())
     lines += ["", ZONES.format("zone", "workers", "connections", "slots", "served", "").rstrip()]
-    for name, each in status["zones"].items():
-        numbers = [each[key] for key in ("workers", "connections", "slots", "served_slots")]
-        lines.append(ZONES.format(name[:28] or "(none)", *numbers, _remark(each)).rstrip())
-    return "\n".join([*lines, *(f"unreadable: {each}" for each in status["unreadable"])])
+    for name, row in status["zones"].items():
+        numbers = [row[key] for key in ("workers", "connections", "slots", "served_slots")]
+        lines.append(ZONES.format(name[:28] or "(none)", *numbers, _remark(row)).rstrip())
+    return "\n".join([*lines, *(f"unreadable: {row}" for row in status["unreadable"])])
 
 
 def _remark(zone: dict[str, Any]) -> str:

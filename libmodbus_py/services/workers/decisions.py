@@ -106,12 +106,12 @@ class _Deciding:
         self.is_in_vain = False
         # The other workers that may hold slots; and those whose slots are not shared now.
         self.others = [
-            each
-            for each in self.view.members.values()
-            if each.id != self.me and each.state != "ended"
+            member
+            for member in self.view.members.values()
+            if member.id != self.me and member.state != "ended"
         ]
         self.silent = {
-            each.id for each in self.others if self.has_passed(self.view.heard_until(each))
+            member.id for member in self.others if self.has_passed(self.view.heard_until(member))
         }
 
     def has_passed(self, at: float) -> bool:
@@ -176,8 +176,8 @@ class _Deciding:
 
     def is_blind(self) -> bool:
         """Return True if changes may be missing: own values are not seen, or writes are in vain."""
-        heard = max(self.view.seen_at(self.worker.key).at, self.view.since)
-        at = min(heard + self.lease * BLIND, self.view.since + self.lease * READ_AGAIN)
+        heard_at = max(self.view.seen_at(self.worker.key).at, self.view.since)
+        at = min(heard_at + self.lease * BLIND, self.view.since + self.lease * READ_AGAIN)
         return self.has_passed(at) or self.is_in_vain
 
     # Slots
@@ -185,7 +185,9 @@ class _Deciding:
     def move_slots(self) -> None:
         """Take free slots, and hand over slots that other workers should hold."""
         holders = self.view.holders
-        eligible = {each.id: each.zones for each in self.others if each.id not in self.silent}
+        eligible = {
+            member.id: member.zones for member in self.others if member.id not in self.silent
+        }
         eligible[self.me] = self.worker.zones
         slots = {slot for slot in self.used_slots if holders.get(slot) not in self.silent}
         for slot, heir in share(slots, holders, eligible).items():
@@ -213,23 +215,27 @@ class _Deciding:
 
     def polled(self) -> dict[str, Connection]:
         """Return the connections to poll: of own slots, and acknowledged by all workers."""
-        written = {put.key for put in self.puts}
+        put_keys = {put.key for put in self.puts}
         slots = {
             slot
             for slot in self.used_slots
-            if self.worker.is_mine(slot) and slot.key not in written
+            if self.worker.is_mine(slot) and slot.key not in put_keys
         }
-        mine = {each.key: each for each in self.view.connections if each.slot in slots}
+        mine = {
+            connection.key: connection
+            for connection in self.view.connections
+            if connection.slot in slots
+        }
         new = mine.keys() - self.worker.active.keys()
         # The highest revision that all workers with a lease have acknowledged.
-        acknowledged = min((each.seen for each in self.others), default=math.inf)
+        acknowledged = min((member.seen for member in self.others), default=math.inf)
         vanished = self.view.vanished.values() if new else ()
         if not all(self.has_passed(at + self.longest_wait) for at in vanished):
             acknowledged = 0
         return {
-            key: each
-            for key, each in mine.items()
-            if key not in new or self.view.touched_at(each) <= acknowledged
+            key: connection
+            for key, connection in mine.items()
+            if key not in new or self.view.touched_at(connection) <= acknowledged
         }
 
     def unserved(self) -> list[Connection]:
@@ -242,10 +248,12 @@ class _Deciding:
             if (holder := view.holder(slot)) is None or holder.state == "ended"
         }
         return [
-            each
-            for each in (view.connections if free else ())
-            if each.slot in free
-            and self.has_passed(max(free[each.slot], view.seen_at(each.bucket_key).at) + wait)
+            connection
+            for connection in (view.connections if free else ())
+            if connection.slot in free
+            and self.has_passed(
+                max(free[connection.slot], view.seen_at(connection.bucket_key).at) + wait
+            )
         ]
 
 

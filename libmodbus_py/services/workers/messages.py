@@ -96,7 +96,7 @@ def _messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[str, 
     Yield the subject, a mark that no other message has, and the data of each message. A message may
     have `largest` bytes with its headers; a single reading that has more is refused.
     """
-    for (device, time), group in groupby(readings, lambda each: each.poll):
+    for (device, time), group in groupby(readings, lambda reading: reading.poll):
         subject = f"{READINGS}.{_LEVELS.spell(device)}"
         room = largest - OVERHEAD - len(subject.encode())
         for names, data in poll_messages(list(group), room):
@@ -180,7 +180,9 @@ def refusal(worker: Worker, device: str, now: float) -> str:
     """
     if not worker.is_first(now):
         return ""
-    slots = [each.slot for each in worker.view.connections if device in each.names]
+    slots = [
+        connection.slot for connection in worker.view.connections if device in connection.names
+    ]
     if not slots:
         return f"there is no device {device!r}"
     holder = worker.view.holder(slots[0])

@@ -209,12 +209,12 @@ class Polling:
         if active == self._active:
             return
         self._devices = {
-            key: self._devices[key] if self._active.get(key) == each else self._read(each)
-            for key, each in active.items()
+            key: self._devices[key] if self._active.get(key) == item else self._read(item)
+            for key, item in active.items()
         }
         self._active = active
         # Devices of one name, which only other programs write, would be refused.
-        devices = {each.name: each for group in self._devices.values() for each in group}
+        devices = {item.name: item for group in self._devices.values() for item in group}
         self.fleet.replace(list(devices.values()), passed_on=self._passed_on())
 
     def _passed_on(self) -> set[str]:
@@ -226,7 +226,7 @@ class Polling:
             if member.id != me and view.is_heard(member, now)
             for zone in member.zones
         }
-        return {each.key for each in view.connections if each.zone in zones}
+        return {connection.key for connection in view.connections if connection.zone in zones}
 
     def _read(self, connection: Connection) -> list[DeviceConfig]:
         try:
@@ -238,10 +238,10 @@ class Polling:
 
     def _report_unserved(self, connections: Sequence[Connection]) -> None:
         """Report the devices of connections that no worker polls "offline", each once."""
-        for each in connections:
-            if each.key not in self._unserved:
-                self.fleet.report_offline(self._read(each))
-        self._unserved = {each.key for each in connections}
+        for connection in connections:
+            if connection.key not in self._unserved:
+                self.fleet.report_offline(self._read(connection))
+        self._unserved = {connection.key for connection in connections}
 
     def _refusal(self, device: str) -> str | None:
         """Return the refusal of a command, as `Commands` needs it."""

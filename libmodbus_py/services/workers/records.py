@@ -111,7 +111,7 @@ class Connection:
     def names(self) -> frozenset[str]:
         """The names of its devices, or none if they are invalid."""
         try:
-            return frozenset(each["name"] for each in json.loads(self.devices)["devices"])
+            return frozenset(device["name"] for device in json.loads(self.devices)["devices"])
         except (KeyError, TypeError):
             return frozenset()
 
@@ -184,35 +184,35 @@ def decode(key: str, value: bytes) -> Record:
 
 
 def _decoded(key: list[str], value: Any) -> Record:
-    given = _typed(dict, value)
+    fields = _typed(dict, value)
     match key:
         case ["settings"]:
-            if (found := given.pop("format")) != FORMAT:
+            if (version := fields.pop("format")) != FORMAT:
                 raise ValueError(
-                    f"format {found!r} is not supported; this version reads format {FORMAT}"
+                    f"format {version!r} is not supported; this version reads format {FORMAT}"
                 )
-            return FleetSettings(**ENGINE.read((), given))
+            return FleetSettings(**ENGINE.read((), fields))
         case ["connection", zone, digest]:
-            connection = _typed(str, given["connection"])
+            connection = _typed(str, fields["connection"])
             if digest_of(connection) != digest:
                 raise ValueError("connection does not match the digest in the key")
-            timeout = float(number("timeout", given["timeout"], 0, LONGEST_LEASE))
-            return Connection(_zone(zone), connection, timeout, json_text(given["devices"]))
+            timeout = float(number("timeout", fields["timeout"], 0, LONGEST_LEASE))
+            return Connection(_zone(zone), connection, timeout, json_text(fields["devices"]))
         case ["slot", zone, index]:
             slot = Slot(_zone(zone), int(index))
             if slot.number not in range(256) or slot.key != ".".join(key):
                 raise ValueError("the number of a slot must be 0..255")
-            return Holding(slot, _typed(str, given["holder"]), _typed(str, given["by"]))
+            return Holding(slot, _typed(str, fields["holder"]), _typed(str, fields["by"]))
         case ["worker", name, nonce]:
-            zones = [_typed(str, zone) for zone in _typed(list, given["zones"])]
+            zones = [_typed(str, zone) for zone in _typed(list, fields["zones"])]
             return Member(
                 f"{name}.{nonce}",
-                one_of("here", "ended")(("state",), given["state"]),
+                one_of("here", "ended")(("state",), fields["state"]),
                 tuple(sorted({zone for zone in zones if in_key(zone)})),
-                float(number("lease", given["lease"], SHORTEST_LEASE, LONGEST_LEASE)),
-                _typed(int, given["beat"]),
-                _typed(int, given["seen"]),
-                _typed(dict, given.get("report", {})),
+                float(number("lease", fields["lease"], SHORTEST_LEASE, LONGEST_LEASE)),
+                _typed(int, fields["beat"]),
+                _typed(int, fields["seen"]),
+                _typed(dict, fields.get("report", {})),
             )
     raise ValueError("no such key")
 
@@ -222,10 +222,10 @@ def _zone(token: str) -> str:
     return zone_of(token)
 
 
-def _typed(kind: type, given: object) -> Any:
-    if not isinstance(given, kind) or isinstance(given, bool):
-        raise TypeError(f"{str(given)[:60]!r} must be of type {kind.__name__}")
-    return given
+def _typed(kind: type, value: object) -> Any:
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise TypeError(f"{str(value)[:60]!r} must be of type {kind.__name__}")
+    return value
 
 
 # --- the view ----------------------------------------------------------------------------------
@@ -297,14 +297,14 @@ class BucketView:
         # Otherwise it is another bucket, or one that lost changes: equal revisions mean nothing.
         is_same = self.revision >= before.revision
         self.longest_lease = max(self.longest_lease, before.longest_lease)
-        for key, seen in before.seen.items():
+        for key, revision in before.seen.items():
             mine = self.seen.get(key)
             if mine is None:
                 # Deleted at an unknown time.
                 self.seen[key] = Seen(0, at)
                 self._touch(key, self.revision)
-            elif is_same and mine.revision == seen.revision:
-                self.seen[key] = seen
+            elif is_same and mine.revision == revision.revision:
+                self.seen[key] = revision
                 if before.uncertain.get(key) is None:
                     self.uncertain.pop(key, None)
         for name, member in before.members.items():
@@ -323,20 +323,22 @@ class BucketView:
     @property
     def all_connections(self) -> list[Connection]:
         """The connections; one that is in two zones is there twice."""
-        return [each for each in self._records.values() if isinstance(each, Connection)]
+        return [record for record in self._records.values() if isinstance(record, Connection)]
 
     @property
     def connections(self) -> Collection[Connection]:
         """The connections; of one that is in two zones, only the newer record."""
         if self._connections is None:
-            by_age = sorted(self.all_connections, key=lambda each: self.seen[each.bucket_key])
-            self._connections = {each.key: each for each in by_age}
+            by_age = sorted(
+                self.all_connections, key=lambda connection: self.seen[connection.bucket_key]
+            )
+            self._connections = {connection.key: connection for connection in by_age}
         return self._connections.values()
 
     @property
     def used_slots(self) -> set[Slot]:
         """The slots that contain connections."""
-        return {each.slot for each in self.all_connections}
+        return {connection.slot for connection in self.all_connections}
 
     def touched_at(self, connection: Connection) -> int:
         """Return the revision that other workers must acknowledge before a connection is polled."""

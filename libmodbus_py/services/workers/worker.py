@@ -116,7 +116,9 @@ class Worker:
             self._join()
         self.view.follow(before, now)
         # Slots that were handed over in vain stay closed.
-        self.attempts = {key: each for key, each in self.attempts.items() if self.has_written(key)}
+        self.attempts = {
+            key: attempt for key, attempt in self.attempts.items() if self.has_written(key)
+        }
         self._follow_own_record()
         self.due = -math.inf
 
@@ -163,13 +165,15 @@ class Worker:
 
     def may_ask(self, connection: str, now: float) -> bool:
         """Return True if a request may be sent over a connection now."""
-        known = self.active.get(connection)
+        entry = self.active.get(connection)
         # The answer must come within the lease.
-        return known is not None and self.may_poll(now + known.timeout)
+        return entry is not None and self.may_poll(now + entry.timeout)
 
     def is_first(self, now: float) -> bool:
         """Return True if this worker has the lowest id of those that have renewed their leases."""
-        living = (each.id for each in self.view.members.values() if self.view.is_heard(each, now))
+        living = (
+            member.id for member in self.view.members.values() if self.view.is_heard(member, now)
+        )
         return min(living, default="") == self.id
 
     def has_written(self, key: str) -> bool:

@@ -176,9 +176,9 @@ class ModbusConnection(theirs.ModbusConnection):
                             await self._close_client(client)
                     raise
         except (ModbusError, theirs.ModbusError, RuntimeError) as error:
-            made = converted(error, operation)
-            self.last_error = str(made)
-            raise made from error
+            converted_error = converted(error, operation)
+            self.last_error = str(converted_error)
+            raise converted_error from error
 
     async def _fall_silent(self, unit: int) -> None:
         """Wait while late answers of a unit may come, one timeout at the most; others may ask."""
@@ -210,9 +210,9 @@ class ModbusConnection(theirs.ModbusConnection):
         try:
             return await client.__aenter__()  # closes the client if connecting fails
         except (ModbusConnectionError, RuntimeError) as error:
-            made = not_connected(error)
-            self.last_error = str(made)
-            raise made from error
+            failure = not_connected(error)
+            self.last_error = str(failure)
+            raise failure from error
 
     async def _close_client(self, client: AsyncClient) -> None:
         try:
@@ -227,8 +227,8 @@ class ModbusConnection(theirs.ModbusConnection):
         try:
             return GivenContext(await params.create_ssl_context())
         except OSError as error:  # SSLError is an OSError
-            shown = ", ".join(f"{name}={getattr(params, name)!r}" for name in FILES)
-            raise ValueError(f"cannot use {shown} for TLS: {error.strerror or error}") from None
+            text = ", ".join(f"{name}={getattr(params, name)!r}" for name in FILES)
+            raise ValueError(f"cannot use {text} for TLS: {error.strerror or error}") from None
 
     def _note_state(self, state: State, error: ModbusError | None) -> None:
         # States of earlier clients, and of a client that is still connecting, are ignored.
@@ -253,11 +253,11 @@ class ModbusConnection(theirs.ModbusConnection):
 
 def url_of(params: Params) -> str:
     """Return the URL that parameters describe; refuse a host or device that it would not name."""
-    found = next((SCHEMES[kind] for kind in SCHEMES if isinstance(params, kind)), None)
-    if found is None:
-        wanted = ", ".join(kind.__name__ for kind in SCHEMES)
-        raise TypeError(f"params must be one of {wanted}, not {type(params).__name__}")
-    transport, schemes = found
+    scheme = next((SCHEMES[kind] for kind in SCHEMES if isinstance(params, kind)), None)
+    if scheme is None:
+        names = ", ".join(kind.__name__ for kind in SCHEMES)
+        raise TypeError(f"params must be one of {names}, not {type(params).__name__}")
+    transport, schemes = scheme
     framer = getattr(params, "framer", "socket")
     if framer not in schemes:
         raise ValueError(
@@ -265,10 +265,10 @@ def url_of(params: Params) -> str:
             "modbus_connection.pymodbus.ModbusConnection may support it"
         )
     if isinstance(params, theirs.ModbusSerialParams):
-        name, given, endpoint = "device", params.device, _of_serial(params)
+        name, value, endpoint = "device", params.device, _of_serial(params)
     else:
         endpoint = Endpoint(schemes[framer], host=params.host, port=params.port)
-        name, given = "host", params.host
+        name, value = "host", params.host
     with contextlib.suppress(ValueError):
         parsed = parse(endpoint.url)
         # URLs contain hosts in lower case, but for the interface of an address.
@@ -276,7 +276,7 @@ def url_of(params: Params) -> str:
         if parsed == same and parsed.host.lower() == endpoint.host.lower():
             return parsed.url
     raise ValueError(
-        f"{name} {given!r} is invalid: in a URL, {endpoint.url!r}, it would name another endpoint"
+        f"{name} {value!r} is invalid: in a URL, {endpoint.url!r}, it would name another endpoint"
     )
 
 

@@ -27,12 +27,12 @@ def in_turn(ask: Operation[Arguments, Result]) -> Operation[Arguments, Result]:
 
     @functools.wraps(ask)
     async def waiting(
-        self: ConnectionUnit, /, *given: Arguments.args, **named: Arguments.kwargs
+        self: ConnectionUnit, /, *arguments: Arguments.args, **keywords: Arguments.kwargs
     ) -> Result:
-        shown = [*map(reprlib.repr, given)]
-        shown += [f"{name}={reprlib.repr(value)}" for name, value in named.items()]
-        operation = f"{ask.__name__}({', '.join(shown)})"
-        asking = functools.partial(ask, self, *given, **named)
+        texts = [*map(reprlib.repr, arguments)]
+        texts += [f"{name}={reprlib.repr(value)}" for name, value in keywords.items()]
+        operation = f"{ask.__name__}({', '.join(texts)})"
+        asking = functools.partial(ask, self, *arguments, **keywords)
         return await self.link.carry_out(self.unit_id, operation, asking)
 
     return waiting
@@ -43,8 +43,8 @@ def same_as(method: Callable[..., Coroutine[Any, Any, Any]]) -> Operation[..., A
 
     @in_turn
     @functools.wraps(method)
-    async def ask(self: ConnectionUnit, *given: Any, **named: Any) -> Any:
-        return await method(self._client, *given, **named)
+    async def ask(self: ConnectionUnit, *arguments: Any, **keywords: Any) -> Any:
+        return await method(self._client, *arguments, **keywords)
 
     return ask
 
