@@ -7,16 +7,12 @@ SIGHUP reads the device file again; with --reload, so does every change of the f
 from __future__ import annotations
 
 import argparse
-import contextlib
-from collections.abc import Callable, Iterator
 from collections.abc import Mapping as MappingABC
 from functools import partial
-from typing import Any
 
 from ...device.device import Device
 from ...device.mapping import Mapping
 from ...maps.list_words import ListOptions
-from ...protocol.logs import HarmlessLogger
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...server.server import Server
 from ...server.units import UNKNOWN_UNIT_POLICIES
@@ -28,8 +24,6 @@ from . import over_http
 from .running import add_audit, add_limits, starting
 
 __all__ = ["add_command"]
-
-logger: HarmlessLogger = HarmlessLogger(__name__)
 
 EXAMPLE_URL = "tcp://127.0.0.1:1502"
 
@@ -63,7 +57,7 @@ OPTIONS = """
     device that answers units 0 and 255 too, on TCP and UDP
 --state FILE
     keep the values that clients write in this file, so that they survive a restart; it is written
-    at most once a second, and at the end
+    at most 0.5 s after a change, and at the end
 """
 
 UNKNOWN_UNIT = """
@@ -123,17 +117,16 @@ def _serve(options: argparse.Namespace) -> int:
             faults=None if simulation is None else simulation.faults,
             unknown_unit=options.unknown_unit,
             own_unit=options.own_unit,
+            state=options.state,
             **command.hooks,
         )
         serve = partial(command.serve, server, urls, lambda: server)
         if simulation is None or path is None:
-            with _kept(options.state, lambda: server.devices):
-                serve()
+            serve()
             return 0
         is_watching = options.reload
         reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=command.tell)
-        with _kept(options.state, lambda: reloader.devices):
-            serve(begin=reloader.start, answer=reloader.ask)
+        serve(begin=reloader.start, answer=reloader.ask)
     return 0
 
 
@@ -158,20 +151,3 @@ def _everything() -> Device:
     everything = Mapping(65536, 65536, 65536, 65536)
     files = {number: [0] * RECORDS_PER_FILE for number in range(1, 11)}
     return Device(everything, files=files)
-
-
-@contextlib.contextmanager
-def _kept(path: str | None, devices: Callable[[], Any]) -> Iterator[None]:
-    """Load the values of devices from the file of --state, and save them while the block runs."""
-    if path is None:
-        yield
-        return
-    from ...tools.simulator.values_file import ValuesFile
-
-    try:
-        file = ValuesFile(path, devices, tell=lambda line: logger.warning("%s", line))
-    except ValueError as error:
-        raise ValueError(f"--state: {error}") from None
-    with contextlib.closing(file):
-        file.start()
-        yield

@@ -17,7 +17,7 @@ from ...files.texts import compared, reread
 from ...protocol.mistakes import inside
 from ...server.server import Server
 from .device_file import load
-from .simulated import SimulatedDevice, Simulation
+from .simulated import Simulation
 
 __all__ = ["Reloader"]
 
@@ -46,11 +46,6 @@ class Reloader:
         self._of_others: Sequence[str] = ()
         self._maps: Sequence[str] = simulation.files
         self._read = self._signatures()
-
-    @property
-    def devices(self) -> SimulatedDevice | dict[int, SimulatedDevice]:
-        """The devices that are served, with the values that they took over."""
-        return self._simulation.devices
 
     def start(self) -> None:
         """Begin, in the loop of the server; `close` or the end of the loop ends it."""
@@ -96,7 +91,7 @@ class Reloader:
     def _use(self, simulation: Simulation) -> str:
         # Before values are taken over, because nothing may change if the file cannot be served.
         with inside(self._path):
-            self._server.replace(simulation.devices, faults=simulation.faults)
+            self._server.check_devices(simulation.devices)
         before = self._simulation
         self._simulation = simulation.going_on_from(before)
         self._server.replace(self._simulation.devices, faults=self._simulation.faults)
