@@ -6,11 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from ..protocol import pdu
 from ..protocol.tables import TABLE_SIZE, TABLES
 from .mapping import Mapping
+
+if TYPE_CHECKING:
+    from .device import Device
 
 # fmt: off
 __all__ = [
@@ -25,7 +28,7 @@ class Access:
     """
     A range of items that a client reads or writes.
 
-    Two accesses are equal if everything but `names` and `old_values` is equal.
+    Two accesses are equal if everything but `names`, `old_values` and `device` is equal.
 
     Attributes:
         table: "coils", "discrete_inputs", "holding_registers", "input_registers",
@@ -34,8 +37,8 @@ class Access:
         count: the number of items.
         values: the values to write, or written; empty for reads. They are the contents of the
             cells: registers 0..65535 as on the wire, neither decoded nor scaled, also for points.
-            For points, ``device[name]`` is the value in `after_write`, and `Point.decode` decodes
-            registers.
+            For points, ``access.device[name]`` is the value in `after_write`, and `Point.decode`
+            decodes registers.
         file: the number of the file; 0 for other tables.
         unit: the unit of the request.
         peer: the client: "192.0.2.7:51234", or the serial port.
@@ -43,6 +46,7 @@ class Access:
         names: the names of the device's points that the access touches, in the order of their
             addresses; only set for hooks.
         old_values: for a write, the previous values, as many as `values`; only set for hooks.
+        device: the device that calls the hook; only set for hooks.
     """
 
     table: str
@@ -55,6 +59,7 @@ class Access:
     role: str | None = None
     names: tuple[str, ...] = field(default=(), compare=False)
     old_values: tuple[Any, ...] = field(default=(), compare=False)
+    device: Device = field(default=cast("Device", None), compare=False, repr=False)
 
 
 TableOrFile = tuple[str, int]

@@ -17,6 +17,7 @@ from ...protocol.pdu import RECORDS_PER_FILE
 from ...server.server import Server
 from ...server.units import UNKNOWN_UNIT_POLICIES
 from ...tools.simulator import device_file, example_files
+from ...tools.simulator.hooks_file import HooksFile
 from ...tools.simulator.reloading import Reloader
 from .. import arguments, logs
 from ..arguments import OF_SERVERS, declare, with_options
@@ -53,6 +54,9 @@ OPTIONS = """
 --reload
     read the device file again when the file, or a register map that it uses, changes; connections
     stay open, and a mistake in the file changes nothing
+--hooks FILE.py
+    call the functions before_write(access), after_write(access) and before_read(access) of this
+    file for each device, access.device; SIGHUP reads it again
 --own-unit N
     device that answers units 0 and 255 too, on TCP and UDP
 --state FILE
@@ -120,12 +124,23 @@ def _serve(options: argparse.Namespace) -> int:
             state=options.state,
             **command.hooks,
         )
+        hooks = None
+        if options.hooks is not None:
+            hooks = HooksFile(options.hooks)
+            hooks.use(devices)
+            command.files.append(lambda: hooks.read_again(server.devices))
         serve = partial(command.serve, server, urls, lambda: server)
         if simulation is None or path is None:
             serve()
             return 0
-        is_watching = options.reload
-        reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=command.tell)
+        reloader = Reloader(
+            server,
+            path,
+            simulation,
+            is_watching=options.reload,
+            tell=command.tell,
+            hooks=hooks,
+        )
         serve(begin=reloader.start, answer=reloader.ask)
     return 0
 
