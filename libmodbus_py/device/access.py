@@ -6,14 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 from ..protocol import pdu
 from ..protocol.tables import TABLE_SIZE, TABLES
 from .mapping import Mapping
-
-if TYPE_CHECKING:
-    from .device import Device
 
 # fmt: off
 __all__ = [
@@ -46,7 +43,7 @@ class Access:
         names: the names of the device's points that the access touches, in the order of their
             addresses; only set for hooks.
         old_values: for a write, the previous values, as many as `values`; only set for hooks.
-        device: the device that calls the hook; only set for hooks.
+        device: the `Device` that calls the hook; only set for hooks.
     """
 
     table: str
@@ -59,7 +56,7 @@ class Access:
     role: str | None = None
     names: tuple[str, ...] = field(default=(), compare=False)
     old_values: tuple[Any, ...] = field(default=(), compare=False)
-    device: Device = field(default=cast("Device", None), compare=False, repr=False)
+    device: Any = field(default=None, compare=False, repr=False)
 
 
 TableOrFile = tuple[str, int]

@@ -28,8 +28,8 @@ __all__ = ["StateFile"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# Seconds between two times of writing: half of what `kill -9` may lose.
-WRITE_EVERY = 0.25
+# Seconds between two times of writing. `kill -9` may lose 0.5 s: the rest is for a slow disk.
+WRITE_EVERY = 0.1
 
 # Errors after which the devices are served all the same, and their values are not kept.
 CANNOT_WRITE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)

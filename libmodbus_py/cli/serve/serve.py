@@ -48,6 +48,9 @@ SOURCES = """
 --map FILE
     serve the points of a register map, or of one that comes with the package: with their names,
     access and bounds
+--replay FILE
+    answer as the devices in a capture did, FILE.pcapng or FILE.pcap: each request with its answers
+    there, in order, then the last again; others with exception 4
 """
 
 OPTIONS = """
@@ -109,10 +112,17 @@ def _serve(options: argparse.Namespace) -> int:
         raise ValueError("--reload needs --device or --example")
     if options.units and path is not None:
         raise ValueError(f"--units cannot be given with {path}, which has its own units")
+    others = [name for name in ("units", "hooks", "state") if vars(options)[name] is not None]
+    if options.replay is not None and others:
+        raise ValueError(f"--{others[0]} cannot be given with --replay")
     with starting(options) as command:
         simulation = _simulation(options, path)
         devices: Device | MappingABC[int, Device]
-        if simulation is None:
+        if options.replay is not None:
+            from ...tools.listener.replay import replayed_devices
+
+            devices = replayed_devices(options.replay)
+        elif simulation is None:
             devices = {unit: _everything() for unit in options.units or ()} or _everything()
         else:
             devices = simulation.devices
