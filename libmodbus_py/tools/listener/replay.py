@@ -23,7 +23,7 @@ from ...protocol.errors import (
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import WrongValue
 from ...protocol.pdu import Request
-from .listener import listen
+from .listener import CAPTURES, listen
 from .transaction import Transaction
 
 __all__ = ["Difference", "differences", "replayed_devices"]
@@ -80,7 +80,10 @@ def replayed_devices(path: str | os.PathLike[str]) -> dict[int, Device]:
 
 def _requests(path: str | os.PathLike[str]) -> Iterator[tuple[int, Request[Any], Transaction]]:
     """Yield the requests of a capture, with their units and transactions."""
-    with listen(os.fspath(path)) as captured:
+    name = os.fspath(path)
+    if not name.endswith(CAPTURES):
+        raise WrongValue((), f"{name}: the name of a capture must end with .pcap or .pcapng")
+    with listen(name) as captured:
         for each in captured:
             if each.kind in ("broadcast", "late"):
                 continue
