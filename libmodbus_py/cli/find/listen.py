@@ -20,7 +20,7 @@ from ...tools.listener.listener import CAPTURES, listen
 from ...tools.listener.transaction import Transaction
 from .. import arguments
 from ..arguments import declare, with_options
-from ..output import PROGRAM, complain, harmless, print_csv, print_json, styled
+from ..output import PROGRAM, complain, counted, harmless, print_csv, print_json, styled
 
 if TYPE_CHECKING:
     from ...tools.listener.named import LearnedMap, MapDecoder, NamedValue
@@ -173,7 +173,7 @@ def _compare(options: argparse.Namespace, path: str, *, is_live: bool) -> int:
                 print(f"{line_of(found.transaction)}; now {styled(now, RED)}", flush=True)
     if not count:
         raise ValueError(f"{path}: no request to send; --writes sends those that write")
-    complain(f"{count} requests, {differing} answers differ")
+    complain(f"{counted(count, 'request')}, {differing} with another answer now")
     return min(differing, 1)
 
 
