@@ -55,14 +55,13 @@ examples:
   libmodbus-py listen /dev/ttyUSB0 -b 9600 -p none -u 1-9 --capture line.pcapng
   libmodbus-py listen rtu+tcp://127.0.0.1:1502 --between rtu+tcp://192.0.2.9:502
   libmodbus-py listen /dev/ttyUSB0 -u 7 --map meter.csv --csv values.csv
-  libmodbus-py listen line.pcapng --learn asked.csv
   libmodbus-py listen plant.pcap --compare-with tcp://192.0.2.9
 
 URL: rtu:///dev/ttyUSB0 or ascii:///dev/ttyUSB0, or just /dev/ttyUSB0;
      rtu+tcp://HOST:PORT or ascii+tcp://HOST:PORT with --between; or the path
-     of a capture, FILE.pcapng or FILE.pcap. Settings follow a question mark, as in
-     "rtu:///dev/ttyUSB0?baudrate=9600&parity=N". Quote such a URL, because
-     shells interpret &. An option overrides the setting in the URL."""
+     of a capture, FILE.pcapng or FILE.pcap. Settings follow a question mark,
+     as in "rtu:///dev/ttyUSB0?baudrate=9600&parity=N". Quote such a URL,
+     because shells interpret &. An option overrides the setting in the URL."""
 
 
 ARGUMENTS = """

@@ -49,8 +49,7 @@ SOURCES = """
     serve the points of a register map, or of one that comes with the package: with their names,
     access and bounds
 --replay FILE
-    answer as the devices in a capture did, FILE.pcapng or FILE.pcap: each request with its answers
-    there, in order, then the last again; others with exception 4
+    answer as the devices in a capture, .pcapng or .pcap, did; other requests get exception 4
 """
 
 OPTIONS = """
@@ -58,9 +57,8 @@ OPTIONS = """
     read the device file again when the file, or a register map that it uses, changes; connections
     stay open, and a mistake in the file changes nothing
 --hooks FILE.py
-    call the functions before_write(access), after_write(access) and before_read(access) of this
-    file for each device, access.device; SIGHUP reads it again
---own-unit N
+    call before_write(access), after_write and before_read of this file; SIGHUP reads it again
+rare --own-unit N
     device that answers units 0 and 255 too, on TCP and UDP
 --state FILE
     keep the values that clients write in this file, so that they survive a restart; it is written
@@ -68,7 +66,7 @@ OPTIONS = """
 """
 
 UNKNOWN_UNIT = """
---unknown-unit POLICY
+rare --unknown-unit POLICY
     requests to units without a device, on TCP and UDP: refuse answers with an exception, silent
     does not answer (refuse)
 """
