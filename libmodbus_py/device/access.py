@@ -25,7 +25,7 @@ class Access:
     """
     A range of items that a client reads or writes.
 
-    Two accesses are equal if everything but `names` and `old_values` is equal.
+    Two accesses are equal if everything but `names`, `old_values` and `device` is equal.
 
     Attributes:
         table: "coils", "discrete_inputs", "holding_registers", "input_registers",
@@ -34,8 +34,8 @@ class Access:
         count: the number of items.
         values: the values to write, or written; empty for reads. They are the contents of the
             cells: registers 0..65535 as on the wire, neither decoded nor scaled, also for points.
-            For points, ``device[name]`` is the value in `after_write`, and `Point.decode` decodes
-            registers.
+            For points, ``access.device[name]`` is the value in `after_write`, and `Point.decode`
+            decodes registers.
         file: the number of the file; 0 for other tables.
         unit: the unit of the request.
         peer: the client: "192.0.2.7:51234", or the serial port.
@@ -43,6 +43,7 @@ class Access:
         names: the names of the device's points that the access touches, in the order of their
             addresses; only set for hooks.
         old_values: for a write, the previous values, as many as `values`; only set for hooks.
+        device: the `Device` that calls the hook; only set for hooks.
     """
 
     table: str
@@ -55,6 +56,7 @@ class Access:
     role: str | None = None
     names: tuple[str, ...] = field(default=(), compare=False)
     old_values: tuple[Any, ...] = field(default=(), compare=False)
+    device: Any = field(default=None, compare=False, repr=False)
 
 
 TableOrFile = tuple[str, int]

@@ -40,7 +40,7 @@ from .authorization import Asked, Authorization, Authorize, UnauthorizedError
 from .caller import Auditor, Caller, Executed, changes_of, values_at
 from .event_log import EventLog
 from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions
-from .hooks import HookLike, Hooks
+from .hooks import Hook, HookLike, Hooks
 from .mapping import Mapping, Table
 from .named_values import NamedValues, PointIndex, PointRules, RuledCells, zeros_for
 from .records import Records
@@ -116,10 +116,12 @@ class Device(NamedValues, PythonFunctions):
         canopen: called with the data of function 43/13; returns the data of the response.
         handlers: ``{request class: function}`` for classes that were registered
             with `pdu.register`: the function is called with the request and returns its result.
-        before_write: called before a write, which it may refuse.
-        after_write: called after a write.
-        before_read: called before a read; it may refresh the values or refuse. For function 23 it
-            is called before the write, because nothing may be refused after a change.
+        before_write: ``def before_write(access: Access) -> None``, or a `Hook` with such a
+            function: called before a write, which it may refuse.
+        after_write: the same, called after a write.
+        before_read: the same, called before a read; it may refresh the values or refuse. For
+            function 23 it is called before the write, because nothing may be refused after a
+            change.
         authorize: called with an `Asked`; returns True if the request is allowed. `Rules` are
             such a function. None allows all requests.
         points: names, access and bounds of values in the tables, whose cells must all exist; None
@@ -160,11 +162,31 @@ class Device(NamedValues, PythonFunctions):
             self, files, fifos, identification, server_id, exception_status, canopen, handlers
         )
         self._guard = None if authorize is None else Authorization(authorize)
-        self._hooks = Hooks(before_write, after_write, before_read)
         self._log = EventLog(is_serial=False)
         self._tally = make_tally()
         self._failed: set[int] = set()
-        self._arrange()
+        self.change_hooks(before_write, after_write, before_read)
+
+    # Called before `before_read`; that of a subclass.
+    _refresh_hook: Hook | None = None
+
+    def change_hooks(
+        self,
+        before_write: HookLike | None = None,
+        after_write: HookLike | None = None,
+        before_read: HookLike | None = None,
+    ) -> None:
+        """
+        Replace all three hooks, from any thread, even while a server runs.
+
+        Raises:
+            TypeError: one is neither a function nor a `Hook`; nothing has changed.
+        """
+        hooks = Hooks(before_write, after_write, before_read, self._refresh_hook)
+        with self._mapping.lock:  # no request is answered meanwhile
+            self._hooks = hooks
+            self._failed.clear()
+            self._arrange()
 
     def _arrange(self) -> None:
         """Decide which requests rules, hooks and handlers want; C may answer all others."""
@@ -367,7 +389,7 @@ class Device(NamedValues, PythonFunctions):
                 not read there.
         """
         with self.mapping.lock:
-            self._hooks.before(Touched(reads=(Access(table, address, count),)))
+            self._hooks.before(Touched(reads=(Access(table, address, count, device=self),)))
 
     def _own_log(self) -> EventLog:
         """Return the notes about TCP, including those made in C."""
@@ -449,8 +471,7 @@ class Device(NamedValues, PythonFunctions):
                 if self._rules is not None:
                     self._rules.check(touched, self.mapping)
                 if not self._hooks.is_empty:
-                    if writes or self.has_points:
-                        touched = Touched(*(tuple(map(self._described, each)) for each in touched))
+                    touched = Touched(*(tuple(map(self._described, each)) for each in touched))
                     self._hooks.before(touched)
             if handle is not None:
                 response = request.encode_response(handle(self, request, log))
@@ -471,12 +492,12 @@ class Device(NamedValues, PythonFunctions):
             logger.exception("request %s failed; answered with exception 4", pdu.hex(" "))
 
     def _described(self, access: Access) -> Access:
-        """Return an access with the names of its points and the values before."""
+        """Return an access with the names of its points, the values before, and the device."""
         names: tuple[str, ...] = ()
         if self.has_points:
             names = tuple(point.name for point in self._index.touched(access))
         before = values_at(access, self.mapping, self.files) if access.values else None
-        return replace(access, names=names, old_values=before or ())
+        return replace(access, names=names, old_values=before or (), device=self)
 
     @cached_property
     def _index(self) -> PointIndex:

@@ -115,27 +115,32 @@ HookLike: TypeAlias = Hook | Callable[[Access], object]
 
 
 class Hooks:
-    """The hooks of a device; `reads` and `writes`: the addresses that one wants, by table."""
+    """
+    The hooks of a device; `reads` and `writes`: the addresses that one wants, by table.
+
+    The `refresh` of a simulated device is called before `before_read`.
+    """
 
     def __init__(
         self,
         before_write: HookLike | None,
         after_write: HookLike | None,
         before_read: HookLike | None,
+        refresh: Hook | None,
     ) -> None:
+        self._refresh = refresh
         self._before_write = _hook("before_write", before_write)
         self._after_write = _hook("after_write", after_write)
         self._before_read = _hook("before_read", before_read)
-        self.reads: dict[str, tuple[range, ...]] = _places(self._before_read)
+        self.reads: dict[str, tuple[range, ...]] = _places(refresh, self._before_read)
         self.writes: dict[str, tuple[range, ...]] = _places(self._before_write, self._after_write)
-        self.is_empty: bool = before_write is after_write is before_read is None
+        self.is_empty: bool = before_write is after_write is before_read is refresh is None
 
     def before(self, touched: Touched) -> None:
         """Call the hooks that may refuse accesses."""
-        if touched.writes:
-            _call(self._before_write, touched.writes)
-        if touched.reads:
-            _call(self._before_read, touched.reads)
+        _call(self._before_write, touched.writes)
+        _call(self._refresh, touched.reads)
+        _call(self._before_read, touched.reads)
 
     def after(self, touched: Touched) -> None:
         """Call the hook for writes that were carried out."""

@@ -6,6 +6,7 @@ In the order in which a request goes through::
     serving      Serving: opens endpoints, and serves in a loop, in a thread, or for ever, with
                  callbacks for every ADU
     server       Server: devices at any number of endpoints; faults: mistakes in their answers
+    state_file   the file that keeps the values of devices over a restart
     running      a server in a thread of its own; signals and garbage of programs that only serve
     peers        TcpServer: takes TCP connections; Peers: all of them within their limits; limits
                  chooses which of them are paused or closed

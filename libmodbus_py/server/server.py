@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 from collections.abc import AsyncIterator, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -57,6 +58,9 @@ class Server(Serving):
         audit: called with an `AuditEvent` for each write, and for each request and connection
             that is refused; an `Audit` can refuse writes while the function fails. With it,
             Modbus/TCP is not answered in C.
+        state: the path of a file that keeps the values of the devices. They are loaded when the
+            server starts, and a thread writes those that differ from the first ones at most 0.5 s
+            after a change, and at the end, so that no client waits for the disk.
 
     Attributes:
         statistics: counters of all endpoints, kept up to date.
@@ -78,8 +82,14 @@ class Server(Serving):
         security: Security | None = None,
         trace: OnTraced | None = None,
         audit: Audit | OnAudited | None = None,
+        state: str | os.PathLike[str] | None = None,
     ) -> None:
         super().__init__(limits, security, trace, audit)
+        self._state: contextlib.AbstractContextManager[object] = contextlib.nullcontext()
+        if state is not None:
+            from .state_file import StateFile  # which few programs need
+
+            self._state = StateFile(os.fspath(state), lambda: self._devices)
         self._unknown_unit: UnknownUnit = unknown_unit
         self._own_unit = own_unit
         self._answering_now: list[tuple[asyncio.AbstractEventLoop, Devices]] = []
@@ -129,6 +139,10 @@ class Server(Serving):
             self._serve(devices, faults_on)
         self._given = given
 
+    def check_devices(self, devices: Device | Mapping[int, Device]) -> None:
+        """Raise TypeError or ValueError if `replace` would do so for these devices."""
+        self._units_of(devices)
+
     def _serve(self, devices: Device | Mapping[int, Device], faults: FaultsByUnit) -> None:
         units = self._units_of(devices)
         self._counted = Faults(faults, self._counted, units.aliases)
@@ -161,12 +175,13 @@ class Server(Serving):
             replier()  # creates its descriptors, before clients take the last ones
         answering = Devices(self._units)
         now = asyncio.get_running_loop(), answering
-        self._answering_now.append(now)
-        try:
-            self._renew(answering)  # another thread may have replaced them in between
-            yield answering
-        finally:
-            self._answering_now.remove(now)
+        with self._state:
+            self._answering_now.append(now)
+            try:
+                self._renew(answering)  # another thread may have replaced them in between
+                yield answering
+            finally:
+                self._answering_now.remove(now)
 
     def _note_unauthorized(self, is_said: bool) -> None:
         self.statistics.unauthorized += is_said

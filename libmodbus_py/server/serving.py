@@ -57,17 +57,7 @@ class Serving(ABC):
     """
     The base of servers and gateways: opens endpoints, and serves at them.
 
-    Args:
-        limits: limits of connections and requests; None for the defaults of `Limits`.
-        security: the certificates of the server and of trusted clients, for tls; URLs may contain
-            them instead.
-        trace: called in the loop with a `Traced` for every ADU received and sent; the logger
-            ``libmodbus_py.wire`` gets the same at DEBUG. Whether tracing is on is
-            checked when a connection is made, or a port opened. If the function fails or takes
-            long, this is logged once, and requests are not affected; SystemExit and
-            KeyboardInterrupt end the server.
-        audit: called with an `AuditEvent` for each write, and for each request and connection
-            that is refused; an `Audit` can refuse writes while the function fails.
+    The arguments are those of `Server`.
 
     Attributes:
         statistics: counters of all endpoints, kept up to date.

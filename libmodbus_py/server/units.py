@@ -78,6 +78,11 @@ class Units:
         if own_unit is not None:
             self._answer_as(integer("own_unit", own_unit, 0, 255))
 
+    def caller(self, unit: int, client: Channel) -> Caller:
+        """Return the origin of a request."""
+        note, auditor = self.on_unauthorized, self.auditor
+        return Caller(unit, client.address, None, False, client.role, note, client.holder, auditor)
+
     def _answer_as(self, unit: int) -> None:
         if unit not in self.devices:
             known = ", ".join(map(str, sorted(self.devices))) or "none"
@@ -129,16 +134,7 @@ class TcpUnits:
         unit, pdu, transaction = frame
         device = self._devices.get(unit, self._shared.any)
         if device is not None:
-            caller = Caller(
-                unit,
-                client.address,
-                None,
-                False,
-                client.role,
-                self._shared.on_unauthorized,
-                client.holder,
-                self._shared.auditor,
-            )
+            caller = self._shared.caller(unit, client)
             response = device.refuse(pdu, code, caller) if code else device.answer(pdu, caller)
         elif pdu[0] & 0x80 or not self._refuses:
             return None
@@ -214,16 +210,7 @@ class SerialUnits:
     def answer(self, frame: Frame, client: Channel, code: int = 0) -> Frame | None:
         """As of `TcpUnits`; a broadcast is not refused."""
         self._note_frame()
-        caller = Caller(
-            frame.unit,
-            client.address,
-            None,
-            frame.unit == 0,
-            client.role,
-            self._line.shared.on_unauthorized,
-            client.holder,
-            self._line.shared.auditor,
-        )
+        caller = self._line.shared.caller(frame.unit, client)._replace(is_broadcast=frame.unit == 0)
         if frame.unit == 0:
             for device, log in self._all():
                 device.answer(frame.pdu, caller._replace(log=log))

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 from ...ports.options import SERIAL_OPTIONS
 from ...protocol.errors import ExceptionResponse, in_hex
 from ...protocol.plain import clock_text, plain, time_text
-from ...tools.listener.listener import listen
+from ...tools.listener.listener import CAPTURES, listen
 from ...tools.listener.transaction import Transaction
 from .. import arguments
 from ..arguments import declare, with_options
-from ..output import PROGRAM, complain, harmless, print_csv, print_json, styled
+from ..output import PROGRAM, complain, counted, harmless, print_csv, print_json, styled
 
 if TYPE_CHECKING:
     from ...tools.listener.named import LearnedMap, MapDecoder, NamedValue
@@ -48,30 +48,36 @@ point is printed when its last register is read or written; its others, and the
 point that scales it, are those heard last."""
 
 EPILOG = """\
-The exit code is 0, or 1 if the capture could not be written to the end.
+The exit code is 0, or 1 if the capture could not be written to the end, or an
+answer differs.
 
 examples:
   libmodbus-py listen /dev/ttyUSB0 -b 9600 -p none -u 1-9 --capture line.pcapng
   libmodbus-py listen rtu+tcp://127.0.0.1:1502 --between rtu+tcp://192.0.2.9:502
   libmodbus-py listen /dev/ttyUSB0 -u 7 --map meter.csv --csv values.csv
-  libmodbus-py listen line.pcapng --learn asked.csv
+  libmodbus-py listen plant.pcap --compare-with tcp://192.0.2.9
 
 URL: rtu:///dev/ttyUSB0 or ascii:///dev/ttyUSB0, or just /dev/ttyUSB0;
      rtu+tcp://HOST:PORT or ascii+tcp://HOST:PORT with --between; or the path
-     of a capture, FILE.pcapng. Settings follow a question mark, as in
-     "rtu:///dev/ttyUSB0?baudrate=9600&parity=N". Quote such a URL, because
-     shells interpret &. An option overrides the setting in the URL."""
+     of a capture, FILE.pcapng or FILE.pcap. Settings follow a question mark,
+     as in "rtu:///dev/ttyUSB0?baudrate=9600&parity=N". Quote such a URL,
+     because shells interpret &. An option overrides the setting in the URL."""
 
 
 ARGUMENTS = """
 URL
-    where to listen, or a capture to read: FILE.pcapng
+    where to listen, or a capture to read: FILE.pcapng, or FILE.pcap of tcpdump
 --between URL
     connect to this device, and forward requests and answers between it and clients
 --capture FILE.pcapng
     write what is heard to a file for Wireshark
 --map FILE
     print values by the names of a register map, CSV or TOML, or an example such as meter
+--compare-with URL
+    send the requests of a capture to this device, and print those whose answers differ now; URL may
+    have options, as in tcp://192.0.2.9?timeout=0.5
+--writes
+    with --compare-with, send requests that write, too
 --learn FILE
     write a new map of the registers that are read and written, CSV or TOML, in the end
 """
@@ -91,12 +97,16 @@ def add_command(command: argparse.ArgumentParser) -> None:
 def _listen(options: argparse.Namespace) -> int:
     logging.basicConfig(format="%(message)s", level=logging.WARNING)  # to stderr
     place = options.url
-    is_live = "://" in place or not place.endswith(".pcapng")
+    is_live = "://" in place or not place.endswith(CAPTURES)
     if is_live:  # the path of a device is a URL, too
         place = with_options([place], options, SERIAL_OPTIONS)[0].url
     else:
         why = f"applies to serial ports only, not to {place}"
         arguments.refuse_given(options, SERIAL_OPTIONS, why)
+    if options.compare_with is not None:
+        return _compare(options, place, is_live=is_live)
+    if options.writes:
+        raise ValueError("--writes needs --compare-with")
     show, learned = _shower(options), _learned(options)
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with listen(place, between=options.between, capture=options.capture) as line:
@@ -132,6 +142,38 @@ def _listen(options: argparse.Namespace) -> int:
                 signal.signal(number, handler)
             if learned is not None:
                 _write(learned, options.learn, line.url)
+
+
+def _compare(options: argparse.Namespace, path: str, *, is_live: bool) -> int:
+    """Ask a device again what a capture has, and print what differs."""
+    from ...client.blocking import Client
+    from ...tools.listener.replay import differences
+
+    others = [name for name in ("between", "capture", "map", "learn", "csv") if vars(options)[name]]
+    if is_live or others:
+        reason = f"--{others[0]} cannot be given with" if others else "URL must be a capture with"
+        raise ValueError(f"{reason} --compare-with")
+    count = differing = 0
+    with Client(options.compare_with) as client:
+        for found in differences(client, path, units=options.units, writes=options.writes):
+            count += 1
+            if found is None:
+                continue
+            differing += 1
+            if options.json:
+                now, error = found.answer, None
+                if isinstance(now, Exception):
+                    now, error = None, str(now)
+                print_json({**_plain(found.transaction), "now": plain(now), "now_error": error})
+            else:
+                now = _shown.repr(found.answer)
+                if isinstance(found.answer, Exception):
+                    now = str(found.answer)
+                print(f"{line_of(found.transaction)}; now {styled(now, RED)}", flush=True)
+    if not count:
+        raise ValueError(f"{path}: no request to send; --writes sends those that write")
+    complain(f"{counted(count, 'request')}, {differing} with another answer now")
+    return min(differing, 1)
 
 
 def _shower(options: argparse.Namespace) -> Callable[[Transaction], None]:

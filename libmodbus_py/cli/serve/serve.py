@@ -7,20 +7,17 @@ SIGHUP reads the device file again; with --reload, so does every change of the f
 from __future__ import annotations
 
 import argparse
-import contextlib
-from collections.abc import Callable, Iterator
 from collections.abc import Mapping as MappingABC
 from functools import partial
-from typing import Any
 
 from ...device.device import Device
 from ...device.mapping import Mapping
 from ...maps.list_words import ListOptions
-from ...protocol.logs import HarmlessLogger
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...server.server import Server
 from ...server.units import UNKNOWN_UNIT_POLICIES
 from ...tools.simulator import device_file, example_files
+from ...tools.simulator.hooks_file import HooksFile
 from ...tools.simulator.reloading import Reloader
 from .. import arguments, logs
 from ..arguments import OF_SERVERS, declare, with_options
@@ -28,8 +25,6 @@ from . import over_http
 from .running import add_audit, add_limits, starting
 
 __all__ = ["add_command"]
-
-logger: HarmlessLogger = HarmlessLogger(__name__)
 
 EXAMPLE_URL = "tcp://127.0.0.1:1502"
 
@@ -53,21 +48,25 @@ SOURCES = """
 --map FILE
     serve the points of a register map, or of one that comes with the package: with their names,
     access and bounds
+--replay FILE
+    answer as the devices in a capture, .pcapng or .pcap, did; other requests get exception 4
 """
 
 OPTIONS = """
 --reload
     read the device file again when the file, or a register map that it uses, changes; connections
     stay open, and a mistake in the file changes nothing
---own-unit N
+--hooks FILE.py
+    call before_write(access), after_write and before_read of this file; SIGHUP reads it again
+rare --own-unit N
     device that answers units 0 and 255 too, on TCP and UDP
 --state FILE
     keep the values that clients write in this file, so that they survive a restart; it is written
-    at most once a second, and at the end
+    at most 0.5 s after a change, and at the end
 """
 
 UNKNOWN_UNIT = """
---unknown-unit POLICY
+rare --unknown-unit POLICY
     requests to units without a device, on TCP and UDP: refuse answers with an exception, silent
     does not answer (refuse)
 """
@@ -111,10 +110,17 @@ def _serve(options: argparse.Namespace) -> int:
         raise ValueError("--reload needs --device or --example")
     if options.units and path is not None:
         raise ValueError(f"--units cannot be given with {path}, which has its own units")
+    others = [name for name in ("units", "hooks", "state") if vars(options)[name] is not None]
+    if options.replay is not None and others:
+        raise ValueError(f"--{others[0]} cannot be given with --replay")
     with starting(options) as command:
         simulation = _simulation(options, path)
         devices: Device | MappingABC[int, Device]
-        if simulation is None:
+        if options.replay is not None:
+            from ...tools.listener.replay import replayed_devices
+
+            devices = replayed_devices(options.replay)
+        elif simulation is None:
             devices = {unit: _everything() for unit in options.units or ()} or _everything()
         else:
             devices = simulation.devices
@@ -123,17 +129,27 @@ def _serve(options: argparse.Namespace) -> int:
             faults=None if simulation is None else simulation.faults,
             unknown_unit=options.unknown_unit,
             own_unit=options.own_unit,
+            state=options.state,
             **command.hooks,
         )
+        hooks = None
+        if options.hooks is not None:
+            hooks = HooksFile(options.hooks)
+            hooks.use(devices)
+            command.files.append(lambda: hooks.read_again(server.devices))
         serve = partial(command.serve, server, urls, lambda: server)
         if simulation is None or path is None:
-            with _kept(options.state, lambda: server.devices):
-                serve()
+            serve()
             return 0
-        is_watching = options.reload
-        reloader = Reloader(server, path, simulation, is_watching=is_watching, tell=command.tell)
-        with _kept(options.state, lambda: reloader.devices):
-            serve(begin=reloader.start, answer=reloader.ask)
+        reloader = Reloader(
+            server,
+            path,
+            simulation,
+            is_watching=options.reload,
+            tell=command.tell,
+            hooks=hooks,
+        )
+        serve(begin=reloader.start, answer=reloader.ask)
     return 0
 
 
@@ -158,20 +174,3 @@ def _everything() -> Device:
     everything = Mapping(65536, 65536, 65536, 65536)
     files = {number: [0] * RECORDS_PER_FILE for number in range(1, 11)}
     return Device(everything, files=files)
-
-
-@contextlib.contextmanager
-def _kept(path: str | None, devices: Callable[[], Any]) -> Iterator[None]:
-    """Load the values of devices from the file of --state, and save them while the block runs."""
-    if path is None:
-        yield
-        return
-    from ...tools.simulator.values_file import ValuesFile
-
-    try:
-        file = ValuesFile(path, devices, tell=lambda line: logger.warning("%s", line))
-    except ValueError as error:
-        raise ValueError(f"--state: {error}") from None
-    with contextlib.closing(file):
-        file.start()
-        yield

@@ -17,11 +17,20 @@ import os
 import select
 import struct
 from collections.abc import Iterator
-from typing import BinaryIO
 
 from ...protocol.framing import Frame, is_one_frame, mbap
-from ...system import open_file
+from .packets import (
+    BYTE_ORDER,
+    INTERFACE,
+    PACKET,
+    SECTION,
+    CaptureError,
+    Packet,
+    PacketReader,
+    pairs,
+)
 from .separator import Candidate, Damage
+from .streams import LINKS
 from .transaction import Heard
 
 __all__ = ["CaptureError", "CaptureReader", "CaptureWriter"]
@@ -33,11 +42,8 @@ UPPER_PDU = 252
 MODBUS_PORT = 502
 FIRST_CLIENT_PORT = 49152  # the dynamic ports (RFC 6335)
 
-# Numbers of the format: kinds of blocks, the mark of the order of bytes, options of interfaces, and
-# the tags and values of exported PDUs.
-_SECTION, _INTERFACE, _PACKET = 0x0A0D0D0A, 1, 6
-_BYTE_ORDER = 0x1A2B3C4D
-_IF_NAME, _IF_TSRESOL = 2, 9
+# Numbers of the format: an option of interfaces, and the tags and values of exported PDUs.
+_IF_NAME = 2
 _DISSECTOR, _IPV4_SRC, _IPV4_DST, _PORT_TYPE, _SRC_PORT, _DST_PORT = 12, 20, 21, 24, 25, 26
 _TCP = 2
 
@@ -46,12 +52,8 @@ CLIENT = bytes([10, 0, 1, 0])
 # So long may a program that reads the capture from a pipe take nothing; meanwhile a tap waits.
 READER_TIME_S = 1.0
 
-# The longest block that is read: longer than any written by this package or saved by Wireshark.
-MAX_BLOCK = 1 << 20
-
-
-class CaptureError(ValueError):
-    """A file is not a valid capture of this package; the message names the error and the byte."""
+# What an error says of other links.
+KNOWN = f"not {', '.join(map(str, sorted({*LINKS, UPPER_PDU})))}"
 
 
 def _padded(data: bytes) -> bytes:
@@ -96,12 +98,12 @@ class CaptureWriter:
         self._file = _opened(self._path)
         self._ids: dict[tuple[int, int], int] = {}
         self._last_id = 0
-        section = struct.pack("<IHHq", _BYTE_ORDER, 1, 0, -1)
+        section = struct.pack("<IHHq", BYTE_ORDER, 1, 0, -1)
         text = name.encode()[:1000]
         option = struct.pack("<HH", _IF_NAME, len(text)) + _padded(text) + bytes(4)
         interface = struct.pack("<HHI", UPPER_PDU, 0, 0) + option
         try:
-            self._write(_block(_SECTION, section) + _block(_INTERFACE, interface))
+            self._write(_block(SECTION, section) + _block(INTERFACE, interface))
         except BaseException:
             self.close()
             raise
@@ -120,7 +122,7 @@ class CaptureWriter:
             data = self._exported(heard.frame, port, is_request=heard.part == "request")
         time = max(round(heard.ended * 1_000_000), 0)
         head = struct.pack("<IIIII", 0, time >> 32, time & 0xFFFFFFFF, len(data), len(data))
-        self._write(_block(_PACKET, head + _padded(data)))
+        self._write(_block(PACKET, head + _padded(data)))
 
     def _exported(self, frame: Frame, port: int, *, is_request: bool) -> bytes:
         # Responses carry the number of the last request to their unit.
@@ -153,99 +155,43 @@ class CaptureWriter:
 
 
 class CaptureReader:
-    """Reads a file of `CaptureWriter`, even if Wireshark has saved it again."""
+    """
+    Reads a file of `CaptureWriter`, even if Wireshark has saved it again, or the Modbus/TCP in a
+    capture of a network. `recorded` yields what each packet says, and the number of its connection.
+    """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._path = os.fspath(path)
-        self._file: BinaryIO = open_file(path)
-        self._at = 0
-        self._ticks: list[float] = []  # seconds of a tick of each interface
-        self.recorded: Iterator[tuple[int, Candidate | Damage]] = self._read()
-        try:
-            kind, body = self._next_block() or (0, b"")
-            if kind != _SECTION or body[:4] != struct.pack("<I", _BYTE_ORDER):
-                raise self._error("no pcapng file")
-        except BaseException:
-            self.close()
-            raise
+        self._packets = PacketReader(path)
+        self.recorded: Iterator[tuple[int, Candidate | Damage] | Packet] = self._read()
 
     def close(self) -> None:
         """Close the file; any number of times."""
-        self._file.close()
+        self._packets.close()
 
-    def _read(self) -> Iterator[tuple[int, Candidate | Damage]]:
-        while (block := self._next_block()) is not None:
-            kind, body = block
-            try:
-                if kind == _SECTION:  # of a capture that was appended
-                    self._ticks.clear()
-                elif kind == _INTERFACE:
-                    self._ticks.append(self._tick(body))
-                elif kind == _PACKET:
-                    yield self._packet(body)
-            except (struct.error, IndexError):
-                raise self._error("a block that ends too early") from None
+    def _read(self) -> Iterator[tuple[int, Candidate | Damage] | Packet]:
+        for packet in self._packets.packets:
+            if packet.link_type in LINKS:
+                yield packet
+            elif packet.link_type == UPPER_PDU:
+                try:
+                    yield self._exported(packet)
+                except struct.error:
+                    raise self._packets.error("a block that ends too early") from None
+            else:
+                raise self._packets.error(f"packets of link type {packet.link_type}, {KNOWN}")
 
-    def _next_block(self) -> tuple[int, bytes] | None:
-        start = self._at
-        head = self._exactly(8, may_end=True)
-        if not head:
-            return None
-        kind, size = struct.unpack("<II", head)
-        if not 12 <= size <= MAX_BLOCK or size % 4:
-            raise self._error(f"no pcapng file: a block of {size} bytes", start)
-        body = self._exactly(size - 12)
-        if self._exactly(4) != head[4:]:
-            raise self._error("a block whose two lengths differ", start)
-        return kind, body
-
-    def _exactly(self, size: int, *, may_end: bool = False) -> bytes:
-        data = self._file.read(size)
-        if len(data) != size and (data or not may_end):
-            raise self._error("the file ends inside a block")
-        self._at += size
-        return data
-
-    def _tick(self, body: bytes) -> float:
-        """Return the seconds of a tick of an interface."""
-        (link_type,) = struct.unpack_from("<H", body)
-        if link_type != UPPER_PDU:
-            raise self._error(f"packets of link type {link_type}, not {UPPER_PDU}")
-        exponent = dict(_pairs(body[8:], "<")).get(_IF_TSRESOL, b"\x06")[0]
-        if exponent > 12:
-            raise self._error("the unit of times is not a power of ten")
-        return 10.0**-exponent
-
-    def _packet(self, body: bytes) -> tuple[int, Candidate | Damage]:
+    def _exported(self, packet: Packet) -> tuple[int, Candidate | Damage]:
         """Return the number of the connection, and what it said."""
-        interface, high, low, size, _ = struct.unpack_from("<IIIII", body)
-        at = (high << 32 | low) * self._ticks[interface]
-        tags = dict(_pairs(body[20 : 20 + size], ">"))
+        at = packet.at
+        tags = dict(pairs(packet.data, ">"))
         dissector, data = tags.get(_DISSECTOR, b"").rstrip(b"\0"), tags.get(0, b"")
         source, target = (int.from_bytes(tags.get(kind, b"")) for kind in (_SRC_PORT, _DST_PORT))
         asks = target == MODBUS_PORT
-        link = interface << 16 | (source if asks else target) & 0xFFFF
+        link = packet.interface << 16 | (source if asks else target) & 0xFFFF
         if dissector == b"mbrtu":
             return link, Damage(at, at, data)
         if dissector != b"mbtcp":
-            raise self._error("a packet that is for neither mbtcp nor mbrtu")
+            raise self._packets.error("a packet that is for neither mbtcp nor mbrtu")
         if not is_one_frame(data):
-            raise self._error("a packet that is not a frame of Modbus/TCP")
+            raise self._packets.error("a packet that is not a frame of Modbus/TCP")
         return link, Candidate(at, at, Frame(data[6], data[7:]), asks, not asks)
-
-    def _error(self, what: str, at: int | None = None) -> CaptureError:
-        where = self._at if at is None else at
-        return CaptureError(f"{self._path}: byte {where}: {what}")
-
-
-def _pairs(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Yield the options of a block, or the tags of a packet; number 0 is the rest behind them."""
-    at = 0
-    while at < len(data):
-        kind, size = struct.unpack_from(order + "HH", data, at)
-        start = at + 4
-        at = start + size + -size % 4
-        if kind == 0:
-            yield kind, data[start:]
-            return
-        yield kind, data[start : start + size]

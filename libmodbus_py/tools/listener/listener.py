@@ -23,15 +23,20 @@ from ...protocol.errors import ModbusConnectionError
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import named_parameters
 from .capture import CaptureReader, CaptureWriter
+from .packets import Packet
 from .separator import LineFraming, Separator
 from .sources import SerialSource, Tap, TimedBytes
+from .streams import Streams
 from .transaction import Heard, Summary, Transaction
 
-__all__ = ["Listener", "listen"]
+__all__ = ["CAPTURES", "Listener", "listen"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 Source = SerialSource | Tap
+
+CAPTURES = (".pcapng", ".pcap")
+"""The ends of the names of captures."""
 
 # Seconds after which a quiet line is checked for requests without a response.
 IDLE = 1.0
@@ -75,6 +80,7 @@ class Listener:
         self._writer = writer
         self._clock = clock
         self._separators: dict[int, Separator] = {}
+        self._streams = Streams(self._record)
         self._ready: deque[Transaction] = deque()
         self._lock = threading.RLock()  # reentrant, because a signal handler may close it
         self._is_busy = False
@@ -210,8 +216,11 @@ class Listener:
 
     def _read_on(self, reader: CaptureReader) -> bool:
         """Read a frame; at the end of the capture, return True if there are transactions left."""
-        for link, found in reader.recorded:
-            self._add(self._separator(link).take(found))
+        for found in reader.recorded:
+            if isinstance(found, Packet):
+                self._add(self._streams.take(found))
+            else:
+                self._add(self._separator(found[0]).take(found[1]))
             return True
         self._end_all()
         return bool(self._ready)
@@ -236,6 +245,7 @@ class Listener:
         separators, self._separators = self._separators, {}
         for each in separators.values():
             self._add(each.end())
+        self._add(self._streams.end())
 
     def _add(self, done: list[Transaction]) -> None:
         for each in done:
@@ -271,7 +281,8 @@ def listen(
     Args:
         url: a serial port (rtu, ascii), which is opened for reading only; or, with `between`, an
             address at which clients connect (rtu+tcp, ascii+tcp); or the path of a capture,
-            ending in .pcapng.
+            ending in .pcapng or .pcap: one of this package, or one of a network with Modbus/TCP,
+            as of tcpdump or Wireshark.
         between: the URL of the device for these clients, with the same scheme; bytes are passed
             on unchanged in both directions.
         capture: the path of a new pcapng file, or of a pipe, to which frames are written. Wireshark
@@ -292,13 +303,13 @@ def listen(
     pause = 0.0
     with contextlib.ExitStack() as opened:
         source: Source | CaptureReader
-        if isinstance(url, str) and url.endswith(".pcapng") and "://" not in url:
+        if isinstance(url, str) and url.endswith(CAPTURES) and "://" not in url:
             if between is not None:
                 raise ValueError("between cannot be given with a capture")
             name, source = url, CaptureReader(url)
         else:
             if isinstance(url, str) and os.path.isfile(url):
-                raise ValueError(f"{url}: the name of a capture must end with .pcapng")
+                raise ValueError(f"{url}: the name of a capture must end with .pcapng or .pcap")
             endpoint = parse_to_listen(url)
             source = _source(endpoint, None if between is None else parse_to_listen(between), clock)
             name = str(source.endpoint if isinstance(source, Tap) else endpoint)

@@ -9,6 +9,6 @@ Simulated devices, described in a file.
     simulated      SimulatedDevice: a device with named points, which can take over values of
                    another; Simulation: all devices of a file
     reloading      a file that is read again while its devices are served
-    values_file    the file that keeps the values of devices over a restart
+    hooks_file     hooks in a file of Python, for all devices
     example_files  the device files in examples/, by name
 """

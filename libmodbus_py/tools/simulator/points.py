@@ -10,13 +10,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import pairwise
 from typing import Any
 
-from ...files.schema import REQUIRED, Key, Keys, a_list, keys_of, whole
+from ...files.schema import REQUIRED, Key, Keys, a_list, flag, keys_of, whole
 from ...files.texts import shown_key
 from ...maps.list_words import ListOptions, options_of
 from ...maps.map_file import POINT
 from ...maps.point import Point
 from ...maps.point_plan import scale_mistakes
 from ...maps.register_map import RegisterMap, close_to, map_with
+from ...maps.states import ELSE, NumberSpan, state_key
 from ...protocol.mistakes import Path, WrongValue, inside, path_text
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLES
@@ -162,10 +163,43 @@ def _own_point(
     # A text may be padded with other than zeros.
     is_text = point.read.kind is not None and point.read.kind.is_text and behaviour is None
     value = given.get("value", "" if is_text else None)
+    value = _bits_of((*path, "value"), point, value)
+    if rules is not None and rules.is_bits and isinstance(value, list):
+        given["values"] = value
     if value is not None or "values" in given:
         values = given.get("values", [value] * point.count)
         value = values if point.count > 1 else values[0]
     return SimulatedPoint(path, point, value, behaviour, (*path, source), given.get("number", 0))
+
+
+def _bits_of(path: Path, point: Point, value: object) -> object:
+    """Return the bits that a table says of coils or a list of bits; other values as they are."""
+    if not isinstance(value, dict):
+        return value
+    if TABLES[point.table].is_bits and not point.states:
+        coils = _bits_in(path, value, point.cells)
+        return coils if point.count > 1 else coils[0]
+    is_list = str(point.type).startswith("bits") and not point.bits and not point.is_part
+    is_one = is_list and point.count == 1
+    return _bits_in(path, value, range(16 * len(point.cells))) if is_one else value
+
+
+def _bits_in(path: Path, table: Mapping[str, object], numbers: range) -> list[bool]:
+    """Return the bits that a table says by number or range, as {3 = true, "4..7" = true} does."""
+    bits: dict[int, bool] = {}
+    others = False
+    for key, value in table.items():
+        is_on = flag((*path, key), value)
+        named = state_key((*path, key), key, (numbers[0], numbers[-1]), None)
+        if named == ELSE:
+            others = is_on
+            continue
+        low, high = (named.low, named.high) if isinstance(named, NumberSpan) else (named, named)
+        for number in range(int(low), int(high) + 1):
+            if number in bits:
+                raise WrongValue.about((*path, key), f"{number} is given twice")
+            bits[number] = is_on
+    return [bits.get(number, others) for number in numbers]
 
 
 def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[SimulatedPoint]:
@@ -197,6 +231,7 @@ def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[
             behaviour = next(iter(read.items()))
         where = (*path, "map", key)
         value = None if behaviour else values.get(name, point.initial)
+        value = _bits_of(source, point, value)
         yield SimulatedPoint(where, point, value, behaviour, source, is_mapped=True)
 
 

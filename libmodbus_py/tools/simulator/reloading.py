@@ -17,7 +17,8 @@ from ...files.texts import compared, reread
 from ...protocol.mistakes import inside
 from ...server.server import Server
 from .device_file import load
-from .simulated import SimulatedDevice, Simulation
+from .hooks_file import HooksFile
+from .simulated import Simulation
 
 __all__ = ["Reloader"]
 
@@ -36,21 +37,18 @@ class Reloader:
         *,
         is_watching: bool,
         tell: Callable[[Sequence[str]], object],
+        hooks: HooksFile | None = None,
     ) -> None:
         self._server = server
         self._path = path
         self._simulation = simulation
         self._look_every = LOOK_EVERY_S if is_watching else None
         self._tell = tell
+        self._hooks = hooks
         self._asked = asyncio.Event()
         self._of_others: Sequence[str] = ()
         self._maps: Sequence[str] = simulation.files
         self._read = self._signatures()
-
-    @property
-    def devices(self) -> SimulatedDevice | dict[int, SimulatedDevice]:
-        """The devices that are served, with the values that they took over."""
-        return self._simulation.devices
 
     def start(self) -> None:
         """Begin, in the loop of the server; `close` or the end of the loop ends it."""
@@ -96,9 +94,11 @@ class Reloader:
     def _use(self, simulation: Simulation) -> str:
         # Before values are taken over, because nothing may change if the file cannot be served.
         with inside(self._path):
-            self._server.replace(simulation.devices, faults=simulation.faults)
+            self._server.check_devices(simulation.devices)
         before = self._simulation
         self._simulation = simulation.going_on_from(before)
+        if self._hooks is not None:
+            self._hooks.use(self._simulation.devices)
         self._server.replace(self._simulation.devices, faults=self._simulation.faults)
         changes = compared(self._path, "unit", before.by_unit, self._simulation.by_unit)
         of_faults = "" if before.faults == simulation.faults else "; its faults have changed"

@@ -60,8 +60,8 @@ class SimulatedDevice(Device):
         spans: dict[str, list[range]] = {}
         for each in self._moving:
             spans.setdefault(each.table, []).append(each.span)
-        hook = Hook(self._refresh_access, **spans) if spans else None
-        super().__init__(mapping, points=RegisterMap(points), before_read=hook, **options)
+        self._refresh_hook = Hook(self._refresh_access, **spans) if spans else None
+        super().__init__(mapping, points=RegisterMap(points), **options)
         self.name: str = name
         self.description: str = description
         self._definition = definition

@@ -76,7 +76,7 @@ def test_a_state_of_other_devices_is_refused_before_anything_is_served(
     done = run(*SERVE, "--device", plant, "--state", state)
     assert done.code == 2
     assert done.out == ""
-    assert f"--state: {state}: units.every: no such unit is served, only 1, 2; no value" in done.err
+    assert f"state: {state}: units.every: no such unit is served, only 1, 2; no value" in done.err
     assert "rename the file to start without its values" in done.err
 
 

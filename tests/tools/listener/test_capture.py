@@ -101,14 +101,14 @@ class TestReader:
     @each_case(
         ("change", "what"),
         [
-            (lambda data: b"", "no pcapng file"),
-            (lambda data: b"not a capture at all", "no pcapng file|a block of|ends inside"),
+            (lambda data: b"", "no pcapng or pcap file"),
+            (lambda data: b"not a capture at all", "no pcapng or pcap file"),
             (lambda data: data[:-1], "the file ends inside a block"),
             (lambda data: data[:50], "the file ends inside a block"),
             (lambda data: data[:4] + b"\xff\xff\xff\x7f" + data[8:], "a block of 2147483647"),
             (lambda data: data[:4] + b"\x1d" + data[5:24] + b"\x1d" + data[25:], "a block of 29"),
             (lambda data: data[:24] + b"\0\0\0\0" + data[28:], "two lengths differ"),
-            (lambda data: data[:36] + b"\x93\0" + data[38:], "link type 147, not 252"),
+            (lambda data: data[:36] + b"\x93\0" + data[38:], "link type 147, not 0, 1, "),
             (lambda data: data.replace(b"mbtcp", b"mbxxx"), "neither mbtcp nor mbrtu"),
         ],
     )

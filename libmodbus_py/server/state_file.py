@@ -1,9 +1,7 @@
 """
 The file in which a server keeps the values of its devices, so that they survive a restart.
 
-A second file, with the ending ".lock", is locked, so that no other program uses it. `tell` is
-called in any thread with a line when writing first fails, and when it succeeds again. A ValueError
-says why the file cannot be used; no value is taken from it then.
+A second file, with the ending ".lock", is locked, so that no other program uses it.
 """
 
 from __future__ import annotations
@@ -13,8 +11,8 @@ import os
 import threading
 from collections.abc import Callable, Mapping
 
-from ...device.device import Device
-from ...device.state import (
+from ..device.device import Device
+from ..device.state import (
     fingerprint,
     load_state,
     read_text,
@@ -22,57 +20,72 @@ from ...device.state import (
     replace_file,
     state_text,
 )
-from ...ports.port import abandoned_in_children
-from ...system import lock_file
+from ..ports.port import abandoned_in_children
+from ..protocol.logs import HarmlessLogger
+from ..system import lock_file
 
-__all__ = ["ValuesFile"]
+__all__ = ["StateFile"]
 
-# Seconds between two times of writing.
-WRITE_EVERY = 1.0
+logger: HarmlessLogger = HarmlessLogger(__name__)
+
+# Seconds between two times of writing. `kill -9` may lose 0.5 s: the rest is for a slow disk.
+WRITE_EVERY = 0.1
 
 # Errors after which the devices are served all the same, and their values are not kept.
 CANNOT_WRITE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
 
-Devices = Device | Mapping[int, Device]
 
+class StateFile:
+    """Keeps the values of devices in a file while a server runs: a thread writes what changes."""
 
-class ValuesFile:
-    """Keeps the values of devices in a file, replaced at most once a second and at the end."""
-
-    def __init__(
-        self, path: str, devices: Callable[[], Devices], *, tell: Callable[[str], object]
-    ) -> None:
+    def __init__(self, path: str, devices: Callable[[], Device | Mapping[int, Device]]) -> None:
         self._path = path
         self._devices = devices
-        self._tell = tell
+        self._users = 0  # loops in which the server runs
+        self._users_lock = threading.Lock()
         self._lock: int | None = None
         self._owner = os.getpid()
         self._is_failing = False
         self._is_closed = threading.Event()
         self._seen: object = None
-        self._text = ""
-        self._thread = threading.Thread(target=self._run, name="values file", daemon=True)
-        try:
-            self._load()
-        except BaseException:
-            self.abandon()
-            raise
+        self._text: str | None = None
         abandoned_in_children(self)
 
-    def start(self) -> None:
-        """Write the file, and begin to keep it up to date."""
-        self._write()
-        self._thread.start()
+    def __enter__(self) -> None:
+        """
+        Load the values, unless this file wrote them last; write the file, and keep it up to date.
 
-    def close(self) -> None:
-        """Write the file for the last time, and let others use it. Any number of times."""
-        if self._owner != os.getpid() or self._is_closed.is_set():
+        Raises:
+            ValueError: the file cannot be used; no value was loaded.
+        """
+        with self._users_lock:
+            if self._owner != os.getpid():
+                self._users, self._owner = 0, os.getpid()
+            if not self._users:
+                try:
+                    self._load()
+                except BaseException as error:
+                    self.abandon()
+                    if isinstance(error, ValueError):
+                        raise ValueError(f"state: {error}") from None
+                    raise
+                self._is_closed.clear()
+                self._write()
+                self._thread = threading.Thread(target=self._run, name="state file", daemon=True)
+                self._thread.start()
+            self._users += 1
+
+    def __exit__(self, *_: object) -> None:
+        """Write the file for the last time, and let others use it, at the end of the last block."""
+        if self._owner != os.getpid():
             return
-        self._is_closed.set()
-        if self._thread.ident is not None:
-            self._thread.join()
-        self._write()
-        self.abandon()
+        with self._users_lock:
+            self._users -= 1
+            if not self._users:
+                self._is_closed.set()
+                self._thread.join()
+                self._write()
+                self.abandon()
 
     def abandon(self) -> None:
         """Close the lock without saving; in a forked child, the parent keeps its lock."""
@@ -112,6 +125,8 @@ class ValuesFile:
             return
         except OSError as error:
             raise ValueError(f"{self._path}: {error.strerror}") from None
+        if text == self._text:
+            return
         try:
             load_state(self._path, text, self._units())
         except ValueError as error:
@@ -137,13 +152,14 @@ class ValuesFile:
             return
         if self._is_failing:
             self._is_failing = False
-            self._tell(f"{self._path}: values are kept again")
+            logger.warning("%s: values are kept again", self._path)
 
     def _fail(self, error: Exception) -> None:
         if not self._is_failing:
             self._is_failing = True
             reason = (error.strerror if isinstance(error, OSError) else None) or repr(error)
-            self._tell(f"{self._path}: {reason}; until it can be written, values are not kept")
+            text = "%s: %s; until it can be written, values are not kept"
+            logger.warning(text, self._path, reason)
 
     def _units(self) -> dict[int | None, Device]:
         devices = self._devices()

@@ -7,15 +7,20 @@ from __future__ import annotations
 import errno
 import json
 import os
+import random
+import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from libmodbus_py import device_file, pdu
-from libmodbus_py.tools.simulator.values_file import ValuesFile
+from libmodbus_py import Client, Device, Mapping, Server, device_file, pdu
+from libmodbus_py.server import state_file
+from libmodbus_py.server.state_file import StateFile
 from tests.support.cases import each_case
 from tests.tools.simulator.simulated_units import Clock
 
@@ -52,16 +57,27 @@ def plant(folder: Path, text: str = PLANT) -> Units:
     return devices
 
 
-def kept(folder: Path, units: Any, told: list[str] | None = None) -> ValuesFile:
-    tell: Callable[[str], object] = pytest.fail if told is None else told.append
-    return ValuesFile(str(folder / "state"), lambda: units, tell=tell)
+@pytest.fixture(autouse=True)
+def _only_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the thread write nothing, so that a test says when something is written."""
+    monkeypatch.setattr(state_file, "WRITE_EVERY", 1e6)
+
+
+def kept(folder: Path, units: Any, name: str = "state") -> StateFile:
+    """Return the file of units, which is open."""
+    file = StateFile(str(folder / name), lambda: units)
+    file.__enter__()
+    return file
+
+
+def close(file: StateFile) -> None:
+    file.__exit__()
 
 
 def after_a_write(folder: Path) -> None:
     """Serve the plant once, with values that clients write."""
     units = plant(folder)
     file = kept(folder, units)
-    file.start()
     for unit, request in (
         (1, pdu.WriteRegister(0, 215)),
         (1, pdu.WriteRegisters(100, [8] * 100)),
@@ -71,7 +87,7 @@ def after_a_write(folder: Path) -> None:
     ):
         assert units[unit].answer(request.encode())[0] == request.function
     units[1].answer(pdu.ReadHoldingRegisters(900, 1).encode())  # a moving value
-    file.close()
+    close(file)
 
 
 def test_written_values_survive_a_restart_and_nothing_else_is_kept(folder: Path) -> None:
@@ -93,7 +109,7 @@ def test_written_values_survive_a_restart_and_nothing_else_is_kept(folder: Path)
     }
     # New first values hold where nothing was written.
     units = plant(folder, PLANT.replace("value = 7", "value = 6"))
-    kept(folder, units).close()
+    close(kept(folder, units))
     assert units[1]["setpoint"] == 21.5
     assert units[1].mapping.holding_registers[100:202] == [8] * 100 + [6, 6]
     assert list(units[1].files[4]) == [1, 9, 3]
@@ -123,7 +139,7 @@ def test_values_of_another_device_are_refused(
         kept(folder, units)
     assert first == {unit: list(each.mapping.holding_registers) for unit, each in units.items()}
     assert (folder / "state").read_bytes() == before
-    kept(folder, plant(folder)).close()  # and the lock is free
+    close(kept(folder, plant(folder)))  # and the lock is free
 
 
 def test_only_changes_are_written(folder: Path) -> None:
@@ -138,20 +154,17 @@ def test_only_changes_are_written(folder: Path) -> None:
     units[2].mapping.coils[1] = True
     file._write()
     assert os.stat(folder / "state").st_ino != first
-    file.close()
+    close(file)
 
 
 def test_it_is_written_while_it_is_served(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from libmodbus_py.tools.simulator import values_file
-
-    monkeypatch.setattr(values_file, "WRITE_EVERY", 0.001)
+    monkeypatch.setattr(state_file, "WRITE_EVERY", 0.001)
     units = plant(folder)
     file = kept(folder, units)
-    file.start()
     units[2].mapping.coils[1] = True
     while '"coils"' not in (folder / "state").read_text():
         pass
-    file.close()
+    close(file)
 
 
 # --- who may use it -------------------------------------------------------------------------
@@ -160,26 +173,23 @@ def test_it_is_written_while_it_is_served(folder: Path, monkeypatch: pytest.Monk
 def test_a_second_program_is_refused(folder: Path) -> None:
     (folder / "link").symlink_to(folder / "state")
     file = kept(folder, plant(folder))
-    file.start()
     for name in ("state", "link"):
         with pytest.raises(ValueError, match=f"{name}: in use by another program"):
-            ValuesFile(str(folder / name), lambda: plant(folder), tell=pytest.fail)
-    file.close()
-    file.close()
-    kept(folder, plant(folder)).close()
+            kept(folder, plant(folder), name)
+    close(file)
+    close(kept(folder, plant(folder)))
 
 
 def test_a_forked_child_neither_writes_nor_holds_the_lock(folder: Path) -> None:
     units = plant(folder)
     file = kept(folder, units)
-    file.start()
     read, write = os.pipe()
     child = os.fork()
     if child == 0:
         code = 1
         try:
             units[2].mapping.coils[1] = True
-            file.close()
+            close(file)
             code = 0
         finally:
             os.write(write, b"%d" % code)
@@ -189,9 +199,9 @@ def test_a_forked_child_neither_writes_nor_holds_the_lock(folder: Path) -> None:
         assert os.read(read, 1) == b"0"
         with pytest.raises(ValueError, match="in use"):
             kept(folder, plant(folder))
-        file.close()
+        close(file)
         assert "coils" not in (folder / "state").read_text()
-        kept(folder, plant(folder)).close()  # though the child still lives
+        close(kept(folder, plant(folder)))  # though the child still lives
     finally:
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
@@ -202,7 +212,7 @@ def test_a_forked_child_neither_writes_nor_holds_the_lock(folder: Path) -> None:
 def test_what_a_killed_process_left_is_removed(folder: Path) -> None:
     (folder / "state.abcd1234.new").write_text("half")
     (folder / "state.mine.new").write_text("another")
-    kept(folder, plant(folder)).close()
+    close(kept(folder, plant(folder)))
     assert {path.name for path in folder.iterdir()} == {
         *("map.csv", "state", "state.lock", "state.mine.new")
     }
@@ -228,11 +238,16 @@ def failing(number: int) -> Callable[..., Any]:
     ],
 )
 def test_a_file_that_cannot_be_written_is_told_once(
-    step: str, number: int, folder: Path, monkeypatch: pytest.MonkeyPatch
+    step: str,
+    number: int,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
+    caplog.clear()
     (folder / "state").unlink(missing_ok=True)
-    units, told = plant(folder), list[str]()
-    file = kept(folder, units, told)
+    units = plant(folder)
+    file = kept(folder, units)
     file._write()
     before = (folder / "state").read_bytes()
     with monkeypatch.context() as patched:
@@ -242,17 +257,21 @@ def test_a_file_that_cannot_be_written_is_told_once(
             file._write()
     reason = os.strerror(number)
     path = folder / "state"
-    assert told == [f"{path}: {reason}; until it can be written, values are not kept"]
+    assert caplog.messages == [f"{path}: {reason}; until it can be written, values are not kept"]
     assert path.read_bytes() == before
-    file.close()
-    assert told[1:] == [f"{path}: values are kept again"]
+    close(file)
+    assert caplog.messages[1:] == [f"{path}: values are kept again"]
     assert '"coils": {"0": [1, 1, 1]}' in path.read_text()
 
 
 @each_case("number", [errno.EACCES, errno.EROFS, errno.ENOSPC])
 def test_a_folder_that_takes_no_files(
-    number: int, folder: Path, monkeypatch: pytest.MonkeyPatch
+    number: int,
+    folder: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
+    caplog.clear()
     (folder / "state").unlink(missing_ok=True)
     (folder / "state.lock").unlink(missing_ok=True)
     open_ = os.open
@@ -262,14 +281,119 @@ def test_a_folder_that_takes_no_files(
             failing(number)()
         return open_(path, flags, *mode, **more)
 
-    units, told = plant(folder), list[str]()
+    units = plant(folder)
     with monkeypatch.context() as patched:
         patched.setattr(os, "open", refusing)
-        file = kept(folder, units, told)
+        file = kept(folder, units)
         file._write()
         units[2].mapping.coils[1] = True
         file._write()
-        assert len(told) == 1
+        assert len(caplog.messages) == 1
         assert units[2].answer(pdu.ReadCoils(1, 1).encode()) == b"\1\1\1"
-    file.close()
-    assert told[1:] == [f"{folder / 'state'}: values are kept again"]
+    close(file)
+    assert caplog.messages[1:] == [f"{folder / 'state'}: values are kept again"]
+
+
+# --- of a server ----------------------------------------------------------------------------
+
+
+def registers() -> Device:
+    return Device(Mapping(holding_registers=200))
+
+
+def test_the_values_of_a_server_survive(folder: Path) -> None:
+    path = folder / "state"
+    for value in (0, 7):
+        units = {1: registers(), 2: registers()}
+        with Server(units, state=path).background("tcp://127.0.0.1:0") as running:
+            assert units[2].mapping.holding_registers[5] == value
+            with Client(running.urls[0], unit=2) as client:
+                client.write_register(5, 7)
+
+
+def test_a_server_that_serves_again_keeps_what_the_program_set_meanwhile(folder: Path) -> None:
+    device = registers()
+    server = Server(device, state=folder / "state")
+    for value in range(3):
+        assert device.mapping.holding_registers[0] == value
+        with (
+            server.background("tcp://127.0.0.1:0"),
+            server.background("tcp://127.0.0.1:0"),  # in two loops at once
+            pytest.raises(ValueError, match=r"state: .*state: in use by another program"),
+            Server(registers(), state=folder / "state").background("tcp://127.0.0.1:0"),
+        ):
+            pytest.fail("two servers keep the same file")
+        device.mapping.holding_registers[0] = value + 1
+
+
+@pytest.fixture
+def wrong_files(tmp_path: Path) -> Path:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "binary").write_bytes(b"\xff")
+    (tmp_path / "half").write_text("{")
+    return tmp_path
+
+
+@each_case(
+    ("name", "message"),
+    [
+        ("missing/state", "No such file or directory"),
+        ("pipe", "not a regular file"),
+        ("folder", "Is a directory"),
+        ("binary", "not UTF-8 at byte 0"),
+        ("half", r"line 1, column 2: not JSON: .* \(is the file cut off\?\); no value was loaded"),
+    ],
+)
+def test_a_wrong_file_is_refused_before_the_server_starts(
+    name: str, message: str, wrong_files: Path
+) -> None:
+    path = wrong_files / name
+    with (
+        pytest.raises(ValueError, match=f"^state: {path}: {message}"),
+        Server(registers(), state=path).background("tcp://127.0.0.1:0"),
+    ):
+        pytest.fail("it serves")
+
+
+def test_a_folder_that_goes_is_a_line_and_the_server_goes_on(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    place = folder / "place"
+    place.mkdir()
+    device = registers()
+    with Server(device, state=place / "state").background("tcp://127.0.0.1:0") as running:
+        shutil.rmtree(place)
+        with Client(running.urls[0]) as client:
+            client.write_register(5, 7)
+            assert client.read_holding_registers(5, 1) == [7]
+    (line,) = caplog.messages
+    assert line.startswith(f"{place}/state: No such file or directory; until it can be written")
+
+
+SERVING = """
+import sys
+from libmodbus_py import Device, Mapping, Server
+
+server = Server(Device(Mapping(holding_registers=200)), state=sys.argv[1])
+on_listening = lambda running: print(*running.urls, flush=True)
+server.serve_forever("tcp://127.0.0.1:0", on_listening=on_listening)
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_server_leaves_one_whole_state(tmp_path: Path) -> None:
+    path, value = tmp_path / "state", 0
+    for seed in range(8):
+        command = [sys.executable, "-c", SERVING, str(path)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            with Client(process.stdout.readline().strip()) as client:
+                for _ in range(random.Random(seed).randrange(2000)):
+                    value += 1
+                    client.write_registers(0, [value] * 100)
+                process.kill()
+        device = registers()
+        device.load(path)
+        (kept_value,) = set(device.mapping.holding_registers[:100])
+        assert kept_value <= value
