@@ -33,16 +33,6 @@ def test_every_failed_case_is_named_and_the_others_are_not() -> None:
     assert "(6, 3)" not in text
 
 
-def test_a_missing_exception_fails_its_case() -> None:
-    def never_raised() -> None:
-        for check, _ in each("ab"):
-            with check, pytest.raises(ValueError, match="bad"):
-                pass
-
-    with pytest.raises(AssertionError, match="2 of 2 cases failed"):
-        never_raised()
-
-
 def raising(error: BaseException) -> None:
     for check, _ in each([b"ab", b"cd"], name=lambda case: f"bytes {case!r}"):
         with check:
@@ -88,18 +78,3 @@ def test_each_case_calls_the_test_with_every_combination() -> None:
     test(fixture="f")  # type: ignore[call-arg]
     assert seen == [("f", "a", 1, 2), ("f", "a", 3, 4), ("f", "b", 1, 2), ("f", "b", 3, 4)]
     assert list(inspect.signature(test).parameters) == ["fixture"]
-
-
-def test_each_case_refuses_what_would_not_be_tried() -> None:
-    def test(number: int) -> None: ...
-
-    with pytest.raises(ValueError, match="marks"):
-        each_case("number", [pytest.param(1, marks=pytest.mark.skip)])
-    with pytest.raises(ValueError, match="no parameter other"):
-        each_case("other", [1])(test)
-    with pytest.raises(ValueError, match="zip"):
-        each_case(("number", "other"), [(1,)])
-    with pytest.raises(ValueError, match="2 cases have 1 ids"):
-        each_case("number", [1, 2], ids=["one"])
-    with pytest.raises(AssertionError, match="empty"):
-        each_case("number", [])(test)()  # type: ignore[call-arg]
