@@ -2,8 +2,6 @@
 Public names that are imported when they are first used: what is told if their module fails.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Iterator

@@ -2,8 +2,6 @@
 The package as a whole: what an import brings, what is public, and that all of libmodbus is there.
 """
 
-from __future__ import annotations
-
 import ast
 import copy
 import ctypes

@@ -1,7 +1,5 @@
 """Calls of Linux, and the pipe that takes the place of an eventfd in a Python without it."""
 
-from __future__ import annotations
-
 import os
 import select
 from collections.abc import Iterator

@@ -2,8 +2,6 @@
 The command demo.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

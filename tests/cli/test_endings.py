@@ -5,8 +5,6 @@ The other tests of these commands fork them, see `tests.support.commands`. What 
 a terminal closes, and SIGHUP, is in `test_hangup.py`.
 """
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import termios

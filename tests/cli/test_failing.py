@@ -2,8 +2,6 @@
 Errors: one line on stderr, an exit code, and what to try.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

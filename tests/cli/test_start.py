@@ -2,8 +2,6 @@
 What a start of the command line costs and survives: the modules it brings, its output, Ctrl-C.
 """
 
-from __future__ import annotations
-
 import os
 import socket
 import sys

@@ -2,8 +2,6 @@
 AsyncClient: the vocabulary over every transport, and many requests at once.
 """
 
-from __future__ import annotations
-
 import asyncio
 import inspect
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 Connections that cannot be made, that die, that end, and those that are made in their place.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

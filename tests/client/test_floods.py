@@ -2,8 +2,6 @@
 Peers that send without end: the wait ends when it must, and little is kept of what they sent.
 """
 
-from __future__ import annotations
-
 import contextlib
 import random
 import subprocess

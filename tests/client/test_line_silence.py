@@ -2,8 +2,6 @@
 How long a line is left alone after a failure, and what is kept of what comes meanwhile.
 """
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -3,8 +3,6 @@ Whether anything may go out is asked right before it does: a process may be stop
 such as between two lines of Python, and its lease may be over when it goes on.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 from typing import Any

@@ -2,8 +2,6 @@
 Devices that do what the specification does not say, each with the option that it needs.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

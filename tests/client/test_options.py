@@ -2,8 +2,6 @@
 Options, URLs and arguments: what is wrong is named, and nothing is sent.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 Options by the names of other packages, and hosts that contain a port.
 """
 
-from __future__ import annotations
-
 from contextlib import closing
 from functools import partial
 from typing import Any

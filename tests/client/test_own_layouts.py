@@ -2,8 +2,6 @@
 Devices that answer a function of the specification in a layout of their own, on every transport.
 """
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import pytest

@@ -2,8 +2,6 @@
 Maps and plans of devices that lack some registers, on both clients: requests are counted.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from typing import Any

@@ -2,8 +2,6 @@
 When to connect again, told in times.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -2,8 +2,6 @@
 Whoever asks one device for several things waits for a silent one only once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

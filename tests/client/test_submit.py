@@ -2,8 +2,6 @@
 Requests that are submitted: told of once, whatever happens, and never waited for.
 """
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

@@ -2,8 +2,6 @@
 How long things take: time-outs, pauses, repetitions, broadcasts.
 """
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from concurrent.futures import ThreadPoolExecutor

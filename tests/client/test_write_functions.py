@@ -2,8 +2,6 @@
 Devices that lack the functions that write one cell, or those that write several.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

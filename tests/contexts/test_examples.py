@@ -2,8 +2,6 @@
 The examples: a slave, and a client that writes random values, with Debian's example as another one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import subprocess

@@ -3,8 +3,6 @@ What contexts ask, and what they make of the answers: the examples of the specif
 server in C, and a server of this package for the functions that libmodbus lacks.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from pathlib import Path

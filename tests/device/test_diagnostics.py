@@ -2,8 +2,6 @@
 Status, identifier, counters and diagnostics of a device.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 Bugs of the user's code and of libmodbus: each is answered, and logged once.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 

@@ -2,8 +2,6 @@
 The functions of which C answers no request, because a hook wants all addresses that there are.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import Device, Hook, Mapping, Point, RegisterMap

@@ -2,8 +2,6 @@
 Functions of one's own, with their handlers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

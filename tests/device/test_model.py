@@ -2,8 +2,6 @@
 Device.answer against a second device, which is written from the specification.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from hypothesis import given, settings

@@ -2,8 +2,6 @@
 The default values that docstrings and pages name are those of the code.
 """
 
-from __future__ import annotations
-
 import ast
 import pydoc
 import re

@@ -2,8 +2,6 @@
 The runner of documents: what it takes, and what it does not let pass.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

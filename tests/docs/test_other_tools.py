@@ -2,8 +2,6 @@
 The tables of options for who comes from another tool: each option of ours exists.
 """
 
-from __future__ import annotations
-
 import errno
 import re
 import shutil

@@ -2,8 +2,6 @@
 The openssl command on certificates of ours: what it reads in them, and that it takes them.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

@@ -2,8 +2,6 @@
 Clients of ours with TLS servers of others: openssl s_server, and pymodbus.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Iterator

@@ -2,8 +2,6 @@
 TLS clients of others on our server: pymodbus's, and openssl's.
 """
 
-from __future__ import annotations
-
 import asyncio
 import ssl
 import subprocess

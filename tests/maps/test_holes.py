@@ -2,8 +2,6 @@
 Plans of devices that cannot read everything: which holes are found, and what it costs.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterable
 from typing import Any

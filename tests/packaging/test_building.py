@@ -1,7 +1,5 @@
 """The build of the package: for which Pythons, and what it says when something is missing."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

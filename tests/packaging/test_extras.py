@@ -1,7 +1,5 @@
 """What extras need: the same in pyproject.toml, hints, the Debian package and the documents."""
 
-from __future__ import annotations
-
 import re
 import sys
 import tomllib

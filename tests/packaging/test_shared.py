@@ -1,7 +1,5 @@
 """What is installed beside the package: the manual page, and completion in shells."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

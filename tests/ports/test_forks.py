@@ -1,7 +1,5 @@
 """What a forked child does at once with descriptors that its parent has open."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

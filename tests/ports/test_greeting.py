@@ -2,8 +2,6 @@
 What devices send that is no Modbus, in pieces of any size.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 Hosts and ports as text, and which hosts are this machine.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 

@@ -2,8 +2,6 @@
 Sockets to listen on: each thing that listens does so on all addresses of a name.
 """
 
-from __future__ import annotations
-
 import errno
 import socket
 import urllib.request

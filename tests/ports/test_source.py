@@ -2,8 +2,6 @@
 Clients that connect from an address of this machine, and from a port of their own.
 """
 
-from __future__ import annotations
-
 import errno
 import socket
 from collections.abc import Iterator

@@ -2,8 +2,6 @@
 What a `Traced` says of its ADU.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py.ports.schemes import SCHEMES

@@ -2,8 +2,6 @@
 The table of transports: every one has a port for clients and an endpoint for servers.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import get_args
 

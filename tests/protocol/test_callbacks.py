@@ -2,8 +2,6 @@
 Functions of users that would not run when they are called: refused by all that take functions.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import AsyncIterator, Callable, Iterator
 from functools import partial

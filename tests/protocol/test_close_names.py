@@ -2,8 +2,6 @@
 Errors that name the option which was meant.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py.protocol.mistakes import (

@@ -2,8 +2,6 @@
 What errors carry, how much of it, and what they say.
 """
 
-from __future__ import annotations
-
 import copy
 import pickle
 from collections.abc import Callable

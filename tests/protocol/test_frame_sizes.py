@@ -2,8 +2,6 @@
 The longest frame of each framing, and what damage is called that is too long.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py.protocol.errors import FrameError

@@ -3,8 +3,6 @@ Frames on the three kinds of lines: worked examples whole, in single bytes and g
 frames over TCP, and everything a line can do to framers.
 """
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Callable

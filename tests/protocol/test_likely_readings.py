@@ -4,8 +4,6 @@ The rule by which interpretations are sorted, judged by values as manuals and di
 The registers are packed here, by `struct`.
 """
 
-from __future__ import annotations
-
 import struct
 
 from libmodbus_py.protocol.values import readings

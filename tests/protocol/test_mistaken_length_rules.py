@@ -2,8 +2,6 @@
 Length rules of registered classes that raise or return nonsense: a frame is lost, and no line.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -2,8 +2,6 @@
 Ranges that are joined, and taken from each other.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 from hypothesis import given

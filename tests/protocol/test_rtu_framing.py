@@ -1,7 +1,5 @@
 """What framers find on an RTU line: the ends of frames, noise, other units, own functions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -2,8 +2,6 @@
 Rows of worked examples: the frames in the file are those of their PDUs.
 """
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -2,8 +2,6 @@
 Certificates in error messages: whose, from whom, when; nothing that harms a terminal or a log.
 """
 
-from __future__ import annotations
-
 import hashlib
 import subprocess
 import sys

@@ -3,8 +3,6 @@ The key exchange of TLS 1.3: that of the linked OpenSSL's default, which from 3.
 X25519 and ML-KEM-768, so that what is recorded today stays secret from quantum computers.
 """
 
-from __future__ import annotations
-
 import ssl
 
 from libmodbus_py import Device, Mapping, Server

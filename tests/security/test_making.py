@@ -2,8 +2,6 @@
 The maker of certificates: their keys, chains and files.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

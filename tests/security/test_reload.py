@@ -2,8 +2,6 @@
 Files of certificates that are read again, and warnings before a certificate ends.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 from pathlib import Path

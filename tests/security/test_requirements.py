@@ -2,8 +2,6 @@
 The requirements of MB-TCP-Security-v36: each has its row in docs/security.md; what clients offer.
 """
 
-from __future__ import annotations
-
 import re
 import ssl
 from collections import Counter

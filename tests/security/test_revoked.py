@@ -2,8 +2,6 @@
 Revocation lists: what is read, and what is refused by name.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

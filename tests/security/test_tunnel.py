@@ -2,8 +2,6 @@
 Where the records of a TLS connection end (RFC 8446, 5.1).
 """
 
-from __future__ import annotations
-
 import random
 
 import pytest

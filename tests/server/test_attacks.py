@@ -3,8 +3,6 @@ Each attack against a server of its own: an innocent client loses nothing, gets 
 and waits for few of the others' requests, and nothing of the attack is left.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

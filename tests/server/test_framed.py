@@ -2,8 +2,6 @@
 The base of sessions: what is found in received bytes, what is written and traced, and its state.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

@@ -2,8 +2,6 @@
 Clients that lie, flood, fall silent or vanish: they change nothing, and cost others nothing.
 """
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -5,8 +5,6 @@ Seconds are simulated, and exact but for how often the server looks: every quart
 limit, and at least once a second.
 """
 
-from __future__ import annotations
-
 import socket
 import threading
 from pathlib import Path

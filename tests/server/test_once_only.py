@@ -2,8 +2,6 @@
 What is used a second time, or is over: a background server, a view of a table, frozen garbage.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 How many requests of an address are answered in a second: `requests_per_second`, in simulated time.
 """
 
-from __future__ import annotations
-
 import gc
 from contextlib import ExitStack
 

@@ -2,8 +2,6 @@
 A server as a whole: how it starts, what it refuses to start with, and how it stops.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import socket

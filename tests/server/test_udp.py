@@ -2,8 +2,6 @@
 The server on UDP: one request in a datagram, its answer in another to whoever asked.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

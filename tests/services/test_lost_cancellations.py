@@ -4,8 +4,6 @@ Cancellations that arrive at the moment at which what is waited for happens.
 `asyncio.wait_for` of Python 3.11 loses them; the libraries of MQTT and NATS use it.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path

@@ -2,8 +2,6 @@
 Who may ask next on a connection that many share, in simulated time, with a client that is a list.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from typing import Any, cast

@@ -2,8 +2,6 @@
 Casts of a simulated world: who asks whom, over what, and what goes wrong.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import random

@@ -7,8 +7,6 @@ time, so that the value itself says whose it is and how old; a write (function 6
 witness.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace

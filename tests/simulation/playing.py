@@ -2,8 +2,6 @@
 Runs of a simulated world: which one a seed stands for, and the shortest that fails as it does.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 import random

@@ -3,8 +3,6 @@ Casts made of situations that users report: a line on which others talk, clients
 for each poll, devices that are busy, that close after each answer, or send wrong transaction ids.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable
 from functools import partial

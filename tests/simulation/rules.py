@@ -6,8 +6,6 @@ network, what is sent. A request is known by its unit, function, address and val
 one has.
 """
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from itertools import pairwise

@@ -2,8 +2,6 @@
 The simulated engine: whole workers run on it, and it fails in the ways it is told to.
 """
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

@@ -3,8 +3,6 @@ The simulated clock: timers end at their time, and whoever keeps the loop turnin
 in the package asks the clock without end if timers end early, as asyncio allows.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 from collections.abc import Callable, Coroutine

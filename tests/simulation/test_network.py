@@ -2,8 +2,6 @@
 Time in a network in memory, and who is not there; clients' and servers' tests show all else.
 """
 
-from __future__ import annotations
-
 import struct
 
 import pytest

@@ -2,8 +2,6 @@
 A simulated world: a network, a witness, units that misbehave, and how clients ask them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import random
 from collections.abc import AsyncIterator, Awaitable, Callable

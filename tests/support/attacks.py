@@ -6,8 +6,6 @@ they stand for other machines: what is measured is the server, not who else gets
 one's processors (`attackers.py`). The innocent is the process that imports this.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

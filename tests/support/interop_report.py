@@ -7,8 +7,6 @@ The table is read off the ids of the tests, and off those that they record for t
 cases of their tables (interop.case_id, interop.tried). Ends with pytest's exit status.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

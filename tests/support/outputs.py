@@ -2,8 +2,6 @@
 Outputs that a pump writes to, or a test directly, and one that takes what it likes.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager

@@ -2,8 +2,6 @@
 TCP connections that are closed after a time, however their clients behave.
 """
 
-from __future__ import annotations
-
 import socket
 import socketserver
 from collections.abc import Iterator

@@ -2,8 +2,6 @@
 --audit: the file of the audit trail, rotated on SIGHUP, and what is said when it is wrong.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 from pathlib import Path

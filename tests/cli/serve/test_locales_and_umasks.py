@@ -3,8 +3,6 @@ Commands in other locales and with other umasks: files have the same bytes every
 of values can be written to by others.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import os

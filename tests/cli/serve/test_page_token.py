@@ -2,8 +2,6 @@
 --page-token: a page whose URL stays the same, so that a bookmark survives a restart.
 """
 
-from __future__ import annotations
-
 import re
 import urllib.error
 import urllib.request

@@ -2,8 +2,6 @@
 SIGHUP: commands that serve show a renewed certificate, and follow a revocation list.
 """
 
-from __future__ import annotations
-
 import signal
 import ssl
 from pathlib import Path

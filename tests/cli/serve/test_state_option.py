@@ -2,8 +2,6 @@
 The option --state of serve: written values survive a restart, however the server ended.
 """
 
-from __future__ import annotations
-
 import re
 import signal
 from pathlib import Path

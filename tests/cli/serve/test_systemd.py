@@ -2,8 +2,6 @@
 systemd is told once a command serves, and understands the units in deploy/, which start commands.
 """
 
-from __future__ import annotations
-
 import configparser
 import os
 import shlex

@@ -2,8 +2,6 @@
 Clients with a TLS context that the program brings.
 """
 
-from __future__ import annotations
-
 import ssl
 from typing import Any
 

@@ -2,8 +2,6 @@
 Handshakes that take too long, are closed, interrupted or forked; connections that a fork leaves.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

@@ -2,8 +2,6 @@
 Sessions of TLS: which a new connection of a client resumes, and which it does not.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from typing import Any

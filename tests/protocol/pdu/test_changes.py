@@ -3,8 +3,6 @@ Which requests may change a device, and which may be sent twice: the clients, th
 ask the request itself.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from libmodbus_py import pdu

@@ -2,8 +2,6 @@
 The numbers of the specification that have names here: sub-functions and MEI types.
 """
 
-from __future__ import annotations
-
 from libmodbus_py import pdu
 from libmodbus_py.protocol.pdu.interface import (
     MeiType,

@@ -2,8 +2,6 @@
 Results that a server encodes: what they must be, and how large.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 The identifier of a server (function 17), and device identification (function 43/14).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 The lengths of requests and responses, as their first bytes tell.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -2,8 +2,6 @@
 The worked examples of the specification, both ways.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -3,8 +3,6 @@ Readings that wait for an output: whole polls, in their order, and the newest on
 too many.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import pytest

@@ -2,8 +2,6 @@
 Fleets that poll: who shares a connection, who is down, what is skipped, what changes.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import weakref

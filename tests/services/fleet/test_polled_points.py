@@ -2,8 +2,6 @@
 Intervals of points, and points that devices refuse or are silent about, in simulated time.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from pathlib import Path

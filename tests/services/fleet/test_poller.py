@@ -2,8 +2,6 @@
 The polls of one device, answer by answer: what is asked first, what it is taken for, how it rests.
 """
 
-from __future__ import annotations
-
 import weakref
 from typing import Any
 

@@ -2,8 +2,6 @@
 The poll that follows a write, so that the new value is reported at once, in simulated time.
 """
 
-from __future__ import annotations
-
 import asyncio
 import struct
 from collections.abc import AsyncIterator, Awaitable, Callable

@@ -2,8 +2,6 @@
 When devices are polled: phases, skipping, how late polls begin, and that each counts once.
 """
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import fields
 from typing import Any

@@ -2,8 +2,6 @@
 Commands to devices that lack the function that writes one register.
 """
 
-from __future__ import annotations
-
 import asyncio
 from typing import Any
 

@@ -2,8 +2,6 @@
 A gateway over time: connections that come and go, routes that change, and its end.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import socket

@@ -2,8 +2,6 @@
 Units that do not answer, answer late, or answer something else, behind a gateway.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections import Counter
 

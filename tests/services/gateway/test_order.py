@@ -2,8 +2,6 @@
 A gateway keeps the order of a read and the write behind it, whatever delays the read.
 """
 
-from __future__ import annotations
-
 import socket
 
 from libmodbus_py import Device, Gateway, Mapping, Route, Server, ServerDeviceBusy

@@ -2,8 +2,6 @@
 Requests and answers that a gateway does not pass on.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import (

@@ -2,8 +2,6 @@
 Requests that a gateway forwards as they came: which can be, and which answers fit them.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import ExceptionResponse, IllegalDataValue, IllegalFunction, InvalidResponse, pdu

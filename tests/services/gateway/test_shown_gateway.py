@@ -2,8 +2,6 @@
 A gateway as a page shows it: its lines and their queues, units that are silent, and who asks what.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 Units that rest, and functions that a unit leaves without an answer: with times from a list.
 """
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -2,8 +2,6 @@
 What a worker decides, one look at its clock after the other: what it writes, what it polls, when.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

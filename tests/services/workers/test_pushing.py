@@ -2,8 +2,6 @@
 A fleet file that is pushed into a bucket: what is written, what is counted, what is refused.
 """
 
-from __future__ import annotations
-
 import asyncio
 from typing import Any
 

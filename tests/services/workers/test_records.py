@@ -2,8 +2,6 @@
 What is taken from the bucket, and what is refused as nothing that a worker wrote.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from typing import Any

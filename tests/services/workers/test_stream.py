@@ -2,8 +2,6 @@
 The stream of readings on a simulated server of NATS.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any, cast
 

@@ -2,8 +2,6 @@
 What a worker knows of the bucket, change by change: times and revisions from a list.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from libmodbus_py.services.engine.buckets import Change

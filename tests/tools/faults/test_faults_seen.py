@@ -2,8 +2,6 @@
 What a client sees of each fault.
 """
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import replace
 

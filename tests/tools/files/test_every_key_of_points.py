@@ -3,8 +3,6 @@ Every key of a point, in every format that describes points: TOML, CSV, device f
 the JSON of devices, and classes for type checkers.
 """
 
-from __future__ import annotations
-
 import runpy
 from collections.abc import Callable
 from dataclasses import fields, replace

@@ -2,8 +2,6 @@
 The keys of files: a wrong key is told with the one that was meant; and amounts with units.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -4,8 +4,6 @@ The cells that masters read and write, by name: what a map says of a capture, an
 Frames are those of the application protocol (6.3, 6.6, 6.12, 6.16), with check bytes from talk.py.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from libmodbus_py import Point, RegisterMap

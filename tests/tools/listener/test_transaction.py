@@ -2,8 +2,6 @@
 What is known of one transaction, and the response times of a unit.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import pdu

@@ -2,8 +2,6 @@
 A page as a whole: what it shows first, what changes on it, pages beside each other, and its end.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 Pages with a table: rows that are looked at, searches, problems, history, names that are attacks.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from typing import Any

@@ -2,8 +2,6 @@
 The examples of device files keep what their comments promise, and have every key.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import fields

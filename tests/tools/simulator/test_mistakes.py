@@ -2,8 +2,6 @@
 Device files that are wrong, and what is said of them: both are in `golden/mistakes.txt`.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -2,8 +2,6 @@
 A device file that is read again while its devices are served: what stays, and what is told.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import queue

@@ -2,8 +2,6 @@
 The loop over a table of cases: one test that tries them all, and names those that failed.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterable
 

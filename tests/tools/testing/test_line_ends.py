@@ -1,7 +1,5 @@
 """The far ends of serial lines: nobody waits there for what was discarded meanwhile."""
 
-from __future__ import annotations
-
 import os
 import select
 import threading

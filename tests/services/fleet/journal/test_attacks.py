@@ -2,8 +2,6 @@
 Journals under attack: programs that are killed, disks that fail, clocks, defects, and floods.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

@@ -3,8 +3,6 @@ The disk of a journal: it is full, damaged, hangs, or reports errors, and what w
 onto it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os

@@ -3,8 +3,6 @@ The past of a value, for the chart of a page: numbers and gaps, and which values
 time if there are too many.
 """
 
-from __future__ import annotations
-
 from contextlib import closing
 from itertools import pairwise
 from typing import Any

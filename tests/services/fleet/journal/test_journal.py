@@ -3,8 +3,6 @@ A fleet with a journal, on simulated time and real files: outputs that are away,
 how it begins and ends.
 """
 
-from __future__ import annotations
-
 import asyncio
 import threading
 import time

@@ -2,8 +2,6 @@
 Polls as rows of a journal, the ids of readings, and the polls in memory.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Sequence
 

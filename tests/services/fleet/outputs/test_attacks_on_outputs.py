@@ -2,8 +2,6 @@
 Outputs under attack: servers that answer badly, disks that are full, reloads while readings wait.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os

@@ -2,8 +2,6 @@
 Outputs that would write to one place, or to a file the fleet is read from; several of a kind.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

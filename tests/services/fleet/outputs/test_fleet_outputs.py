@@ -2,8 +2,6 @@
 Outputs that are slow, full, gone or wrong: polling goes on, and what was lost is counted.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os

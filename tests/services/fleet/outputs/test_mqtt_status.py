@@ -3,8 +3,6 @@ What a real broker retains: the status of workers and devices, and last values a
 brokers that refuse a message, or die with it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import signal

@@ -3,8 +3,6 @@ Readings that an output can never take are told and dropped, and hold up no othe
 other side only ends the connection; all that fails for the moment is tried again.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import json
