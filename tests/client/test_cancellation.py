@@ -2,6 +2,8 @@
 Callers that leave: at any step of the loop, while they wait for anything. Nobody else notices.
 """
 
+from __future__ import annotations
+
 import asyncio
 import contextlib
 import random

@@ -2,6 +2,8 @@
 Timeouts, pauses, broadcasts, and connections that die, end and are made again, in bytes and times.
 """
 
+from __future__ import annotations
+
 import pytest
 
 from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, pdu

@@ -2,6 +2,8 @@
 Answers that come twice on lines without transaction ids: no later value is the one before.
 """
 
+from __future__ import annotations
+
 import random
 from typing import Any
 

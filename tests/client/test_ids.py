@@ -2,6 +2,8 @@
 Which answer is whose where frames carry transaction ids, told in bytes and times.
 """
 
+from __future__ import annotations
+
 import random
 
 import pytest

@@ -2,6 +2,8 @@
 Lines that return each request (local echo), at a client: an echo is no answer, and never a value.
 """
 
+from __future__ import annotations
+
 import logging
 from typing import Any
 

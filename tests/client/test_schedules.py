@@ -2,6 +2,8 @@
 Whatever happens to a connection: no wrong value, nobody who waits for ever, no slot that is lost.
 """
 
+from __future__ import annotations
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

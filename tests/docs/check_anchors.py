@@ -4,6 +4,8 @@ Compare what is public with what the built documentation has: ``check_anchors.py
 Ends with 1 if a public name has no place in the API pages.
 """
 
+from __future__ import annotations
+
 import importlib.util
 import re
 import sys

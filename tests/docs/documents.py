@@ -6,6 +6,8 @@ Fences of Python and shell run, with no names but those of blocks before them; o
 a fence says why it is neither. The other fences are pictures, for whoever reads.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -2,6 +2,8 @@
 For mkdocstrings: the arguments of client methods, and the public names of packages with a stub.
 """
 
+from __future__ import annotations
+
 import re
 from pathlib import Path
 from typing import Any

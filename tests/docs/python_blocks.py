@@ -12,6 +12,8 @@ anything else                       is for readers
 ==================================  ============================================================
 """
 
+from __future__ import annotations
+
 import ast
 import io
 import re

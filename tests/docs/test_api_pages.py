@@ -2,6 +2,8 @@
 The parts of the pages of the API begin with what a program constructs or calls.
 """
 
+from __future__ import annotations
+
 import re
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """How the documentation is built from its pages: links, copy buttons, search, pictures."""
 
+from __future__ import annotations
+
 import json
 import re
 import runpy

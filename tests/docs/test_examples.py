@@ -2,6 +2,8 @@
 The runner of documents: what it takes, and what it does not let pass.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from pathlib import Path
 

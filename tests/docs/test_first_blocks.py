@@ -5,6 +5,8 @@ It gets no names, files or servers but its own, and those of the files with titl
 the addresses of this machine are replaced, because two processes cannot have the same port.
 """
 
+from __future__ import annotations
+
 import os
 import subprocess
 import sys

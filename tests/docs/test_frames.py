@@ -2,6 +2,8 @@
 The frames that pages show are worked examples, and those this package makes.
 """
 
+from __future__ import annotations
+
 import re
 
 from sybil import Document

@@ -2,6 +2,8 @@
 What the page about the code says is there: the table of states, files, and named exceptions.
 """
 
+from __future__ import annotations
+
 import re
 import textwrap
 

@@ -2,6 +2,8 @@
 The loops of the page about programs that run for ever go on while a device is down, also at first.
 """
 
+from __future__ import annotations
+
 import asyncio
 import re
 from collections.abc import Callable, Iterator

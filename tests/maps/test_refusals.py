@@ -2,6 +2,8 @@
 Plans of devices that fail in other ways, or change: no hole is made up, and no value is wrong.
 """
 
+from __future__ import annotations
+
 import random
 from typing import Any
 

@@ -2,6 +2,8 @@
 read --watch --page: the values in a browser too, while they are printed as without it.
 """
 
+from __future__ import annotations
+
 import signal
 from typing import Any
 

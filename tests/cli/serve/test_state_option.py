@@ -2,6 +2,8 @@
 The option --state of serve: written values survive a restart, however the server ended.
 """
 
+from __future__ import annotations
+
 import re
 import signal
 from pathlib import Path

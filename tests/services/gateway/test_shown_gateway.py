@@ -2,6 +2,8 @@
 A gateway as a page shows it: its lines and their queues, units that are silent, and who asks what.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import pytest

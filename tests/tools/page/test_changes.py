@@ -2,6 +2,8 @@
 Values that are typed on a page: set, or refused with the reason; values that are held; and faults.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path

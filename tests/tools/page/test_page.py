@@ -2,6 +2,8 @@
 A page as a whole: what it shows first, what changes on it, pages beside each other, and its end.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import pytest

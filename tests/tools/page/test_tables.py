@@ -2,6 +2,8 @@
 Pages with a table: rows that are looked at, searches, problems, history, names that are attacks.
 """
 
+from __future__ import annotations
+
 import math
 import time
 from typing import Any
