@@ -14,17 +14,13 @@ from libmodbus_py import Client, Device, Limits, Mapping, Server, framing
 from libmodbus_py.server.peer import READ_BYTES
 from tests.simulation.attackers import Attackers, Innocent
 from tests.simulation.stage import Stage
-from tests.support import attacks
 from tests.support.attacks import (
     ATTACKS,
     UNIT,
     Attack,
-    AttackerProcess,
-    ServerProcess,
     adu,
     ask,
     connect,
-    descriptor_limit,
 )
 from tests.support.certificates import Papers
 
@@ -130,10 +126,6 @@ def test_any_request_gets_one_answer_or_none(port: int, body: bytes, transaction
         assert frames[0].pdu[0] & 0x7F == body[0] & 0x7F or body[0] & 0x80
 
 
-# What a server may grow by. 50 that never read leave 64 KiB of answers each, and what came in one
-# turn.
-MEMORY = 64 << 20
-
 # How many of those that send something are enough: in a turn 128 connections are read.
 SENDERS = 200
 
@@ -178,26 +170,3 @@ def test_an_innocent_client_waits_for_few_of_the_others(
         assert waited.longest <= others(attack) + 1
         assert stage.until(lambda: server.statistics.connections == 1)
         assert innocent.poll(5).turns == [0] * 5
-
-
-def test_an_innocent_client_of_the_system_loses_nothing() -> None:
-    """The real copy of one attack, from a process of its own upon another."""
-    attack = next(attack for attack in ATTACKS if attack.name == "50 that never read")
-    with (
-        descriptor_limit(),
-        ServerProcess() as server,
-        attacks.Innocent(server.port) as innocent,
-        AttackerProcess(attack, server.attacked_port) as attackers,
-    ):
-        undisturbed = innocent.poll(0.05)
-        descriptors, resident = server.descriptors(), server.resident()
-        attackers.begin()
-        attacked = innocent.poll(0.2, until=attackers.all_attack)
-        grown = server.resident() - resident
-        done = attackers.end()
-        assert done.connected >= attack.connections
-        for polled in (undisturbed, attacked):
-            assert polled.requests > 0
-            assert (polled.lost, polled.wrong) == (0, 0)
-        assert grown < MEMORY
-        assert server.has_descriptors(descriptors)
