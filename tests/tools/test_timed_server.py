@@ -75,16 +75,6 @@ def test_the_oldest_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
             assert is_answered(latest)
 
 
-def test_all_connections_are_closed_at_the_end() -> None:
-    with serving() as server:
-        first, second = connected(server), connected(server)
-        assert is_answered(first)
-        assert is_answered(second, b"k")
-    with first, second:
-        assert not is_answered(first)
-        assert not is_answered(second)
-
-
 def test_what_a_handler_raises_is_logged_unless_the_client_has_gone(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
