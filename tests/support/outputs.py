@@ -17,7 +17,7 @@ def reading(device: str, name: str, value: Any = 1, time: float = 100.0) -> Read
     return Reading(time, device, name, value, "V", "good")
 
 
-class Picky(Output):
+class FakeOutput(Output):
     """
     An output that takes what it likes.
 
@@ -32,7 +32,7 @@ class Picky(Output):
 
     def __init__(
         self,
-        name: str = "picky",
+        name: str = "fake",
         *,
         is_away: bool = False,
         next: Sequence[BaseException | float] = (),

@@ -72,9 +72,7 @@ def test_a_client_sees_the_fault_and_the_next_request_succeeds(
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu", "ascii"])
-def test_a_client_with_patience_gets_delayed_and_trickled_answers(
-    stage: Stage, scheme: str
-) -> None:
+def test_a_client_with_a_long_timeout_gets_late_and_slow_answers(stage: Stage, scheme: str) -> None:
     faults = [Fault("delay", function=3, seconds=50), Fault("trickle", seconds=0.5)]
     with serving(stage, scheme, *faults) as url, client_of(url) as client:
         assert client.read_holding_registers(0, 3) == [555, 0, 100]

@@ -75,7 +75,7 @@ def test_values_that_json_lacks_are_none_in_a_row() -> None:
     assert encoded(poll, POINTS).data == '[{"x":null}]'
 
 
-class Shelf:
+class FakeJournal:
     """A journal that has these polls, and no others between them."""
 
     def __init__(self, *every: JournalPoll) -> None:
@@ -96,29 +96,29 @@ class Shelf:
         return behind[:2], number
 
 
-def place_in(shelf: Shelf, confirmed: int, waiting: int) -> JournalPlace:
-    return JournalPlace("x", shelf, confirmed, waiting)
+def place_in(journal: FakeJournal, confirmed: int, waiting: int) -> JournalPlace:
+    return JournalPlace("x", journal, confirmed, waiting)
 
 
 @in_simulated_time
-async def test_a_place_never_falls() -> None:
-    shelf = Shelf(*polls(1, 4))
-    place = place_in(shelf, 0, 8)
+async def test_an_output_that_confirms_twice_or_late_goes_on_where_it_was() -> None:
+    journal = FakeJournal(*polls(1, 4))
+    place = place_in(journal, 0, 8)
     first, second = await place.take_polls(2), await place.take_polls(2)
     await place.confirm(second)
     for old in (second, first, []):  # an output that confirms twice, or late
         await place.confirm(old)
         place.drop(old)
-    assert (place.confirmed, place.dropped, shelf.noted) == (4, 0, 1)
+    assert (place.confirmed, place.dropped, journal.noted) == (4, 0, 1)
     place.put_back(first)
     assert [each.id for each in await place.take_polls(2)] == [5, 6]
 
 
 @in_simulated_time
 async def test_a_disk_that_notes_nothing_delays_an_output_by_a_second() -> None:
-    shelf = Shelf(*polls(1, 4))
-    shelf.is_stuck = True
-    place = place_in(shelf, 0, 8)
+    journal = FakeJournal(*polls(1, 4))
+    journal.is_stuck = True
+    place = place_in(journal, 0, 8)
     loop = asyncio.get_running_loop()
     begun = loop.time()
     await place.confirm(await place.take_polls(2))
