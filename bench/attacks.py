@@ -3,7 +3,7 @@ A server under attack: ./run python -m bench.attacks [SECONDS]
 
 What an innocent client sees before, and meanwhile.
 
-The attacks are those of tests/attacks.py. Attackers and the innocent stand for other
+The attacks are those of tests/support/attacks.py. Attackers and the innocent stand for other
 machines: the server has a processor to itself (if there are two), the attackers run at the
 lowest priority, and the innocent before all others (if root measures). Nobody else should
 use this machine meanwhile.
@@ -19,12 +19,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from bench.attackers import AttackerProcess, Innocent, Polled
 from tests.support.attacks import (
     ATTACKS,
     Attack,
-    AttackerProcess,
-    Innocent,
-    Polled,
     ServerProcess,
     churn,
     descriptor_limit,

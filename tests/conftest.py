@@ -2,8 +2,6 @@
 What the tests share: a device with known contents, and a server for it on every transport.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

@@ -4,8 +4,6 @@ Random bytes and mutations of worked examples, for everything that takes bytes f
 What must hold stands in fuzz/checks.py; ``./run fuzz`` drives the same with coverage.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any, Literal

@@ -2,8 +2,6 @@
 The fixture that says what a test left: each kind by name, and nobody else's.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,9 +1,11 @@
-"""Calls of Linux, and the pipe that takes the place of an eventfd in a Python without it."""
+"""
+Calls of Linux, and names that are imported when they are first used.
+"""
 
-from __future__ import annotations
-
+import importlib
 import os
 import select
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from libmodbus_py.system import (
     Flag,
     lock_file,
 )
+from tests.support.cases import each_case
 
 # --- flags --------------------------------------------------------------------------------------
 
@@ -71,3 +74,58 @@ def test_a_file_is_locked(tmp_path: Path) -> None:
         lock_file(first.fileno())
         with pytest.raises(BlockingIOError):
             lock_file(second.fileno())
+
+
+PACKAGE = "late_names"
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A package with the public name `thing`, whose home is `home.py`."""
+    folder = tmp_path / PACKAGE
+    folder.mkdir()
+    (folder / "__init__.py").write_text(
+        "from libmodbus_py.late import Public\n__getattr__ = Public(__name__, __file__).named\n"
+    )
+    (folder / "__init__.pyi").write_text("from .home import thing as thing\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield folder
+    _forget()
+
+
+def _forget() -> None:
+    importlib.invalidate_caches()
+    for name in [name for name in sys.modules if name.startswith(PACKAGE)]:
+        del sys.modules[name]
+
+
+@each_case(
+    ("way", "home", "told"),
+    [
+        (way, home, told)
+        for way in (f"from {PACKAGE} import thing", f"import {PACKAGE} as p; p.thing")
+        for home, told in (
+            ("import os\nos.absent\n", "module 'os' has no attribute 'absent'"),
+            ("another = 1\n", f"module '{PACKAGE}.home' has no attribute 'thing'"),
+        )
+    ],
+)
+def test_the_reason_is_shown_when_the_module_of_a_name_fails(
+    package: Path, way: str, home: str, told: str
+) -> None:
+    (package / "home.py").write_text(home)
+    _forget()
+    with pytest.raises(ImportError, match=rf"^cannot import {PACKAGE}\.home: {told}$") as caught:
+        exec(way, {})
+    assert isinstance(caught.value.__cause__, AttributeError)
+
+
+def test_other_errors_of_the_module_are_raised_as_they_are(package: Path) -> None:
+    (package / "home.py").write_text("raise ValueError('on purpose')\n")
+    with pytest.raises(ValueError, match="on purpose"):
+        exec(f"from {PACKAGE} import thing", {})
+
+
+def test_a_name_that_is_not_public_is_an_attribute_error(package: Path) -> None:
+    (package / "home.py").write_text("thing = 1\n")
+    assert not hasattr(importlib.import_module(PACKAGE), "nothing")

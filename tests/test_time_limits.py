@@ -2,8 +2,6 @@
 A test that hangs fails, wherever it hangs and whatever it swallows, and the next one runs.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from textwrap import dedent

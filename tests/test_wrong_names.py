@@ -2,8 +2,6 @@
 Names of arguments, tables, types and orders that are wrong: the error names the one that was meant.
 """
 
-from __future__ import annotations
-
 import copy
 import inspect
 import pickle

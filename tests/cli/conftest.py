@@ -3,8 +3,6 @@ Servers for the tests of commands: one of the command line, a device in this pro
 typed for others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

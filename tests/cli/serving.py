@@ -2,8 +2,6 @@
 Commands that serve, a device, a map and a fleet file, for the tests of commands.
 """
 
-from __future__ import annotations
-
 import re
 import signal
 from collections.abc import Iterator

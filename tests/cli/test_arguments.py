@@ -3,8 +3,6 @@ Options: those of URLs have the same names, and apply to clients, servers and ga
 other programs have equivalents.
 """
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -2,8 +2,6 @@
 The command certificates: what lies in the directory afterwards.
 """
 
-from __future__ import annotations
-
 import shlex
 import ssl
 import subprocess

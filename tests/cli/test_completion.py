@@ -2,8 +2,6 @@
 Completion in real shells and whatever the order of the words.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

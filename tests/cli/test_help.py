@@ -4,8 +4,6 @@ The text of every --help and --help-all: its golden file, its size, its examples
 `./run test --make-golden tests/cli` writes the files again after a change of texts or options.
 """
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -2,8 +2,6 @@
 --log and --log-format: what commands that run for long log, and how.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import re

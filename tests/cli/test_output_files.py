@@ -3,8 +3,6 @@
 what a terminal shows meanwhile.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import resource

@@ -7,8 +7,6 @@ What is typed is read from these files, too: a new line that begins with $ is a 
 Ports, times and durations are not the same each time, and are replaced.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Iterator

@@ -2,8 +2,6 @@
 TLS from the command line: what it takes, and what it says when that is wrong.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os

@@ -6,8 +6,6 @@ made or written, and nothing is sent for wrong usage (exit code 2).
 no capture.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

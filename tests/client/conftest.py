@@ -2,8 +2,6 @@
 What the tests of clients share.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -2,8 +2,6 @@
 The asyncio client at the edges of its port: sends that fail or take a while, and its clock.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

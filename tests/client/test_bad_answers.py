@@ -2,8 +2,6 @@
 Answers that are none: the right error, at the right time, and the next request succeeds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -2,17 +2,14 @@
 AsyncClient: the vocabulary over every transport, and many requests at once.
 """
 
-from __future__ import annotations
-
 import asyncio
-import inspect
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import pytest
 
-from libmodbus_py import Client, Device, IllegalDataAddress, Mapping, Server, pdu
+from libmodbus_py import Device, IllegalDataAddress, Mapping, Server, pdu
 from libmodbus_py.client.asynchronous import AsyncClient
 from tests.simulation.scripted import Scripted
 from tests.support.clients import Awaited, threadsafe
@@ -33,21 +30,6 @@ from tests.support.scripted import run
 from tests.support.transports import serving
 
 # --- one vocabulary -------------------------------------------------------------------
-
-
-def test_both_clients_have_the_same_methods_with_the_same_parameters() -> None:
-    # What a blocking client has no use for: requests that nobody awaits.
-    others = {"submit", "abandon", "has_ids", "ready_at", "room"}
-    public = {name for name in dir(AsyncClient) if not name.startswith("_")} - others
-    assert public == {name for name in dir(Client) if not name.startswith("_")}
-    assert {"read_coils", "execute_many", "read_many", "write_values", "for_unit"} <= public
-    for name in public:
-        blocking, asynchronous = getattr(Client, name), getattr(AsyncClient, name)
-        if not isinstance(blocking, property):
-            # What is awaited has another type where iteration is asynchronous, too.
-            parameters = [inspect.signature(each).parameters for each in (asynchronous, blocking)]
-            assert parameters[0] == parameters[1], name
-            assert inspect.getdoc(asynchronous), name
 
 
 def test_wrong_arguments_are_told_where_the_call_is_awaited() -> None:

@@ -2,8 +2,6 @@
 Connections that cannot be made, that die, that end, and those that are made in their place.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno
@@ -35,7 +33,6 @@ from tests.support.clients import (
     ALL,
     Connect,
     World,
-    asking,
     connecting,
     read,
 )
@@ -64,17 +61,6 @@ def test_connection_error_says_why(connect: Connect, host: str, number: int | No
     assert caught.value.__cause__ is not None
     assert number is None or caught.value.errno in (number, errno.ENETUNREACH)
     assert host[:20] in str(caught.value)
-
-
-@pytest.mark.parametrize("kind", ["blocking", "asyncio"])
-def test_a_dead_host_on_the_real_system(kind: str) -> None:
-    with (
-        dead() as port,
-        pytest.raises(ModbusConnectionError) as caught,
-        asking(kind, f"tcp://127.0.0.1:{port}", timeout=0.1),
-    ):
-        pass
-    assert caught.value.errno == errno.ETIMEDOUT
 
 
 @ALL

@@ -2,8 +2,6 @@
 The usual mistakes, each said in the one line of the error that it leads to.
 """
 
-from __future__ import annotations
-
 import errno
 import re
 from collections.abc import Callable

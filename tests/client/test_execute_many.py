@@ -2,8 +2,6 @@
 Many requests in flight on one connection: order, limits, and all that may go wrong.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

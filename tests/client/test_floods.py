@@ -2,23 +2,18 @@
 Peers that send without end: the wait ends when it must, and little is kept of what they sent.
 """
 
-from __future__ import annotations
-
 import contextlib
 import random
-import subprocess
-import sys
 import threading
-import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 
 import pytest
 
-from libmodbus_py import ModbusError, framing
+from libmodbus_py import ModbusError
 from tests.simulation.network import Network
 from tests.support.clients import World, asking, making, read
-from tests.support.peers import FakeUnit, OnRequest, Write, peer_at
+from tests.support.peers import OnRequest, Write, peer_at
 
 # An answer whose id no request has.
 STRANGE = bytes.fromhex("FFFF0000000501030200AA")
@@ -130,38 +125,6 @@ def test_a_line_that_is_never_quiet_ends_the_wait(pause: float, scheme: str, wor
             assert len(str(error)) < 300
 
 
-FLOODER = """
-import contextlib, os, sys
-while True:
-    with contextlib.suppress(BlockingIOError):  # there is no room
-        os.write(int(sys.argv[1]), bytes.fromhex(sys.argv[2]))
-"""
-
-
-@contextlib.contextmanager
-def noisy_line(noise: bytes) -> Iterator[str]:
-    """A serial line on which another process writes without end."""
-    with FakeUnit(lambda request: []) as unit:
-        fd = unit._master
-        command = [sys.executable, "-c", FLOODER, str(fd), noise.hex()]
-        with subprocess.Popen(command, pass_fds=[fd]) as process:
-            try:
-                yield unit.url
-            finally:
-                process.kill()
-
-
-@pytest.mark.parametrize("kind", ["blocking", "asyncio"])
-def test_a_real_line_that_is_never_quiet_ends_the_wait(kind: str) -> None:
-    with (
-        noisy_line(bytes(range(0x80, 0x90))) as url,
-        asking(kind, url, timeout=0.1) as client,
-    ):
-        for _ in range(2):
-            error = failure(lambda: read(client, 1))
-            assert len(error.received) <= 600
-
-
 # --- while nobody asks ----------------------------------------------------------------------------
 
 
@@ -191,20 +154,3 @@ def test_an_idle_client_leaves_a_flood_unread(
         assert not reads
         failure(lambda: read(client, 1))
         assert reads
-
-
-@pytest.mark.parametrize(
-    "pattern", [b"\x01\x03\xfa", b"\x01\x10", b"\x01\x2b\x0e", b"\x01\x03\x02", bytes(range(256))]
-)
-def test_the_framer_of_rtu_costs_little_for_each_byte(pattern: bytes) -> None:
-    """Bytes that begin frames at every place; 64 kB must not stop an event loop."""
-    framer = framing.RtuFramer("client")
-    data = pattern * (65_536 // len(pattern))
-    longest = 0.0
-    start = time.process_time()
-    for at in range(0, len(data), 4096):
-        before = time.process_time()
-        framer.scan(data[at : at + 4096])
-        longest = max(longest, time.process_time() - before)
-    assert time.process_time() - start < 0.4  # 1.5 us a byte; it was 8 to 17
-    assert longest < 0.2

@@ -2,8 +2,6 @@
 Every method of both clients, with the server of this package on every transport.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

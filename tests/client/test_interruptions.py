@@ -2,8 +2,6 @@
 Requests that are interrupted: by signals, finalizers, another thread, whatever a call raises.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

@@ -2,8 +2,6 @@
 One request at a time on lines without ids: what is sent when, and what is an answer.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import FrameError, IllegalDataAddress, InvalidResponse, ModbusTimeoutError, pdu

@@ -2,8 +2,6 @@
 How long a line is left alone after a failure, and what is kept of what comes meanwhile.
 """
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -57,7 +55,7 @@ def test_the_silence_is_as_long_as_the_timeout_of_the_request_that_failed() -> N
     assert talk.times == pytest.approx([0, 0.6])
 
 
-def trickled(talk: Talk, data: bytes, seconds: float) -> None:
+def send_slowly(talk: Talk, data: bytes, seconds: float) -> None:
     """Bytes every 100 ms."""
     for _ in range(round(seconds * 10)):
         talk.come(data)
@@ -69,9 +67,9 @@ def test_a_unit_that_does_not_fall_silent_is_asked_after_one_timeout(data: bytes
     talk = Talk(LINE, timeout=1)
     unanswered(talk, 0)
     batch = talk.ask(6)
-    trickled(talk, data, 0.9)
+    send_slowly(talk, data, 0.9)
     assert len(talk.sent) == 1
-    trickled(talk, data, 0.2)
+    send_slowly(talk, data, 0.2)
     assert len(talk.sent) == 2
     talk.wait(1)
     assert batch.is_done
@@ -82,7 +80,7 @@ def test_what_is_sent_without_silence_has_its_answer_on_hold() -> None:
     unanswered(talk, 0)
     for frame, result in ((value(0), InvalidResponse), (b"", [7])):
         batch = talk.ask(7)
-        trickled(talk, value(0)[:2], 1.0)
+        send_slowly(talk, value(0)[:2], 1.0)
         talk.wait(0.2)
         talk.come(frame or value(7))
         talk.wait(0.1)
@@ -96,7 +94,7 @@ def test_a_repetition_does_not_wait_for_ever_for_silence() -> None:
     talk = Talk(LINE, timeout=1, retries=1)
     batch = talk.ask(6)
     talk.wait(1)
-    trickled(talk, b"\x01", 2.2)
+    send_slowly(talk, b"\x01", 2.2)
     assert isinstance(batch.outcomes[0], ModbusError)
     assert talk.is_at_rest
 
@@ -105,10 +103,10 @@ def test_a_caller_that_left_does_not_shorten_the_patience_of_the_next() -> None:
     talk = learnt(1)
     unanswered(talk, 0)
     leaving = talk.ask(6)
-    trickled(talk, b"\x01", 0.5)
+    send_slowly(talk, b"\x01", 0.5)
     talk.cancel(leaving)
     talk.ask(7)
-    trickled(talk, b"\x01", 0.9)
+    send_slowly(talk, b"\x01", 0.9)
     assert len(talk.sent) == 1
 
 

@@ -2,8 +2,6 @@
 Maps whose points have scales of the device, or are parts of registers: what clients ask.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import threading

@@ -2,20 +2,14 @@
 Devices that do what the specification does not say, each with the option that it needs.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
 
 from libmodbus_py import (
-    Client,
-    Device,
     InvalidResponse,
-    Mapping,
     ModbusConnectionError,
     ModbusTimeoutError,
-    Server,
     State,
     pdu,
 )
@@ -202,17 +196,6 @@ def test_an_answer_that_takes_longer_than_idle_close_is_awaited(world: World) ->
     with world.connect(peer.url, timeout=5, idle_close=0.5) as plc:
         assert read(plc, 7) == 7
     assert peer.connections == 1
-
-
-def test_so_it_is_over_the_real_system() -> None:
-    with (
-        Server(Device(Mapping(holding_registers=10))).background("tcp://127.0.0.1:0") as running,
-        Client(running.urls[0], idle_close=0.1) as plc,
-    ):
-        for _ in plc.watch([("holding_registers", 0)], every=0.2):
-            if plc.statistics.connects == 2:
-                break
-        assert plc.statistics.lost == 0
 
 
 # --- bytes between frames -----------------------------------------------------------------------

@@ -2,16 +2,12 @@
 Maps and plans of devices that lack some registers, on both clients: requests are counted.
 """
 
-from __future__ import annotations
-
-import asyncio
 import logging
 from typing import Any
 
 import pytest
 
 from libmodbus_py import (
-    AsyncClient,
     IllegalDataAddress,
     ModbusTimeoutError,
     Plan,
@@ -20,7 +16,6 @@ from libmodbus_py import (
 )
 from tests.simulation.scripted import Scripted
 from tests.support.clients import World
-from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import Write, mbap
 
 H = "holding_registers"
@@ -181,27 +176,6 @@ def test_items_that_are_no_plan_are_read_as_they_are(world: World) -> None:
         assert device.taken() == 1
 
 
-def test_it_is_tried_again_when_it_is_time(world: World) -> None:
-    device = Meter(7)
-    peer = world.peer("tcp", device)
-    with world.connect(peer.url) as plc:
-        plc.read_map(POINTS, return_exceptions=True)
-        device.taken()
-        counts = []
-        for _ in range(125):
-            world.sleep(10)
-            plc.read_map(POINTS, return_exceptions=True)
-            counts.append(device.taken())
-        assert [10 * (at + 1) for at, count in enumerate(counts) if count == 3] == [600, 1200]
-        # So it is after another connection, once it is there.
-        device.missing.clear()
-        peer.drop_all()
-        for _ in range(3):
-            found = plc.read_map(POINTS, return_exceptions=True)
-        assert found == values()
-        assert plc.unreadable(POINTS) == []
-
-
 def test_silence_is_no_hole(world: World) -> None:
     device = Meter()
     device.silent.add(7)
@@ -221,34 +195,3 @@ def test_what_is_found_is_logged_once(world: World, caplog: pytest.LogCaptureFix
             f"{plc.url}, unit 1: cannot be read: p7, holding_registers 7 (1 register): "
             "illegal data address (exception 2)"
         ]
-
-
-def test_cancelled_in_the_midst_of_halving() -> None:
-    """At each request: what is known then is true, and the next poll completes it."""
-
-    async def main(peer: Scripted) -> None:
-        for stop in range(1, 12):
-            async with AsyncClient(peer.url) as plc:
-                device.taken()
-                reading = asyncio.create_task(plc.read_map(POINTS, return_exceptions=True))
-                while len(device.asked) < stop and not reading.done():
-                    await asyncio.sleep(1e-5)
-                reading.cancel()
-                await asyncio.gather(reading, return_exceptions=True)
-                assert {each.name for each in plc.unreadable(POINTS)} <= {"p7"}
-                found = await plc.read_map(POINTS, return_exceptions=True)
-                assert good(found) == values(7)
-
-    device = Meter(7)
-    run_peer(device, main)
-
-
-def test_two_tasks_poll_one_plan_at_once() -> None:
-    async def use(plc: AsyncClient, peer: Scripted) -> None:
-        for _ in range(2):
-            polls = [plc.read_map(POINTS, return_exceptions=True) for _ in range(5)]
-            for found in await asyncio.gather(*polls):
-                assert good(found) == values(7, 15)
-        assert [each.name for each in plc.unreadable(POINTS)] == ["p7", "p15"]
-
-    run_client(Meter(7, 15), use)

@@ -2,8 +2,6 @@
 Programs with clients: that fork, that have no descriptor left, that end or are killed.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

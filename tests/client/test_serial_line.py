@@ -2,8 +2,6 @@
 What is particular to serial lines: silence, echo, direction control, settings.
 """
 
-from __future__ import annotations
-
 import fcntl
 import re
 import subprocess

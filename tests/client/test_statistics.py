@@ -2,8 +2,6 @@
 What a connection counts: what became of each request, and how long answers took.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

@@ -1,24 +1,33 @@
 """
-Requests that are submitted: told of once, whatever happens, and never waited for.
+Requests that are submitted, and hooks that decide whether one is sent.
 """
 
-from __future__ import annotations
-
 import asyncio
+import errno
+from typing import Any
 
 import pytest
 
 from libmodbus_py import (
     AsyncClient,
+    Client,
     IllegalDataAddress,
     ModbusConnectionError,
     ModbusTimeoutError,
     pdu,
 )
 from libmodbus_py.client.sender import Sender
+from libmodbus_py.ports.port import Port
+from libmodbus_py.ports.serial import SerialPort
+from libmodbus_py.ports.sockets import StreamPort
+from libmodbus_py.ports.trace import Traced
+from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.scripted import Scripted
+from tests.support.clients import World
 from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import Write, answering, echo, ignore, mbap
+from tests.support.reads import good, good_at
+from tests.support.talk import Talk
 
 READ = pdu.ReadHoldingRegisters(7, 1)
 
@@ -94,3 +103,130 @@ def test_what_cannot_be_sent_is_refused_at_once() -> None:
         await client.close()
 
     asyncio.run(use())
+
+
+class Gate:
+    """Says whether anything may be sent; counts how often it was asked."""
+
+    def __init__(self, is_open: bool = True) -> None:
+        self.is_open = is_open
+        self.asked = 0
+
+    def __call__(self) -> bool:
+        self.asked += 1
+        return self.is_open
+
+    def shut(self, *_: object) -> None:
+        self.is_open = False
+
+
+def refused(outcome: object) -> bool:
+    return isinstance(outcome, ModbusConnectionError) and outcome.errno == errno.EPERM
+
+
+def test_nothing_connects_or_is_sent_until_it_may() -> None:
+    gate = Gate(is_open=False)
+
+    async def main(peer: Scripted) -> None:
+        plc = AsyncClient(peer.url, may_send=gate)
+        with pytest.raises(ModbusConnectionError, match="may_send allows no request") as caught:
+            await plc.read_holding_registers(7, 1)
+        assert refused(caught.value)
+        assert peer.connections == 0
+        gate.is_open = True
+        assert await plc.read_holding_registers(7, 1) == [7]
+        asked = gate.asked
+        assert await plc.read_holding_registers(8, 1) == [8]
+        assert gate.asked > asked
+        gate.is_open = False
+        with pytest.raises(ModbusConnectionError, match="may_send"):
+            await plc.read_holding_registers(7, 1)
+        await plc.close()
+        assert len(peer.requests) == 2
+
+    run_peer(good, main)
+
+
+@pytest.mark.parametrize(
+    ("options", "sent"), [({"max_in_flight": 1}, 1), ({"connect_delay": 0.1}, 0)]
+)
+def test_those_that_wait_are_not_sent_once_it_is_over(options: Any, sent: int) -> None:
+    """They wait for a slot, or for the delay after connecting: asked at their start it was yes."""
+    gate = Gate()
+
+    async def use(plc: AsyncClient, peer: Scripted) -> None:
+        asking = [asyncio.create_task(plc.read_holding_registers(7, 1)) for _ in range(3)]
+        await asyncio.sleep(0.03)
+        gate.shut()
+        outcomes = await asyncio.gather(*asking, return_exceptions=True)
+        assert len(peer.requests) == sent
+        assert sum(map(refused, outcomes)) == 3 - sent
+
+    run_client(good_at("tcp", after=0.1), use, may_send=gate, **options)
+
+
+def test_false_is_no_mistake_and_all_but_true_and_false_is(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    for allowed in (False, True):
+        talk = Talk(may_send=lambda allowed=allowed: allowed)
+        assert talk.ask(1).is_done is not allowed
+        assert caplog.records == []
+    for mistake in (lambda: 1, lambda: 0, lambda: None, lambda: "yes", lambda: 1 / 0 > 0):
+        (outcome,) = Talk(may_send=mistake).ask(1).outcomes
+        assert refused(outcome)
+        assert "may_send" in str(outcome)
+        assert caplog.records
+        caplog.clear()
+
+
+def test_it_is_for_asyncio_alone() -> None:
+    with pytest.raises(TypeError, match="may_send"):
+        Client("tcp://127.0.0.1", may_send=Gate())  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="may_send must be a function"):
+        AsyncClient("tcp://127.0.0.1", may_send=1)  # type: ignore[typeddict-item]
+
+
+@pytest.mark.parametrize("when", ["given", "traced"])
+def test_nothing_goes_while_a_line_is_turned_round(
+    when: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With RTS the frame leaves later than it was given to the port."""
+    gate = Gate()
+    send = SerialPort.send
+
+    def stopping(self: SerialPort, adus: list[bytes], now: float) -> None:
+        send(self, adus, now)
+        gate.shut()
+
+    async def main(wire: SerialWire) -> None:
+        url = f"rtu://{wire.client}?baudrate=115200&rs485=rts-up&rts_delay=0.05"
+        trace = gate.shut if when == "traced" else None
+        async with AsyncClient(url, may_send=gate, timeout=10, trace=trace) as plc:
+            with pytest.raises(ModbusConnectionError) as caught:
+                await plc.read_holding_registers(0, 1)
+            assert refused(caught.value)
+
+    monkeypatch.setattr(SerialPort, "send", stopping if when == "given" else send)
+    with SerialWire() as wire:
+        asyncio.run(main(wire))
+        assert wire.sent_by("client") == b""
+
+
+def test_what_could_not_be_sent_is_not_traced(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The connection ends when the frame is to be sent."""
+
+    def fail(self: Port, adus: list[bytes], now: float) -> None:
+        raise ModbusConnectionError("reset", errno=errno.ECONNRESET)
+
+    traced: list[Traced] = []
+    with world.client_of("tcp", good, trace=traced.append) as plc:
+        with monkeypatch.context() as patch:
+            patch.setattr(StreamPort, "send", fail)
+            with pytest.raises(ModbusConnectionError):
+                plc.read_holding_registers(5, 1)
+        assert traced == []
+        assert plc.read_holding_registers(5, 1) == [5]
+        assert [each.direction for each in traced] == ["sent", "received"]

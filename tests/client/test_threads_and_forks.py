@@ -2,8 +2,6 @@
 Clients among threads and forks, and what is left of those that nobody closed.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import copy

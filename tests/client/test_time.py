@@ -2,8 +2,6 @@
 How long things take: time-outs, pauses, repetitions, broadcasts.
 """
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -15,12 +13,8 @@ import pytest
 from libmodbus_py import (
     AsyncClient,
     Client,
-    Device,
-    Mapping,
     ModbusConnectionError,
     ModbusTimeoutError,
-    Server,
-    ServerDeviceBusy,
     State,
     pdu,
 )
@@ -66,19 +60,6 @@ def test_timeouts_of_the_client_the_handle_and_the_request(world: World) -> None
             plc.execute(REQUEST)
 
 
-@pytest.mark.parametrize("seconds", [0.001, 0.0123, 1.0, 59.9999, 3600.0, 80_000.0])
-def test_an_answer_just_before_the_end_of_the_timeout_counts(world: World, seconds: float) -> None:
-    """And one behind it does not: a client that polls counts whole milliseconds."""
-    late = seconds - 0.0005
-    peer = world.peer("tcp", lambda request, write: write(echo(request), after=late))
-    with world.connect(peer.url, timeout=seconds) as plc:
-        with world.lasting(late):
-            assert read(plc, 5) == 5
-        late = seconds + 0.0015
-        with world.lasting(seconds), pytest.raises(ModbusTimeoutError):
-            read(plc, 6)
-
-
 def test_handles_with_their_own_timeouts_share_a_connection(world: World) -> None:
     def two_units(request: bytes, write: Write) -> None:
         if request[6] == 1:
@@ -109,34 +90,6 @@ def test_spacing_and_delay_are_kept(world: World) -> None:
 
 
 # --- once more ------------------------------------------------------------------------------------
-
-
-def test_retries_are_sent_and_counted(world: World) -> None:
-    peer = world.peer("tcp", answering(silent, None, echoing, silent))
-    with world.connect(peer.url, timeout=0.1, retries=2, max_pause=0) as plc:
-        with world.lasting(0.1, more=0.01):
-            assert plc.execute(REQUEST) == [5]
-        assert peer.connections == 2
-        assert plc.statistics.retries == 2
-        for ask in (lambda: plc.execute(REQUEST, retries=0), lambda: plc.diagnostics(0, 1)):
-            with world.lasting(0.1), pytest.raises(ModbusTimeoutError):
-                ask()
-        assert len(peer.requests) == 5
-
-
-def test_a_busy_device_of_ours_is_asked_again() -> None:
-    busy = iter([ServerDeviceBusy, ServerDeviceBusy])
-
-    def refuse(access: object) -> None:
-        if error := next(busy, None):
-            raise error
-
-    device = Device(Mapping(coils=8), before_read=refuse)
-    with (
-        Server(device).background("tcp://127.0.0.1:0") as running,
-        asking("blocking", running.urls[0], busy_retries=2) as plc,
-    ):
-        assert plc.read_coils(0, 1) == [False]
 
 
 # --- nobody answers -------------------------------------------------------------------------------

@@ -2,8 +2,6 @@
 The methods of both clients: written once as coroutines, and made blocking by a generator.
 """
 
-from __future__ import annotations
-
 import asyncio
 import importlib
 import inspect

@@ -2,8 +2,6 @@
 Clients over UDP: datagrams that are lost, late, doubled, damaged, empty or another's.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import socket

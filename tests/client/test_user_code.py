@@ -2,8 +2,6 @@
 Request classes and callbacks of users that raise, on both clients: their caller meets it, alone.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import logging

@@ -2,8 +2,6 @@
 `watch` of both clients: exact times without drift, failures in place of values, and its ends.
 """
 
-from __future__ import annotations
-
 import asyncio
 import threading
 from collections.abc import Awaitable, Callable, Iterator

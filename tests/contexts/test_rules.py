@@ -2,8 +2,6 @@
 The rules of contexts: what follows a failure, late answers, threads, signals, forks, descriptors.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import gc

@@ -2,8 +2,6 @@
 Slaves by hand: what they answer to masters of libmodbus, mbpoll and pymodbus, and what they refuse.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os

@@ -5,8 +5,6 @@ Its client runs whole against slaves by hand and servers; contexts and clients a
 that client asks.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -2,8 +2,6 @@
 Devices and requests that several tests of devices share.
 """
 
-from __future__ import annotations
-
 import copy
 import struct
 from typing import Any

@@ -2,8 +2,6 @@
 A second device, written from the specification with dicts alone.
 """
 
-from __future__ import annotations
-
 import struct
 
 from tests.device.devices import BITS, FILES, REGISTERS

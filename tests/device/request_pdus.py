@@ -2,8 +2,6 @@
 Any requests, good and bad, as hypothesis draws them.
 """
 
-from __future__ import annotations
-
 import struct
 
 from hypothesis import strategies as st

@@ -2,8 +2,6 @@
 What each request touches, as hooks are told of it, and what hooks may refuse or change.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from typing import Any

@@ -2,8 +2,6 @@
 What a device has is checked when it is set: by its arguments, and by assignments later.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

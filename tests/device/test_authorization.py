@@ -2,8 +2,6 @@
 Authorisation of every request: MB-TCP-Security-v36, R-24 to R-31.
 """
 
-from __future__ import annotations
-
 import logging
 from typing import Any
 

@@ -2,8 +2,6 @@
 A device: worked examples, the order of checks, broadcasts, and two devices in one program.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import Access, Device, Mapping, pdu

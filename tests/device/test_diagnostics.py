@@ -2,8 +2,6 @@
 Status, identifier, counters and diagnostics of a device.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -11,7 +9,7 @@ import pytest
 from libmodbus_py import Device, Mapping, pdu
 from libmodbus_py.protocol.pdu import SubFunction
 from libmodbus_py.serve import Caller
-from tests.device.devices import caller_on, contents, diagnose, new_device, on_a_line, words
+from tests.device.devices import caller_on, diagnose, new_device, on_a_line, words
 from tests.support.cases import each_case
 from tests.support.vectors import REQUESTS, RESPONSES
 
@@ -46,22 +44,6 @@ class TestStatusAndIdentifier:
 
 class TestCounters:
     """The rest stands in test_event_log.py, on real lines."""
-
-    def test_event_counter_counts_what_succeeded(self) -> None:
-        device = new_device()
-        assert device.answer(b"\x0b") == b"\x0b\0\0\0\0"
-        device.answer(b"\x03" + words(100, 1))
-        device.answer(b"\x03" + words(0, 1))
-        device.answer(b"\x06" + words(100, 1))
-        assert device.answer(b"\x0b") == b"\x0b\0\0\0\2"
-        assert device.answer(b"\x0b") == b"\x0b\0\0\0\2"
-
-    def test_event_log_begins_with_its_own_request(self) -> None:
-        device = new_device()
-        assert device.answer(b"\x0c") == b"\x0c\7" + words(0, 0, 1) + b"\x80"
-        device.answer(b"\x03" + words(0, 1))
-        answer = device.answer(b"\x0c")
-        assert answer == b"\x0c\x0b" + words(0, 1, 3) + b"\x80\x41\x80\x40\x80"
 
     def test_event_counter_wraps(self) -> None:
         device, caller = new_device(), on_a_line()
@@ -151,25 +133,6 @@ class TestDiagnostics:
             assert not caller.log.listen_only
         assert diagnose(device, 4, b"\0\0", caller) == b""
         assert caller.log.listen_only
-
-    def test_listening_device_neither_acts_nor_answers(self) -> None:
-        device, caller = new_device(), on_a_line()
-        before = contents(device)
-        diagnose(device, 4, b"\0\0", caller)
-        broadcast = Caller(0, "", caller.log, is_broadcast=True)
-        for request in (
-            b"\x06" + words(100, 7),
-            b"\x03" + words(0, 1),
-            b"\x41",
-            b"\x08" + words(0, 5),
-            b"\x08" + words(4, 0),
-            b"\x08" + words(1, 5),  # no such option
-        ):
-            assert device.answer(request, caller) == b""
-            assert device.answer(request, broadcast) == b""
-        assert contents(device) == before
-        assert diagnose(device, 1, b"\0\0", caller) == b""  # leaves it, in silence
-        assert device.answer(b"\x06" + words(100, 7), caller) == b"\x06" + words(100, 7)
 
     def test_listening_on_one_line_is_answering_on_another(self) -> None:
         device, silenced = new_device(), on_a_line()

@@ -2,8 +2,6 @@
 Counters, event log, listen-only mode and delimiter, on serial lines (sections 6.8-6.10).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import ClassVar
 

@@ -2,8 +2,6 @@
 Files of records: holes, limits, writes that are all or nothing; and queues, function 24.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 Hooks and handlers that do what they should not: raise what is not an Exception, take long.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import socket

@@ -2,8 +2,6 @@
 The identification of a device, and CANopen references: function 43.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

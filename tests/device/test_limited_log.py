@@ -2,8 +2,6 @@
 Warnings that clients cause: one at once, then a line a minute, whatever the clients do.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 

@@ -2,8 +2,6 @@
 The four tables: what goes in and comes out, who may hold on to them, and what they cost.
 """
 
-from __future__ import annotations
-
 import gc
 import subprocess
 import sys

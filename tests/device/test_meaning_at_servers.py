@@ -2,8 +2,6 @@
 What points mean at servers: scales of other registers, values that are set together, no value.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

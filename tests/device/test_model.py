@@ -1,14 +1,14 @@
 """
-Device.answer against a second device, which is written from the specification.
+Devices answer as a model of the specification does, whether in C or in Python.
 """
-
-from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from libmodbus_py import Device, Mapping
 from tests.device.devices import contents, new_device
 from tests.device.model import KNOWN, Model
 from tests.device.request_pdus import request_pdus
@@ -52,3 +52,20 @@ class TestAgainstTheModel:
         device, model = new_device(), Model()
         assert device.answer(request_pdu).hex(" ") == model.answer(request_pdu).hex(" ")
         assert contents(device) == contents_of_model(model)
+
+
+READ, READ_INPUT, WRITE, WRITE_SEVERAL, MASK, WRITE_AND_READ = 3, 4, 6, 16, 22, 23
+
+
+@pytest.mark.parametrize("start", [-1, -(1 << 40), 13, 1 << 40])
+def test_a_start_outside_the_data_is_refused(start: int) -> None:
+    frame = bytes.fromhex("0001 0000 0006 01 03 0000 0001")
+    with pytest.raises(ValueError, match=r"start must be in 0\.\.12, not"):
+        Device(Mapping(holding_registers=1)).answer_chunk(frame, start, 1)
+
+
+@pytest.mark.parametrize("unit", [-1, 256, 1 << 40])
+def test_a_unit_that_cannot_be_is_refused(unit: int) -> None:
+    frame = bytes.fromhex("0001 0000 0006 01 03 0000 0001")
+    with pytest.raises(ValueError, match=r"unit must be in 0\.\.255, not"):
+        Device(Mapping(holding_registers=1)).answer_chunk(frame, 0, unit)

@@ -2,8 +2,6 @@
 Names of points on a device: values read and set by name, all of them or none.
 """
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 from typing import Any

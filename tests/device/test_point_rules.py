@@ -2,8 +2,6 @@
 Access and bounds of points: what clients are answered, in C and in Python, before any hook.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

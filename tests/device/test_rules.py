@@ -2,8 +2,6 @@
 Rules for roles: what they allow, held against a model that counts items one by one.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 Values of devices in files: saved, loaded again, and refused with the key that is wrong.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os

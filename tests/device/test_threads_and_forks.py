@@ -2,8 +2,6 @@
 Devices that several threads use, or a process and its child.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

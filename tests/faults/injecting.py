@@ -7,8 +7,6 @@ neither Python's own library nor this file belongs to the part on trial. Peers o
 live in the same process are in `tests.support`, and never fail.
 """
 
-from __future__ import annotations
-
 import _thread
 import contextlib
 import errno

@@ -2,8 +2,6 @@
 Clients, while the n-th call of the system fails.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import Callable, Iterator

@@ -4,8 +4,6 @@ Serial lines on which things go wrong: no wrong value, no silent loss, one failu
 The long run of the same is ``fuzz.serial_faults``.
 """
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -2,8 +2,6 @@
 Servers, while the n-th call of the system fails: whoever asks afterwards is answered.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

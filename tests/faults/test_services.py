@@ -3,8 +3,6 @@ Gateways, fleets, listeners, scans and live pages, while the n-th call of the sy
 asks afterwards is answered.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os

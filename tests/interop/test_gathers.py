@@ -5,8 +5,6 @@ together: that of pymodbus the last, a small device the first.
 No request is lost, and writes are carried out in the order in which they were given.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import struct

@@ -3,8 +3,6 @@ Against libmodbus itself, in C: its server, its client, and the example programs
 of Debian's libmodbus-dev.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import subprocess

@@ -2,8 +2,6 @@
 Against mbpoll, a command line client: what it prints, and what it leaves behind.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -3,8 +3,6 @@ Clients of pymodbus on our server, over every transport. Where pymodbus errs, a 
 does and what we make of it.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from operator import attrgetter, methodcaller

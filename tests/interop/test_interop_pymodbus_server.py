@@ -3,8 +3,6 @@ Our clients on servers of pymodbus, over every transport. Where pymodbus errs, a
 does and what we make of it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 from collections.abc import Callable, Iterator

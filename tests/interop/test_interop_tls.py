@@ -1,24 +1,39 @@
 """
-Clients of ours with TLS servers of others: openssl s_server, and pymodbus.
+TLS with other programs: openssl, and clients and servers of other packages.
 """
 
-from __future__ import annotations
-
+import asyncio
 import re
+import ssl
 import subprocess
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
+from pymodbus.client import AsyncModbusTlsClient, ModbusTlsClient
 
-from libmodbus_py import ModbusConnectionError
+from libmodbus_py import Access, Device, Mapping, ModbusConnectionError
+from libmodbus_py.security.role import ROLE_OID, role_of
+from libmodbus_py.tools.certificates import make
 from tests.support import certificates
+from tests.support.attacks import adu
 from tests.support.certificates import Papers
 from tests.support.clients import Connect
+from tests.support.interop import (
+    COILS,
+    TIMEOUT,
+    UNIT,
+    cells,
+    coil,
+    make_device,
+    our_tls_server,
+)
 from tests.support.peers import mbap
 from tests.support.pymodbus_peers import pymodbus_serving
+from tests.support.tls import VERSIONS, context
 
 LONG = 20.0
 
@@ -146,3 +161,112 @@ def test_pymodbus_refuses_a_certificate_of_others(connect: Connect, papers: Pape
         connect(url.partition("?")[0], security=own, timeout=LONG) as plc,
     ):
         plc.read_holding_registers(0, 1)
+
+
+def openssl(*arguments: object) -> str:
+    command = ["openssl", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize("role", ["Operator", "Prüfer", "x" * 200])
+def test_it_reads_the_role_as_a_utf8string(tmp_path: Path, role: str) -> None:
+    files = certificates.save(tmp_path, certificates.client(role), "client")
+    parsed = openssl("asn1parse", "-in", files.cert)
+    # The identifier, by number for it has no name, and behind it the octets of the extension.
+    octets = re.search(rf":{re.escape(ROLE_OID)}\n.*OCTET STRING +\[HEX DUMP\]:(\w+)\n", parsed)
+    assert octets
+    (tmp_path / "role.der").write_bytes(bytes.fromhex(octets[1]))
+    inner = openssl("asn1parse", "-inform", "DER", "-in", tmp_path / "role.der")
+    assert re.fullmatch(
+        rf" +0:d=0 +hl=[23] l= *{len(role.encode())} prim: UTF8STRING +:.*\n", inner
+    )
+    if role.isascii():
+        assert inner.rstrip("\n").endswith(f":{role}")
+        text = openssl("x509", "-in", files.cert, "-noout", "-text")
+        assert re.search(rf"{re.escape(ROLE_OID)}: *\n.*{role}\n", text)
+
+
+def test_it_takes_them_strictly_for_both_purposes(tmp_path: Path) -> None:
+    ca = certificates.save(tmp_path, certificates.authority(), "ca").cert
+    below = certificates.intermediate()
+    middle = certificates.save(tmp_path, below, "middle").cert
+    for issuer in (certificates.authority(), below):
+        identity = make("one of ours", issuer, hosts=certificates.HOSTS, role="Operator")
+        cert = certificates.save(tmp_path, identity, "one").cert
+        for purpose in ("sslserver", "sslclient"):
+            openssl(
+                *("verify", "-x509_strict", "-check_ss_sig", "-purpose", purpose),
+                *("-CAfile", ca, "-untrusted", middle, "-verify_ip", "127.0.0.1", cert),
+            )
+
+
+def test_we_read_the_role_in_what_it_makes(tmp_path: Path) -> None:
+    openssl(
+        *("req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"),
+        *("-keyout", tmp_path / "key.pem", "-out", tmp_path / "cert.der", "-outform", "DER"),
+        *("-subj", "/CN=peer", "-addext", f"{ROLE_OID}=ASN1:UTF8String:Operator"),
+    )
+    assert role_of((tmp_path / "cert.der").read_bytes()) == "Operator"
+
+
+def test_pymodbus_asyncio_client_has_many_requests_in_flight(papers: Papers) -> None:
+    async def ask(port: int) -> list[list[bool]]:
+        client = AsyncModbusTlsClient(
+            "127.0.0.1", port=port, sslctx=context(papers, certificates.client()), timeout=TIMEOUT
+        )
+        assert await client.connect()
+        reads = [client.read_coils(first, count=8, device_id=UNIT) for first in COILS[:50]]
+        answers = await asyncio.gather(*reads)
+        transport = client.ctx.transport
+        client.close()
+        transport.abort()  # else it waits for our last word, and the loop may be gone before
+        return [answer.bits[:8] for answer in answers]
+
+    with our_tls_server(papers, {UNIT: make_device()}) as wire:
+        assert asyncio.run(ask(wire.port)) == [cells(coil, first, 8) for first in COILS[:50]]
+
+
+def test_pymodbus_client_without_a_certificate_gets_no_answer(papers: Papers) -> None:
+    with our_tls_server(papers, {UNIT: make_device()}) as wire:
+        told = context(papers)
+        told.check_hostname = False  # its blocking client does not tell ssl whom it wants
+        client = ModbusTlsClient("127.0.0.1", port=wire.port, sslctx=told, timeout=1, retries=0)
+        try:
+            assert client.connect()  # TLS 1.3: the refusal comes behind its handshake
+            with pytest.raises((ssl.SSLError, OSError)):
+                client.read_coils(12, device_id=UNIT)
+        finally:
+            client.close()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_openssl_s_client_carries_requests_and_a_role(papers: Papers, version: str) -> None:
+    roles: list[str | None] = []
+
+    def note(access: Access) -> None:
+        roles.append(access.role)
+
+    device = Device(Mapping(holding_registers=[range(100, 110)]), before_read=note)
+    device.mapping.holding_registers[100:110] = range(1000, 1010)
+    files = papers.files(certificates.client("Überwacher"))
+    with our_tls_server(papers, {UNIT: device}) as wire:
+        command = (
+            *("openssl", "s_client", "-connect", f"127.0.0.1:{wire.port}", "-quiet"),
+            *("-CAfile", papers.ca, "-verify_return_error", "-verify_hostname", "localhost"),
+            *("-cert", files.cert, "-key", files.key, f"-tls{version.replace('.', '_')}"),
+        )
+        with subprocess.Popen(
+            [*map(str, command)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        ) as process:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            process.stdin.write(adu(bytes.fromhex("03 0064 000a")))
+            process.stdin.flush()
+            values = b"".join(value.to_bytes(2, "big") for value in range(1000, 1010))
+            expected = adu(bytes([3, 20]) + values)
+            assert process.stdout.read(len(expected)) == expected
+            process.kill()
+    assert roles == ["Überwacher"]

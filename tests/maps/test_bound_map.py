@@ -2,8 +2,6 @@
 Register maps bound to clients: values as attributes, read and written with both clients.
 """
 
-from __future__ import annotations
-
 import asyncio
 import copy
 from typing import Any

@@ -2,8 +2,6 @@
 Each file of tests/devices: a map of examples/, its sources, and what answers of the device mean.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

@@ -2,8 +2,6 @@
 Plans of devices that cannot read everything: which holes are found, and what it costs.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterable
 from typing import Any
@@ -12,37 +10,14 @@ import pytest
 
 from libmodbus_py.errors import (
     IllegalDataAddress,
-    IllegalDataValue,
     ModbusError,
     ModbusTimeoutError,
-    ServerDeviceFailure,
 )
 from libmodbus_py.maps.plan import Plan, unreadable_of
 from tests.maps.refusing import H, Polls, Registers, lost, singles
 from tests.support.cases import each_case
 
 # --- one hole ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "refusal",
-    [IllegalDataAddress, IllegalDataValue, ServerDeviceFailure],
-    ids=lambda each: each.code,
-)
-def test_a_hole_costs_one_point_and_ten_requests_once(refusal: type[ModbusError]) -> None:
-    for hole in range(20):
-        polls = Polls(singles(20), Registers([hole], refusal=refusal))
-        first, values = polls.poll()
-        assert 1 + 8 <= first <= 1 + 10
-        assert lost(values) == [hole]
-        assert isinstance(values[hole], refusal)
-        assert [values[at] for at in range(20) if at != hole] == [
-            [at] for at in range(20) if at != hole
-        ]
-        later = 1 if hole in (0, 19) else 2
-        assert polls.requests(10) == [later] * 10
-        assert polls.unreadable == [hole]
-        assert len(polls.news) == 1
 
 
 def test_both_halves_are_read_until_single_registers_are_known() -> None:
@@ -102,15 +77,6 @@ def test_plans_of_one_unit_share_what_is_known() -> None:
     polls.plan = Plan([(H, at) for at in (4, 5, 6)])
     count, values = polls.poll()
     assert (count, lost(values)) == (2, [1])
-
-
-def test_clients_of_one_plan_know_the_holes_of_their_own_device() -> None:
-    plan = singles(20)
-    first, second = Polls(plan, Registers([5])), Polls(plan, Registers([9]))
-    for now in range(3):
-        assert lost(first.poll(now)[1]) == [5]
-        assert lost(second.poll(now)[1]) == [9]
-    assert (first.unreadable, second.unreadable) == ([5], [9])
 
 
 # --- many holes, or nothing else -----------------------------------------------------------------

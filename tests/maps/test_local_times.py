@@ -3,8 +3,6 @@ Points whose devices show the local time of a zone; the times themselves stand i
 tests/protocol/test_times.py.
 """
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from typing import Any, get_args
 from zoneinfo import ZoneInfo

@@ -2,8 +2,6 @@
 What raw values mean: no value, states, named bits, parts of registers, and scales of the device.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterator, Mapping

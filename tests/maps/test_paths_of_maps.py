@@ -2,8 +2,6 @@
 Register maps by the paths of their files: wherever a map is taken, a path is, too.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -2,8 +2,6 @@
 Points: what their cells mean, computed by hand or with exact fractions, and what they refuse.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

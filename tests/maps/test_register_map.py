@@ -3,8 +3,6 @@ Register maps on both clients: what is read and written, in which requests, and 
 before a byte is sent.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -2,8 +2,6 @@
 Values as people type them: exact, whatever floats make of them.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -2,8 +2,6 @@
 Points from poll to poll: which are due, totals that fall, and what a poll of a map reads.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

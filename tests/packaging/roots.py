@@ -14,8 +14,6 @@ test` does none of this, which takes minutes; `.ci/run` tries the tests in the D
 not run on: `-k 'quick and other'`.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

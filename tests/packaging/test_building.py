@@ -1,6 +1,6 @@
-"""The build of the package: for which Pythons, and what it says when something is missing."""
-
-from __future__ import annotations
+"""
+What is built, what the extras install, and the library that another build shares.
+"""
 
 import importlib.util
 import os
@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import zipfile
 from pathlib import Path
 from types import ModuleType
@@ -16,6 +17,9 @@ from typing import Any
 
 import pytest
 
+from libmodbus_py.cli.commands import COMMANDS
+from libmodbus_py.protocol import extras
+from libmodbus_py.protocol.extras import EXTRAS, how_to_add
 from tests.support.cases import each_case
 
 ROOT = Path(__file__).parents[2]
@@ -163,3 +167,99 @@ def test_musl_compiles_all_c(tmp_path: Path, source: str) -> None:
         text=True,
     )
     assert done.returncode == 0, done.stderr
+
+
+# Of those who work on this package.
+NOT_FOR_USERS = {"test", "docs", "lint", "bench", "fuzz", "wheel"}
+
+
+def test_the_table_is_that_of_the_project() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = {
+        name: needed[0]  # without a marker, with which pip would install nothing without a word
+        for name, needed in project["optional-dependencies"].items()
+        if name not in NOT_FOR_USERS
+    }
+    assert {name: extra.requirement for name, extra in EXTRAS.items()} == wanted
+
+
+def test_debian_suggests_and_the_documents_name_each_package() -> None:
+    control = (ROOT / "packaging" / "debian" / "control").read_text()
+    page = (ROOT / "docs" / "how-to" / "install.md").read_text()
+    rows = dict(re.findall(r"^\| `(\w+)` \|.*\| (?:`([\w-]+)`|-) \|$", page, re.MULTILINE))
+    assert rows == {name: extra.package for name, extra in EXTRAS.items()}
+    for extra in EXTRAS.values():
+        assert extra.package in control
+
+
+@pytest.mark.parametrize(
+    ("place", "extra", "command"),
+    [
+        ("/venv/lib/site-packages", "mqtt", f"{sys.executable} -m pip install 'aiomqtt>=2.3'"),
+        ("/usr/lib/python3/dist-packages", "influx", "sudo apt install python3-httpx"),
+        (
+            "/usr/lib/python3/dist-packages",
+            "nats",
+            "python3 -m venv --system-site-packages VENV && VENV/bin/pip install 'nats-py>=2.16'",
+        ),
+    ],
+)
+def test_a_hint_fits_the_installation(
+    place: str, extra: str, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extras, "__file__", f"{place}/libmodbus_py/protocol/extras.py")
+    assert how_to_add(extra) == command
+
+
+BASH = ROOT / "packaging" / "shared" / "libmodbus-py"
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("man") / "libmodbus-py.1"
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "SOURCE_DATE_EPOCH": "1700000000"}
+    subprocess.run(
+        [sys.executable, ROOT / "packaging" / "man.py", path], env=environment, check=True
+    )
+    return path
+
+
+def test_the_manual_page_has_the_help_of_every_command(page: Path) -> None:
+    text = page.read_text()
+    assert text.startswith('.TH LIBMODBUS-PY 1 "2023-11-14" "libmodbus-py ')
+    for name in COMMANDS:
+        assert f"\n.SH {name.upper()}\n.EX\nusage: libmodbus\\-py {name} " in text
+    assert "\\-\\-watch" in text
+
+
+@pytest.mark.skipif(shutil.which("man") is None, reason="man is not installed")
+def test_man_finds_no_mistake_in_the_manual_page(page: Path) -> None:
+    done = subprocess.run(
+        ["man", "--warnings", "-l", str(page)],
+        env=os.environ | {"MANWIDTH": "100", "LC_ALL": "C.UTF-8"},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    for text in ("libmodbus-py read", "--watch", "libmodbus-py diagnose", "'"):
+        assert text in done.stdout
+
+
+@pytest.mark.parametrize(("typed", "found"), [("dia", ["diagnose"]), ("ga", ["gateway"])])
+def test_the_installed_script_completes_in_bash(
+    typed: str, found: list[str], tmp_path: Path
+) -> None:
+    pytest.importorskip("argcomplete")
+    program = tmp_path / "libmodbus-py"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m libmodbus_py "$@"\n')
+    program.chmod(0o755)
+    line = f"libmodbus-py {typed}"
+    script = f"source {BASH}; COMP_LINE='{line}'; COMP_POINT={len(line)}; COMP_TYPE=9;"
+    script += "_libmodbus_py libmodbus-py; printf '%s\\n' \"${COMPREPLY[@]}\""
+    path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
+    environment = os.environ | {"PATH": path, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        ["bash", "--norc", "-c", script], env=environment, capture_output=True, text=True
+    )
+    assert done.stderr == ""
+    assert [each.strip() for each in done.stdout.splitlines()] == found

@@ -1,7 +1,5 @@
 """What the Debian package consists of; packaging/deb.py builds it."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shutil

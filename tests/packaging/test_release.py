@@ -1,7 +1,5 @@
 """What is published: a tag that is the version, of which all tests passed."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shutil

@@ -1,7 +1,5 @@
 """The commands that tests.packaging.roots tries in new systems, and where it can."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

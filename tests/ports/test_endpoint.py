@@ -2,8 +2,6 @@
 URLs: what they stand for, what is wrong with them, and how they are shown.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from contextlib import closing

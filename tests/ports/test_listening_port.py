@@ -2,8 +2,6 @@
 Devices that connect to the client, as modems behind a mobile network do.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import socket

@@ -2,8 +2,6 @@
 Look-ups of names that get no answer: they cost a few threads, and nobody waits for them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import socket

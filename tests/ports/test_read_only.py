@@ -2,8 +2,6 @@
 Serial ports that are only read: whose settings they take, and that nothing is written.
 """
 
-from __future__ import annotations
-
 import os
 import pty
 import subprocess

@@ -3,8 +3,6 @@ Ports whose system refuses something: opening, settings, reading, sending. What 
 that nothing stays open or locked.
 """
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

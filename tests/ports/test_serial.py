@@ -2,8 +2,6 @@
 Serial ports: silence, settings, who may have them, and what a read of nothing means.
 """
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import gc

@@ -2,8 +2,6 @@
 Who one is at a tls:// endpoint: in its URL or as given, and what is wrong with it.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

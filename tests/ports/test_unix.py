@@ -2,8 +2,6 @@
 Unix sockets: who may listen and connect, what becomes of the file, and how clients are named.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

@@ -2,8 +2,6 @@
 The same steps, run by polling and by an event loop.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import math

@@ -1,7 +1,5 @@
 """What framers find on an ASCII line: colons, ends of lines, digits and delimiters."""
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py.protocol.errors import FrameError

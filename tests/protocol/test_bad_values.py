@@ -1,7 +1,5 @@
 """Values and registers that a type does not take, and how errors name them."""
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Callable
 from typing import Any

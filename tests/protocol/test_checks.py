@@ -2,8 +2,6 @@
 Numbers that callers pass are checked, and errors name the argument and its range.
 """
 
-from __future__ import annotations
-
 import math
 import pickle
 from decimal import Decimal

@@ -2,8 +2,6 @@
 The echo of what was sent is taken out of what is received; whether there is one is found out.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,10 +1,9 @@
 """
-What errors carry, how much of it, and what they say.
+Errors, and rows of worked examples.
 """
 
-from __future__ import annotations
-
 import copy
+import json
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -23,6 +22,8 @@ from libmodbus_py.protocol.errors import (
     in_hex,
 )
 from tests.support.cases import each_case
+from tests.support.vector_row import FILE, appended, frame_row
+from tests.support.vectors import FRAMES, FrameVector, rows
 
 TOLD: dict[str, Any] = {
     "unit": 17,
@@ -97,3 +98,23 @@ def test_a_received_bytearray_is_kept_as_bytes() -> None:
     error = ExceptionResponse.of(2)
     error.received = bytearray(b"\1")
     assert type(error.received) is bytes
+
+
+@pytest.mark.parametrize("vector", rows(FRAMES))
+def test_each_form_is_that_of_the_pdu(vector: FrameVector) -> None:
+    request = vector.request or ("none" if vector.kind == "response" else None)
+    row = frame_row(vector.id, vector.place, vector.unit, vector.pdu, {}, request)
+    assert bytes.fromhex(row["rtu"]) == vector.rtu
+    assert row["ascii"].encode() == vector.ascii
+    assert bytes.fromhex(row["tcp"])[2:] == vector.tcp[2:]  # behind the transaction
+    assert (row["kind"], row["function"]) == (vector.kind, vector.function)
+
+
+def test_a_row_is_appended_once() -> None:
+    text = FILE.read_text()
+    row = frame_row("own-new", "6.5", 1, bytes.fromhex("0500ACFF00"), {"value": "ON"})
+    more = appended(text, row)
+    assert json.loads(more) == [*json.loads(text), row]
+    assert more.startswith(text.rstrip("\n]"))
+    with pytest.raises(ValueError, match="there is a row 'own-new'"):
+        appended(more, row)

@@ -3,9 +3,6 @@ Frames on the three kinds of lines: worked examples whole, in single bytes and g
 frames over TCP, and everything a line can do to framers.
 """
 
-from __future__ import annotations
-
-import random
 import time
 from collections.abc import Callable
 from typing import Any
@@ -31,7 +28,6 @@ from tests.support.framing import (
     ALL_FRAMERS,
     READ,
     REFUSAL,
-    WRITE,
     AnyFramer,
     ascii_frame,
     each_framer,
@@ -300,31 +296,6 @@ class TestWhateverComes:
             frames += framer.feed(piece)
         assert frames == [frame, frame]
         assert framer.pending == 0
-
-    @each_framer
-    def test_a_megabyte_of_noise_is_borne(self, make: Callable[[], AnyFramer]) -> None:
-        noise = random.Random(20).randbytes(1 << 20)
-        sizes = random.Random(21)
-        framer = make()
-        at = 0
-        began = time.process_time()
-        while at < len(noise):
-            size = sizes.choice((1, 3, 17, 300, 5000))
-            take(framer, noise[at : at + size])
-            assert framer.pending <= PENDING[type(framer)]
-            at += size
-            if sizes.random() < 0.01:
-                quiet(framer)
-            if not framer.in_step:
-                framer = make()
-        if isinstance(framer, TcpFramer):
-            return  # nothing marks where a header begins
-        quiet(framer)
-        good = framer.encode(WRITE)  # request and response alike
-        for _ in range(2):
-            found = take(framer, good)[0] + quiet(framer)
-            assert found[-1:] == [WRITE]
-        assert time.process_time() - began < 20
 
     @each_case("size", [1, 300, 65536])
     @each_case(

@@ -3,8 +3,6 @@ What a server hears on a line with other units: their answers, frames within fra
 bursts and damage.
 """
 
-from __future__ import annotations
-
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import Frame, Overheard, RtuFramer
 from tests.support.cases import each_case

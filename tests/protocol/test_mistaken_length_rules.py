@@ -2,8 +2,6 @@
 Length rules of registered classes that raise or return nonsense: a frame is lost, and no line.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -18,11 +16,10 @@ from libmodbus_py import (
     ModbusError,
     Route,
     Server,
-    listen,
     pdu,
 )
 from libmodbus_py.protocol.framing import Frame, FrameError, RtuFramer
-from libmodbus_py.protocol.rtu import RtuCutter, may_be
+from libmodbus_py.protocol.rtu import may_be
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.cases import each_case
 from tests.support.framing import registered
@@ -58,18 +55,6 @@ def test_the_frames_behind_are_found(role: Any, rule: Callable[[bytes], Any]) ->
         for _ in range(2):
             found = framer.scan(good) + framer.scan_silence()
             assert found == [Frame(1, good[1:-2])]
-
-
-@each_case("rule", RULES.values(), ids=RULES)
-def test_a_listener_hears_what_is_behind(rule: Callable[[bytes], Any]) -> None:
-    with registered(rule):
-        cutter, found = RtuCutter("listener"), []
-        for data in (OWN, READ, ANSWER):
-            pieces, count = cutter.cut(data, is_silent=True, is_over=True)
-            assert count == len(data)
-            found += [data[start:end] for start, end, kind in pieces if kind != "damage"]
-        assert found == [READ, ANSWER]
-        assert may_be(OWN[1:-2]) == (False, False)
 
 
 @each_case("rule", RULES.values(), ids=RULES)
@@ -121,11 +106,3 @@ def test_a_client_on_a_line_goes_on(stage: Stage) -> None:
         with pytest.raises(ModbusError):
             context.execute(own(0x6D, b"\1\2"))
         assert context.read_holding_registers(0, 1) == [7]
-
-
-def test_a_separator_goes_on() -> None:
-    with registered(_fails):
-        separator = listen.Separator("rtu")
-        done = separator.feed(OWN, 0.0) + separator.tick(2.0)
-        done += separator.feed(READ, 3.0) + separator.feed(ANSWER, 3.01) + separator.tick(9.0)
-        assert [each.kind for each in done] == ["damaged", "answered"]

@@ -2,8 +2,6 @@
 Values as JSON can contain them.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -2,8 +2,6 @@
 All values that some registers may mean, and references, the 1-based notation of manuals.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 RTU frames in a stream where requests and responses follow one another, as a listener hears it.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from libmodbus_py.protocol.rtu import Piece, RtuCutter, may_be

@@ -1,7 +1,5 @@
 """What framers find on an RTU line: the ends of frames, noise, other units, own functions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 
@@ -24,7 +22,6 @@ from tests.support.framing import (
     REFUSAL,
     WRITE,
     fed_in_bytes,
-    pieces,
     quiet,
     registered,
     rtu,
@@ -33,7 +30,6 @@ from tests.support.framing import (
     taken,
     taken_in_bytes,
 )
-from tests.support.vectors import exchanges
 
 
 def accidental(stream: bytes, end: int) -> bool:
@@ -323,17 +319,3 @@ class TestRtu:
         assert frames == []
         assert errors
         assert take(framer, rtu(*READ[:2]))[0] + quiet(framer) == [READ]
-
-    @each_case("sizes", [[1], [3, 2], [1] * 300])
-    def test_other_units_on_the_bus_do_not_hide_our_requests(self, sizes: list[int]) -> None:
-        """A server hears every request and every response, by the rule for requests alone."""
-        others = [rtu(18, each.pdu) for exchange in exchanges() for each in exchange]
-        framer = RtuFramer("server")
-        ours: list[Frame] = []
-        for message in (rtu(*READ[:2]), *others):
-            for data in (message, message, rtu(*WRITE[:2])):
-                for piece in pieces(data, sizes):
-                    ours += take(framer, piece)[0]
-                ours += quiet(framer)
-        found = [frame for frame in ours if frame.unit == 17]
-        assert found == [READ, READ, *[WRITE] * (1 + len(others))]

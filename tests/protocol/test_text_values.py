@@ -1,7 +1,5 @@
 """Text in registers: encodings, padding, sizes, and MAC addresses."""
 
-from __future__ import annotations
-
 import codecs
 from typing import Any
 

@@ -2,8 +2,6 @@
 Times in registers, by the published layouts, and back.
 """
 
-from __future__ import annotations
-
 from datetime import UTC, datetime, timedelta, timezone
 from typing import Any, get_args
 

@@ -2,8 +2,6 @@
 Values as devices have them: registers and values of published manuals, and what their types hold.
 """
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from typing import Any
 

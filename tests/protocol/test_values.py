@@ -1,7 +1,5 @@
 """Values in registers, in every type and order, one or many, and the names of types."""
 
-from __future__ import annotations
-
 import math
 from decimal import Decimal
 from fractions import Fraction

@@ -1,8 +1,6 @@
 """
-Certificates in error messages: whose, from whom, when; nothing that harms a terminal or a log.
+Certificates: how they are made, and how they are described.
 """
-
-from __future__ import annotations
 
 import hashlib
 import subprocess
@@ -13,13 +11,14 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.describing import describe
-from libmodbus_py.tools.certificates import make
+from libmodbus_py.tools.certificates import make, write
 from tests.support import certificates
 from tests.support.cases import each_case
 
@@ -102,3 +101,34 @@ def test_without_cryptography_it_is_the_fingerprint() -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     digest = hashlib.sha256(b"abc").hexdigest()
     assert done.stdout == f"SHA-256 {digest} (more with: {how_to_add('security')})\n"
+
+
+def test_keys_are_p_256() -> None:
+    key = certificates.server().key
+    assert isinstance(key, ec.EllipticCurvePrivateKey)
+    assert key.curve.name == "secp256r1"
+
+
+def test_a_chain_goes_along() -> None:
+    below = certificates.client(issuer=certificates.intermediate())
+    assert below.pem.count(b"BEGIN CERTIFICATE") == 2
+    assert certificates.client().pem.count(b"BEGIN CERTIFICATE") == 1
+
+
+def test_files_are_their_owners_alone_and_never_overwritten(tmp_path: Path) -> None:
+    made = {"ca": certificates.authority(), "client": certificates.client()}
+    paths = write(tmp_path / "new", made)
+    assert [path.name for path in paths["client"]] == ["client.pem", "client-key.pem"]
+    assert {path.stat().st_mode & 0o777 for _, path in paths.values()} == {0o600}
+    before = paths["client"][1].read_bytes()
+    with pytest.raises(FileExistsError, match=r"ca\.pem"):
+        write(tmp_path / "new", made)
+    assert paths["client"][1].read_bytes() == before
+
+
+def test_all_files_or_none(tmp_path: Path) -> None:
+    (tmp_path / "client-key.pem").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"client-key\.pem"):
+        write(tmp_path, {"ca": certificates.authority(), "client": certificates.client()})
+    assert [path.name for path in tmp_path.iterdir()] == ["client-key.pem"]
+    assert (tmp_path / "client-key.pem").read_text() == "mine"

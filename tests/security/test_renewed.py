@@ -2,8 +2,6 @@
 What is read from files again: at SIGHUP, and for each connection to a broker.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import logging

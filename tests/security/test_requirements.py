@@ -1,9 +1,8 @@
 """
-The requirements of MB-TCP-Security-v36: each has its row in docs/security.md; what clients offer.
+The requirements of Modbus Security: key exchange, and the state of a tunnel.
 """
 
-from __future__ import annotations
-
+import random
 import re
 import ssl
 from collections import Counter
@@ -11,7 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from libmodbus_py import Device, Mapping, Server
+from libmodbus_py.ports.endpoint import parse
+from libmodbus_py.security.tunnel import Records
+from libmodbus_py.tools.testing.wires import TcpWire
 from tests.support.certificates import Papers
+from tests.support.clients import ALL, asking
 
 PAGE = Path(__file__).parents[2] / "docs" / "security.md"
 
@@ -90,3 +94,93 @@ def test_no_suite_is_without_encryption_or_with_an_old_hash(hello: Hello) -> Non
         assert found["aead"], found
         assert found["strength_bits"] >= 128, found
     assert b"\x00\xff" in hello.suites or 0xFF01 in hello.extensions
+
+
+HANDSHAKE, SERVER_HELLO, KEY_SHARE = 22, 2, 51
+
+# IANA's registry of TLS Supported Groups.
+X25519, X25519MLKEM768 = 29, 4588
+
+
+def named_group(sent: bytes) -> int:
+    """Return the group that a server chose, from its first record (RFC 8446, 4.1.3 and 4.2.8)."""
+    assert (sent[0], sent[5]) == (HANDSHAKE, SERVER_HELLO)
+    at = 5 + 4 + 2 + 32  # record, handshake, version, random
+    at += 1 + sent[at]  # session
+    at += 2 + 1  # cipher suite, compression
+    end = at + 2 + int.from_bytes(sent[at : at + 2])
+    at += 2
+    while at < end:
+        kind, size = (int.from_bytes(sent[at + skip : at + skip + 2]) for skip in (0, 2))
+        if kind == KEY_SHARE:
+            return int.from_bytes(sent[at + 4 : at + 6])
+        at += 4 + size
+    raise AssertionError("a ServerHello without a key share")
+
+
+@ALL
+def test_both_ends_agree_on_the_best_group_of_their_openssl(kind: str, papers: Papers) -> None:
+    server = Server(Device(Mapping(holding_registers={0: [7]})), security=papers.server())
+    with (
+        server.background("tls://127.0.0.1:0") as running,
+        TcpWire(parse(running.urls[0]).port) as wire,
+    ):
+        url = f"tls://127.0.0.1:{wire.port}"
+        with asking(kind, url, security=papers.client()) as client:
+            assert client.read_holding_registers(0, 1) == [7]
+        sent = wire.sent_by("server")
+    has_hybrid = ssl.OPENSSL_VERSION_INFO >= (3, 5)
+    assert named_group(sent) == (X25519MLKEM768 if has_hybrid else X25519)
+
+
+def record(size: int, kind: int = 23) -> bytes:
+    return bytes([kind, 3, 3]) + size.to_bytes(2, "big") + bytes(size)
+
+
+def is_midway(stream: bytes) -> bool:
+    """Walk over all of a stream from its beginning."""
+    while stream:
+        size = 5 + int.from_bytes(stream[3:5], "big") if len(stream) >= 5 else 5
+        if len(stream) < size:
+            return True
+        stream = stream[size:]
+    return False
+
+
+@pytest.mark.parametrize("size", [0, 1, 255, 256, 0x4100])
+def test_one_whole_record_is_told(size: int) -> None:
+    records = Records()
+    assert records.follow(record(size))
+    assert not records.is_midway
+    assert records.follow(record(size))
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", record(3)[:4], record(3)[:5], record(3)[:-1], record(3) + b"\x17", record(3) + record(4)],
+    ids=["nothing", "half a header", "a header", "a byte less", "a byte more", "two records"],
+)
+def test_anything_else_is_not_taken_for_one_record(data: bytes) -> None:
+    records = Records()
+    assert not records.follow(data)
+    assert records.is_midway == is_midway(data)
+
+
+def test_what_looks_like_a_record_within_another_one_is_none() -> None:
+    records = Records()
+    records.follow(record(40)[:10])
+    assert not records.follow(record(3))
+    assert records.is_midway
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_it_is_known_after_each_piece(seed: int) -> None:
+    chance = random.Random(seed)
+    sizes = [chance.choice([0, 1, 2, 5, 9, 260, 700]) for _ in range(60)]
+    stream = b"".join(map(record, sizes))
+    records, at = Records(), 0
+    while at < len(stream):
+        size = chance.choice([1, 2, 3, 4, 5, 6, 7, 14, 300, 1000])
+        records.follow(stream[at : at + size])
+        at += size
+        assert records.is_midway == is_midway(stream[:at]), at

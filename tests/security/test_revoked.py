@@ -1,16 +1,20 @@
 """
-Revocation lists: what is read, and what is refused by name.
+Certificates that are revoked, and files that are read again.
 """
 
-from __future__ import annotations
-
+import logging
+import os
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from libmodbus_py import Security
+from libmodbus_py.security import security as security_module
 from libmodbus_py.security.files import PemFile, Revoked
+from libmodbus_py.security.renewed import reload_all
 from tests.support import certificates
 from tests.support.cases import each_case
 from tests.support.certificates import Files, Papers
@@ -95,3 +99,93 @@ def test_a_list_needs_authorities(tmp_path: Path, files: Files) -> None:
     listed = saved(tmp_path / "crl", certificates.revocation_list())
     with pytest.raises(ValueError, match=r"^crl needs trust: a pinned certificate is revoked by"):
         Security(files.cert, files.key, pin=files.cert, crl=listed)
+
+
+DAY = 86_400
+
+
+@pytest.mark.parametrize("what", ["certificate", "key", "trust", "pin", "crl"])
+def test_a_mistake_in_a_file_changes_nothing(tmp_path: Path, papers: Papers, what: str) -> None:
+    files = papers.files(certificates.client())
+    listed = tmp_path / "crl"
+    listed.write_bytes(certificates.revocation_list())
+    options: dict[str, Any] = {"pin": tmp_path / "pin"}
+    (tmp_path / "pin").write_bytes(files.cert.read_bytes())
+    if what != "pin":
+        options = {"trust": papers.ca, "crl": listed}
+    security = Security(files.cert, files.key, **options)
+    security.check_server()
+    before = security.loaded
+    broken = {"certificate": files.cert, "key": files.key, "crl": listed, **options}[what]
+    Path(broken).write_text("in the midst of being written")
+    with pytest.raises(ValueError, match=f"^{what} "):
+        security.reload()
+    assert security.loaded is before
+    assert any(line.startswith(f"the former content is used: {what} ") for line in reload_all())
+    Path(broken).unlink()
+    assert any("No such file" in line for line in reload_all())
+
+
+def test_a_certificate_whose_key_is_not_there_yet_changes_nothing(papers: Papers) -> None:
+    """Whoever renews both writes one first."""
+    files = papers.files(certificates.client())
+    security = Security(files.cert, files.key, trust=papers.ca)
+    files.cert.write_bytes(certificates.client("Viewer").pem)
+    with pytest.raises(ValueError, match="not the key of the certificate"):
+        security.reload()
+    assert security.own == certificates.client().der
+
+
+def test_pins_given_once_can_be_read_again(papers: Papers) -> None:
+    files = papers.files(certificates.client())
+    security = Security(files.cert, files.key, pin=iter([files.cert]))
+    security.reload()
+    assert security.accepts(certificates.client().der)
+
+
+def at(monkeypatch: pytest.MonkeyPatch, when: float) -> None:
+    monkeypatch.setattr(security_module, "time", SimpleNamespace(time=lambda: when))
+
+
+def test_an_end_that_is_near_is_told_once_a_day(
+    papers: Papers, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    files = papers.files(certificates.server(days=100))
+    security = Security(files.cert, files.key, trust=papers.ca)
+    end = certificates.end(certificates.server(days=100).certificate).timestamp()
+    assert security.ends == end
+    for days, said in (
+        (60, None),
+        (31, None),
+        (29, "expires in 29 days"),
+        (28.5, None),
+        (27.9, "expires in 28 days"),
+        (1.5, "expires within two days"),
+        (-0.1, "has expired"),
+    ):
+        caplog.clear()
+        at(monkeypatch, end - days * DAY)
+        with caplog.at_level(logging.WARNING):
+            security.warn_of_end()
+            security.warn_of_end()
+        expected = [] if said is None else [f"certificate {os.fspath(files.cert)!r} {said}"]
+        assert caplog.messages == expected, days
+
+
+def test_the_end_of_a_revocation_list_is_told_too(
+    tmp_path: Path, papers: Papers, caplog: pytest.LogCaptureFixture
+) -> None:
+    """When it has ended, OpenSSL refuses everybody."""
+    listed = tmp_path / "crl"
+    security = papers.server(crl=written(listed, days=3))
+    for days, said in ((3, None), (1, "expires within two days"), (-1, "has expired")):
+        written(listed, days=days)
+        security.reload()
+        caplog.clear()
+        security.warn_of_end()
+        assert caplog.messages == ([] if said is None else [f"crl {str(listed)!r} {said}"])
+
+
+def written(file: Path, *, days: float) -> Path:
+    file.write_bytes(certificates.revocation_list(days=days))
+    return file

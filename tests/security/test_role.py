@@ -2,8 +2,6 @@
 Roles in certificates: MB-TCP-Security-v36, R-21, R-22, R-23 and R-65, and X.690 for the DER.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

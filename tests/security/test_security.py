@@ -2,8 +2,6 @@
 Own files and those of others: what is wrong with them is said at once, by name.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pty

@@ -3,8 +3,6 @@ A server on all addresses of a machine answers datagrams from the address that w
 that is connected to one address hears no other.
 """
 
-from __future__ import annotations
-
 import contextlib
 import socket
 from collections.abc import Iterator

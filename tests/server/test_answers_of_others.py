@@ -2,8 +2,6 @@
 Servers on a line with other units: what these ask and answer is neither carried out nor damage.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -2,8 +2,6 @@
 The audit trail: each write and each refusal, by whom, with the values before and after.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os

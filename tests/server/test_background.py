@@ -3,8 +3,6 @@ A server in a thread: Ctrl-C at any moment while it starts, serves or ends leave
 hooks that end the program end the server.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import dis

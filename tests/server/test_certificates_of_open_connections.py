@@ -2,8 +2,6 @@
 Certificates that expire, are revoked, or are renewed while connections are open, at either end.
 """
 
-from __future__ import annotations
-
 import asyncio
 import time
 from collections.abc import Callable, Iterator

@@ -2,8 +2,6 @@
 Requests that are answered by the chunk, in C, against the same requests one by one.
 """
 
-from __future__ import annotations
-
 import struct
 import subprocess
 from collections.abc import Callable

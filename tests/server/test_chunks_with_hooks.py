@@ -2,8 +2,6 @@
 Hooks and handlers: what they want is answered in Python, all else by the chunk, in C.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

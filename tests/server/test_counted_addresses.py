@@ -5,7 +5,6 @@ What counts as one address: in limits, rates and handshakes, and in the turns of
 from __future__ import annotations
 
 import asyncio
-import math
 
 import pytest
 
@@ -162,21 +161,6 @@ def overspent(addresses: Addresses[Waiting], host: str) -> Address[Waiting]:
     return address
 
 
-def test_the_latest_addresses_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "REMEMBERED_MAX", 3)
-
-    async def main() -> None:
-        addresses: Addresses[Waiting] = Addresses(1.0)
-        for last in (1, 2, 3):
-            overspent(addresses, f"192.0.2.{last}")
-        addresses.keep(addresses.get("192.0.2.1"))  # it came again
-        overspent(addresses, "192.0.2.4")
-        known = [last for last in range(1, 5) if addresses.get(f"192.0.2.{last}").is_overspent()]
-        assert known == [1, 3, 4]
-
-    Network().run(main)
-
-
 def test_an_address_with_a_connection_is_remembered_whatever_comes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -197,53 +181,5 @@ def test_an_address_with_a_connection_is_remembered_whatever_comes(
         assert addresses.get("192.0.2.1") is connected  # its connection is gone, its limit not
         overspent(addresses, "192.0.2.9")
         assert addresses.get("192.0.2.1") is not connected
-
-    Network().run(main)
-
-
-def test_without_a_limit_only_connected_addresses_are_remembered() -> None:
-    async def main() -> None:
-        addresses: Addresses[Waiting] = Addresses(math.inf)
-        address = addresses.get("192.0.2.1")
-        addresses.keep(address)
-        assert addresses.get("192.0.2.1") is not address
-        address.connections[Waiting(address)] = None
-        addresses.keep(address)
-        assert addresses.get("192.0.2.1") is address
-
-    Network().run(main)
-
-
-def test_paused_connections_go_on_one_by_one() -> None:
-    """Each waits for what the one before asks, which may be nothing."""
-
-    async def main() -> None:
-        address: Address[Waiting] = Address("192.0.2.1", 10.0, asyncio.get_running_loop())
-        address.spend(30)  # twice what it may at once: it waits for two seconds
-        clients = [Waiting(address, asks) for asks in (5, 1, 0, 1, 1)]
-        for each in clients:
-            address.pause(each)
-        address.forget(clients[1])
-        begun = asyncio.get_running_loop().time()
-        await asyncio.sleep(10)
-        times = [at - begun for each in clients for at in each.resumed]
-        assert times == pytest.approx([2.0, 2.5, 2.5, 2.6], abs=0.001)
-        assert clients[1].resumed == []
-
-    Network().run(main)
-
-
-def test_an_address_whose_last_paused_connection_is_gone_waits_for_none() -> None:
-    async def main() -> None:
-        address: Address[Waiting] = Address("192.0.2.1", 1.0, asyncio.get_running_loop())
-        address.spend(3)
-        gone, late = Waiting(address), Waiting(address)
-        address.pause(gone)
-        address.forget(gone)
-        await asyncio.sleep(1)
-        address.pause(late)
-        await asyncio.sleep(5)
-        assert gone.resumed == []
-        assert len(late.resumed) == 1
 
     Network().run(main)

@@ -2,8 +2,6 @@
 Servers on a line that returns all that is sent: their answers are not carried out as requests.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from typing import Any

@@ -2,8 +2,6 @@
 The faults that a server accepts: a keyword of its own, and any object that can do what `Fault` can.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ A process that serves and forks: what its child has, and what its clients see.
 Each test is a program of its own, so that no thread of pytest is forked.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

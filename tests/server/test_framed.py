@@ -2,61 +2,18 @@
 The base of sessions: what is found in received bytes, what is written and traced, and its state.
 """
 
-from __future__ import annotations
-
 import struct
-from typing import Any
 
 import pytest
 
 from libmodbus_py import Device, Server, framing
-from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.server.framed import Framed, SessionSettings
-from libmodbus_py.server.limits import ServerStatistics
-from libmodbus_py.server.service import SessionState
 from tests.simulation.stage import Stage
 from tests.support.attacks import adu, ask, connect
-from tests.support.chunks import FakeChannel
 
 ASKED, ANSWER = bytes.fromhex("03 0000 0001"), bytes.fromhex("03 02 0007")
 
 # What the fixture `device` is asked, and answers.
 READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
-
-
-class Channel(FakeChannel):
-    """A channel that remembers what happens to it."""
-
-    def __init__(self) -> None:
-        self.written: list[bytes] = []
-        self.traced: list[tuple[str, bytes, int | None]] = []
-        self.followed = 0
-        super().__init__(self.written.append, self._count)
-        self.trace: Any = self
-
-    def _count(self) -> None:
-        self.followed += 1
-
-    def tell(
-        self, direction: str, adu: bytes, unit: int | None = None, function: int | None = None
-    ) -> None:
-        assert (unit is None) == (function is None)
-        self.traced.append((direction, adu, unit))
-
-
-class Session(Framed):
-    """Answers each request in the same way."""
-
-    def __init__(self, *, has_turns: bool = False) -> None:
-        endpoint = parse("tcp://10.0.0.1")
-        settings = SessionSettings(endpoint, ServerStatistics(), has_turns=has_turns)
-        self.channel: Channel
-        super().__init__(settings, Channel(), lambda unit: unit == 1)
-
-    def answer(self, request: Frame) -> Frame:
-        return request._replace(pdu=ANSWER)
 
 
 def framed(pdu: bytes, number: int) -> bytes:
@@ -69,69 +26,6 @@ def request(number: int = 1) -> bytes:
 
 def answer(number: int = 1) -> bytes:
     return framed(ANSWER, number)
-
-
-def test_each_request_is_answered_traced_and_counted() -> None:
-    session = Session()
-    assert session.state.value == "reading"
-    assert session.receive(request(1) + request(2)) == 2
-    assert session.channel.written == [answer(1), answer(2)]
-    assert session.channel.traced == [
-        ("received", request(1), 1),
-        ("received", request(2), 1),
-        ("sent", answer(1), 1),
-        ("sent", answer(2), 1),
-    ]
-    assert (session.statistics.requests, session.statistics.refused) == (2, 0)
-    assert session.state.value == "reading"
-    assert session.channel.followed == 0
-
-
-def test_a_frame_whose_end_is_missing_is_waited_for() -> None:
-    session = Session()
-    assert session.receive(request()[:9]) == 0
-    assert session.state.value == "unfinished"
-    assert session.receive(request()[9:]) == 1
-    assert session.state.value == "reading"
-
-
-def test_of_many_requests_four_are_answered_at_a_time() -> None:
-    session = Session(has_turns=True)
-    counts = [session.receive(b"".join(map(request, range(10))))]
-    while session.state is SessionState.BEHIND:
-        followed = session.channel.followed
-        counts.append(session.receive(b""))
-        assert session.channel.followed == followed + (session.state is SessionState.BEHIND)
-    assert counts == [4, 4, 2]
-    assert session.channel.written == [answer(number) for number in range(10)]
-
-
-def test_a_stream_that_cannot_be_understood_ends_after_its_requests() -> None:
-    session = Session()
-    assert session.receive(request() + b"\xff" * 300) == 1
-    assert session.channel.written == [answer()]
-    assert session.state.value == "behind"
-    with pytest.raises(FrameError, match="out of step"):
-        session.receive(b"")
-
-
-def test_the_rest_of_what_came_is_traced_once() -> None:
-    for end in (Session.end, Session.close):
-        session = Session()
-        session.receive(request()[:9])
-        for _ in range(3):
-            end(session)
-        assert session.channel.traced == [("received", request()[:9], None)]
-        assert session.state.value == "reading"
-
-
-def test_frames_that_are_not_answered_any_more_are_traced() -> None:
-    session = Session(has_turns=True)
-    session.receive(b"".join(map(request, range(6))))
-    session.end()
-    received = [adu for direction, adu, _ in session.channel.traced if direction == "received"]
-    assert received == [request(number) for number in range(6)]
-    assert session.channel.written == [answer(number) for number in range(4)]
 
 
 # --- requests that arrive glued together or cut in pieces ---------------------------------

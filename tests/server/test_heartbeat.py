@@ -2,8 +2,6 @@
 Masters that write the same again and again, as a heartbeat: no echo, each is carried out.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

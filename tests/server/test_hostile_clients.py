@@ -1,18 +1,28 @@
 """
-Clients that lie, flood, fall silent or vanish: they change nothing, and cost others nothing.
+Hostile clients: what they send, and what others see of their attacks.
 """
 
-from __future__ import annotations
-
 import random
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py import Client, Device, Server, framing
+from libmodbus_py import Client, Device, Limits, Mapping, Server, framing
+from libmodbus_py.server.peer import READ_BYTES
+from tests.simulation.attackers import Attackers, Innocent
 from tests.simulation.stage import Stage
-from tests.support.attacks import adu, ask, connect
+from tests.support.attacks import (
+    ATTACKS,
+    UNIT,
+    Attack,
+    adu,
+    ask,
+    connect,
+)
+from tests.support.certificates import Papers
 
 READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
@@ -114,3 +124,49 @@ def test_any_request_gets_one_answer_or_none(port: int, body: bytes, transaction
         expected = [last] if body[0] & 0x80 else [transaction, last]
         assert [frame.transaction for frame in frames] == expected
         assert frames[0].pdu[0] & 0x7F == body[0] & 0x7F or body[0] & 0x80
+
+
+# How many of those that send something are enough: in a turn 128 connections are read.
+SENDERS = 200
+
+# The turns of the loop in which so many are read, and one for the answer.
+TURNS = -(-SENDERS // 128) + 1
+
+
+def others(attack: Attack) -> int:
+    """
+    How many requests of others are answered before the innocent's: what one turn reads of them,
+    `READ_BYTES` of each of up to 128 connections.
+    """
+    return min(attack.connections, 128) * READ_BYTES // len(adu(b"\x63\1\2\3"))
+
+
+def enough(attack: Attack) -> Attack:
+    return replace(attack, connections=min(attack.connections, SENDERS)) if attack.sends else attack
+
+
+@pytest.mark.parametrize(
+    "attack", [*map(enough, ATTACKS)], ids=lambda attack: attack.name.replace(" ", "-")
+)
+def test_an_innocent_client_waits_for_few_of_the_others(
+    stage: Stage, attack: Attack, tmp_path: Path
+) -> None:
+    """The innocent speaks TCP; an attack on TLS meets another endpoint of the same server."""
+    server = Server(
+        {UNIT: Device(Mapping(holding_registers=2000))},
+        limits=Limits(max_connections=1500),
+        security=Papers(tmp_path).server() if attack.scheme == "tls" else None,
+    )
+    urls = ["tcp://10.0.0.1:0", f"{attack.scheme}://10.0.0.1:0"]
+    with server.background(*urls) as running, stage.talk(running.urls[0]) as client:
+        innocent = Innocent(stage, client, lambda: server.statistics.requests)
+        assert innocent.poll(5).turns == [0] * 5
+        with Attackers(stage, attack, running.urls[1]) as attackers:
+            assert stage.until(lambda: attackers.all_attack, 10)
+            waited = innocent.poll(3, among=attackers)
+        assert (attackers.sent > 0) == attack.sends
+        assert max(waited.turns) <= TURNS
+        assert max(waited.others) <= others(attack)
+        assert waited.longest <= others(attack) + 1
+        assert stage.until(lambda: server.statistics.connections == 1)
+        assert innocent.poll(5).turns == [0] * 5

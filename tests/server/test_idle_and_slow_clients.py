@@ -5,11 +5,7 @@ Seconds are simulated, and exact but for how often the server looks: every quart
 limit, and at least once a second.
 """
 
-from __future__ import annotations
-
 import socket
-import threading
-from pathlib import Path
 
 import pytest
 
@@ -17,8 +13,7 @@ from libmodbus_py import Device, Fault, Mapping, Server
 from libmodbus_py.server.limits import Limits
 from libmodbus_py.server.peer import READ_BYTES
 from tests.simulation.stage import Stage, Talker
-from tests.support.attacks import PATIENCE, READ_MOST, READ_ONE, adu, connect, receive
-from tests.support.peers import until
+from tests.support.attacks import READ_MOST, READ_ONE, adu, connect
 from tests.support.served import (
     ANSWER_MOST,
     ANSWER_ONE,
@@ -233,25 +228,3 @@ def test_the_last_answers_must_be_taken_within_the_time_of_a_frame(stage: Stage,
         assert stage.until(lambda: server.statistics.connections == 0)
         assert 20 <= stage.now - begun <= 21.01
         assert server.counts(closed_out_of_step=1, closed_slow=1, requests=MANY)
-
-
-def most_in_the_system() -> int:
-    """Bytes that the system may keep for a connection on its way out."""
-    return int(Path("/proc/sys/net/ipv4/tcp_wmem").read_text().split()[2])
-
-
-def test_a_deaf_client_of_the_system_is_not_read() -> None:
-    """The real copy: what the system buffers is the system's affair."""
-    count = 2 * most_in_the_system() // MOST_ANSWER
-    server = Server({17: Device(Mapping(holding_registers=125))})
-    with server.background("tcp://127.0.0.1:0") as running, socket.socket() as deaf:
-        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        deaf.settimeout(PATIENCE)
-        deaf.connect(("127.0.0.1", int(running.urls[0].rpartition(":")[2])))
-        sender = threading.Thread(target=deaf.sendall, args=[pipelined(count)])
-        sender.start()
-        until(lambda: server.statistics.paused)
-        assert server.statistics.requests < count
-        assert receive(deaf, count * MOST_ANSWER) == answers(count)
-        sender.join()
-    assert server.statistics.requests == count

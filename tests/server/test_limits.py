@@ -2,8 +2,6 @@
 What clients may cost a server, limit by limit, and what it counts of them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import math

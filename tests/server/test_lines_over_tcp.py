@@ -3,8 +3,6 @@ Serial lines over TCP have many clients, where a line has one: what function 8 d
 device for one of them must not be felt by the others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any

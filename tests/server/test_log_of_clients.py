@@ -3,8 +3,6 @@ What the log says of clients that limits, networks, roles, routes and TLS refuse
 and then a line a minute with their number.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import re

@@ -3,8 +3,6 @@ As many connections as descriptors allow, and very many one after the other: all
 served, and the server's process is afterwards what it was before.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import socket

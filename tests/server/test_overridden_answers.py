@@ -2,8 +2,6 @@
 A subclass of Device that overrides `answer` is asked for every request, on every transport.
 """
 
-from __future__ import annotations
-
 from typing import Any
 from unittest import mock
 

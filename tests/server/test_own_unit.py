@@ -5,8 +5,6 @@ Messaging guide V1.0b, 4.4.2: a server is addressed by its IP address, unit 255 
 so. Application protocol V1.1b3, 6.8 (sub-function 11) and 6.10: messages.
 """
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Iterator
 from typing import Any

@@ -135,16 +135,6 @@ def test_answers_are_sent_when_all_were_read(stage: Stage, endpoint: Open) -> No
     assert sent_before == [0, 0, 0]
 
 
-def test_what_is_written_between_turns_is_sent_at_once(stage: Stage, endpoint: Open) -> None:
-    server = endpoint(ignore)
-    (first, one), (second, two) = server.talk(), server.talk()
-    for session in (one, two, one):
-        session.peer.write(b"late")
-    stage.pass_time(0.001)
-    assert first.receive(8) == b"latelate"
-    assert second.receive(4) == b"late"
-
-
 def test_calls_for_later_come_after_all_were_read_and_before_answers(
     stage: Stage, endpoint: Open
 ) -> None:
@@ -236,36 +226,6 @@ def test_who_is_held_or_behind_is_not_read(stage: Stage, endpoint: Open) -> None
 # --- ends -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("place", ["receive", "later"])
-@pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
-def test_a_hook_ends_the_program_after_all_of_the_turn_are_answered(
-    stage: Stage, endpoint: Open, place: str, error: type[BaseException]
-) -> None:
-    server = endpoint()
-    talkers = [server.talk()[0] for _ in range(3)]
-
-    def ending(session: Session, data: bytes) -> int:
-        session.peer.write(data)
-        if session is server.sessions[1]:
-            if place == "receive":
-                raise error
-            server.peers.later(fail)
-        return 1
-
-    def fail() -> None:
-        raise error
-
-    server.on_receive = ending
-    for talker in talkers:
-        talker.send(b"x")
-    with pytest.raises(error):
-        stage.pass_time(1)
-    assert server.ends == 1
-    assert [talker.recv(9) for talker in talkers] == [b"x"] * 3
-    stage.pass_time(1)
-    assert server.ends == 1
-
-
 def test_a_session_that_fails_costs_its_connection_only(
     stage: Stage, endpoint: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -286,23 +246,6 @@ def test_a_session_that_fails_costs_its_connection_only(
     assert server.statistics.connections == 1
 
 
-def test_who_sends_no_more_gets_the_answers_that_are_owed(stage: Stage, endpoint: Open) -> None:
-    server = endpoint(ignore, frame_timeout=8)
-    talker, session = server.talk()
-    session.state = SessionState.OWING
-    talker.send(b"ask")
-    stage.pass_time(0.1)
-    talker.shutdown(1)
-    stage.pass_time(5)
-    assert session.is_ended
-    assert not session.is_closed
-    session.state = SessionState.READING
-    session.peer.write(b"answer")
-    assert talker.receive(6) == b"answer"
-    assert talker.is_closed()
-    assert server.statistics.closed_slow == 0
-
-
 def test_who_sends_no_more_is_closed_although_the_answer_never_comes(
     stage: Stage, endpoint: Open
 ) -> None:
@@ -314,43 +257,6 @@ def test_who_sends_no_more_is_closed_although_the_answer_never_comes(
     assert talker.is_closed()
     assert 8 <= stage.now - begun <= 9.01
     assert server.statistics.closed_slow == 1
-
-
-def test_a_closed_connection_gets_its_last_bytes(stage: Stage, endpoint: Open) -> None:
-    server = endpoint(ignore)
-    talker, session = server.talk()
-    session.peer.write(b"last")
-    session.peer.close()
-    session.peer.close()
-    assert talker.receive(4) == b"last"
-    assert talker.is_closed()
-    assert server.statistics.connections == 0
-    session.peer.follow()  # does nothing any more
-    session.peer.send()
-    session.peer.end()
-    session.peer.catch_up()
-
-
-@pytest.mark.parametrize("state", [SessionState.READING, SessionState.UNFINISHED])
-def test_a_connection_that_is_closed_by_its_own_request_is_gone(
-    stage: Stage, endpoint: Open, state: SessionState
-) -> None:
-    def closing(session: Session, data: bytes) -> int:
-        session.peer.write(b"last")
-        session.state = state
-        session.peer.close()
-        session.peer.write(b"nothing")
-        session.peer.follow()
-        return 1
-
-    server = endpoint(closing, frame_timeout=1)
-    talker, _ = server.talk()
-    talker.send(b"ask")
-    assert talker.receive(4) == b"last"
-    assert talker.is_closed()
-    stage.pass_time(60)
-    assert len(server.peers) == 0
-    assert server.statistics.closed_slow == 0
 
 
 # --- slow clients ---------------------------------------------------------------------------------

@@ -2,18 +2,15 @@
 How many requests of an address are answered in a second: `requests_per_second`, in simulated time.
 """
 
-from __future__ import annotations
-
 import gc
 from contextlib import ExitStack
 
 import pytest
 
-from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.server.limits import Allowance, Limits
+from libmodbus_py.server.limits import Allowance
 from libmodbus_py.server.peer import READ_BYTES, Peer
 from tests.simulation.stage import Stage
-from tests.support.attacks import READ_ONE, adu, connect, receive
+from tests.support.attacks import READ_ONE, adu
 from tests.support.served import ANSWER_ONE, ONE_ANSWER, OTHER, OVER_TCP, ask, rtu, served
 
 KIND = pytest.mark.parametrize("kind", OVER_TCP)
@@ -82,21 +79,6 @@ def test_requests_sent_at_once_wait_and_none_is_lost(stage: Stage, kind: str) ->
         at_once = READ_BYTES // len(adu(READ_ONE))
         assert (count - 100 - at_once) / 100 - 0.001 <= stage.now - begun <= (count - 100) / 100
         assert server.counts(requests=count + 50, connections=2, closed_slow=0)
-
-
-def test_a_rate_holds_on_connections_of_the_system() -> None:
-    """The real copy: nothing is lost, and the clients wait."""
-    server = Server(
-        {17: Device(Mapping(holding_registers=1))}, limits=Limits(requests_per_second=150)
-    )
-    with (
-        server.background("tcp://127.0.0.1:0") as running,
-        connect(running.urls[0]) as client,
-    ):
-        client.sendall(b"".join(adu(READ_ONE, number) for number in range(300)))
-        expected = b"".join(adu(ANSWER_ONE, number) for number in range(300))
-        assert receive(client, len(expected)) == expected
-    assert server.statistics.throttled > 0
 
 
 def peers_in_memory() -> int:

@@ -2,8 +2,6 @@
 Other devices and faults while a server serves: who is connected stays, and sees the new ones.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import socket

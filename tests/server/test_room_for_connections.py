@@ -2,8 +2,6 @@
 How many connections a server has, of all clients and of one address, and who goes for others.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import Device, Mapping, Server

@@ -2,8 +2,6 @@
 A server on a serial line: noise, requests to others, and a port that is unplugged.
 """
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import os

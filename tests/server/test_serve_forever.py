@@ -2,8 +2,6 @@
 Programs that do nothing but serve, as processes of their own, and the signals that end them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import signal

@@ -1,18 +1,21 @@
 """
-A server as a whole: how it starts, what it refuses to start with, and how it stops.
+A server begins, ends, and can be entered once at a time.
 """
-
-from __future__ import annotations
 
 import asyncio
 import errno
 import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
-from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
+from libmodbus_py import Client, Device, Gateway, Mapping, ModbusConnectionError, Route, Server
 from libmodbus_py.ports.endpoint import parse
 from tests.support.attacks import adu, connect
+from tests.support.cases import each_case
 from tests.support.names import NEEDS_IPV6
 
 READ, ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
@@ -82,3 +85,80 @@ def test_serving_in_asyncio(device: Device, second: str) -> None:
             return answer
 
     assert asyncio.run(main()) == adu(ANSWER)
+
+
+HERE = "tcp://127.0.0.1:0"
+
+SERVERS: dict[str, Callable[[str], Any]] = {
+    "server": lambda url: Server(Device(Mapping(holding_registers=10))).background(HERE),
+    "gateway": lambda url: Gateway([Route(url)]).background(HERE),
+}
+
+
+@pytest.mark.parametrize("kind", SERVERS)
+def test_a_background_that_runs_is_not_entered_again(kind: str) -> None:
+    with SERVERS["server"]("") as behind:
+        background = SERVERS[kind](behind.urls[0])
+        with background as running:
+            for _ in range(2):
+                with pytest.raises(RuntimeError, match="call background"), background:
+                    pass
+            with Client(running.urls[0]) as client:
+                assert client.read_holding_registers(0, 1) == [0]
+        with pytest.raises(RuntimeError, match="call background"), background:
+            pass
+
+
+TABLES = ("coils", "discrete_inputs", "holding_registers", "input_registers")
+
+
+@each_case("name", TABLES)
+def test_a_view_in_a_with_statement_closes_a_copy(name: str) -> None:
+    mapping = Mapping(10, 10, 10, 10)
+    table = getattr(mapping, name)
+    table[3] = 1
+    with table.view as view:
+        assert view[3] == 1
+    table.view.release()
+    table[4] = 1
+    assert (table[3], table[4], table.view[4]) == (1, 1, 1)
+
+
+PROGRAM = """
+import gc, sys
+from libmodbus_py import Device, Mapping, Server
+counts = []
+def stop(running):
+    counts.append(gc.get_freeze_count())
+    raise LookupError
+{before}
+start = gc.get_freeze_count()
+for _ in range(2):
+    try:
+        Server(Device(Mapping(1))).serve_forever("tcp://127.0.0.1:0", on_listening=stop)
+    except LookupError:
+        counts.append(gc.get_freeze_count())
+print(start, *counts)
+"""
+
+
+def counts(before: str) -> list[int]:
+    """Return how much is frozen: before, and while and after each of two servers serves."""
+    program = [sys.executable, "-c", PROGRAM.format(before=before)]
+    done = subprocess.run(program, capture_output=True, text=True, check=True)
+    return [int(each) for each in done.stdout.split()]
+
+
+def test_serve_forever_unfreezes_what_it_froze() -> None:
+    start, during, after, again, at_last = counts("")
+    assert during > 10_000
+    assert again > 10_000
+    assert after <= start
+    assert at_last <= start
+
+
+def test_serve_forever_leaves_what_the_program_froze() -> None:
+    start, *others = counts("gc.freeze()")
+    assert start > 10_000
+    # Some of it may be freed meanwhile.
+    assert all(start - 500 <= count <= start for count in others)

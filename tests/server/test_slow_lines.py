@@ -2,8 +2,6 @@
 Lines on which a byte takes longer than a computer keeps one back: silence ends no frame too soon.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import AsyncClient, Client, listen

@@ -2,8 +2,6 @@
 The file that keeps the values of served devices: what it has, who may use it, and what fails.
 """
 
-from __future__ import annotations
-
 import errno
 import json
 import os

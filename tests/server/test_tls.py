@@ -4,8 +4,6 @@ Modbus Security at the server: with clients that others wrote.
 R-nn are the requirements of MB-TCP-Security-v36.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import ssl

@@ -2,8 +2,6 @@
 TLS of the hostile, the slow and the lost: nothing crashes, nothing is left, others are served.
 """
 
-from __future__ import annotations
-
 import array
 import contextlib
 import fcntl

@@ -2,8 +2,6 @@
 Handshakes that are slow, many, or never end: others are served, and wait for none of them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ssl
 

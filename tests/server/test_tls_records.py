@@ -5,8 +5,6 @@ R-nn are the requirements of MB-TCP-Security-v36. The limits of clients over TLS
 of these limits.
 """
 
-from __future__ import annotations
-
 import itertools
 import ssl
 import struct

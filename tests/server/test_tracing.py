@@ -3,8 +3,6 @@
 callback does.
 """
 
-from __future__ import annotations
-
 import logging
 import socket
 import threading

@@ -2,8 +2,6 @@
 What a role may not do, over every transport: exception 1, counted, and nothing done.
 """
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from collections.abc import Callable

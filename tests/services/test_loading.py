@@ -2,8 +2,6 @@
 Files of any kind are told apart by what they contain.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

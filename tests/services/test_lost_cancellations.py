@@ -4,8 +4,6 @@ Cancellations that arrive at the moment at which what is waited for happens.
 `asyncio.wait_for` of Python 3.11 loses them; the libraries of MQTT and NATS use it.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
@@ -20,10 +18,10 @@ from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.services.tasks import AGAIN, FINISHING_S, end_tasks, finish
 from tests.simulation.given import simulated
-from tests.support.outputs import Picky, reading
+from tests.support.outputs import FakeOutput, reading
 
 
-class Careless(Picky):
+class Careless(FakeOutput):
     """An output that swallows cancellations of its `write`, the first so many times."""
 
     def __init__(self, count: int) -> None:
@@ -108,7 +106,7 @@ def test_a_cancellation_is_not_lost_when_the_last_word_is_said(
 
 @simulated
 async def test_a_cancellation_is_not_lost_while_a_pump_rests() -> None:
-    pump = Pump(Picky(refused=("a",), error=OSError("away")))
+    pump = Pump(FakeOutput(refused=("a",), error=OSError("away")))
     pump.buffer.put_readings([reading("a", "one")])
     pump.start()
     await asyncio.sleep(0.1)

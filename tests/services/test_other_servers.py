@@ -2,8 +2,6 @@
 URLs of brokers, databases and NATS servers, and the files with their secrets: one rule for all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

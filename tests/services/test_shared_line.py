@@ -2,8 +2,6 @@
 Who may ask next on a connection that many share, in simulated time, with a client that is a list.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from typing import Any, cast
@@ -11,7 +9,6 @@ from typing import Any, cast
 from libmodbus_py import ModbusTimeoutError
 from libmodbus_py.client.sender import Sender
 from libmodbus_py.pdu import ReadCoils
-from libmodbus_py.services import line as shared_line
 from libmodbus_py.services.line import FairQueue, LineRequest, SharedLine, rest_after
 from tests.simulation.given import simulated
 from tests.support.cases import each_case
@@ -179,16 +176,6 @@ class Line(SharedLine[LineRequest]):
 
 
 @simulated
-async def test_no_more_are_in_flight_than_there_is_room_for() -> None:
-    line = Line(room=2)
-    first, *_ = line.put(1, 2, 3, 4)
-    assert (line.log, len(line.in_flight), line.waiting) == ([1, 2], 2, 2)
-    await line.answer(first)
-    assert (line.log, len(line.in_flight), line.waiting) == ([1, 2, 3], 2, 1)
-    assert line.over == [(1, b"")]
-
-
-@simulated
 async def test_one_is_asked_where_there_is_no_room_now() -> None:
     """Or a client that recovers from a failure would be asked nothing for ever."""
     line = Line(room=0)
@@ -205,30 +192,6 @@ async def test_urgent_requests_come_first() -> None:
     assert line.ask(urgent, 0.0)
     await line.answer(first)
     assert line.log == [1, 3]
-
-
-@simulated
-async def test_a_unit_that_owes_an_answer_is_not_asked_and_others_are() -> None:
-    now = asyncio.get_running_loop().time()
-    line = Line(owing={5: now + 3})
-    line.put(5)
-    other, *_ = line.put(6)
-    assert line.log == [6]
-    await line.answer(other)
-    await asyncio.sleep(2.9)
-    assert line.log == [6]
-    await asyncio.sleep(0.2)
-    assert line.log == [6, 5]
-
-
-@simulated
-async def test_what_waited_for_too_long_is_not_sent() -> None:
-    line = Line(longest_wait=5.0)
-    first, *_ = line.put(1, 2)
-    await asyncio.sleep(5.1)
-    line.put(3)
-    await line.answer(first)
-    assert line.log == [1, -2, 3]
 
 
 @simulated
@@ -274,45 +237,7 @@ async def test_what_was_answered_in_one_turn_may_be_withdrawn_by_the_first_of_th
     assert (line.over, len(line.in_flight), line.log) == ([(1, b"")], 1, [1, 2, 3])
 
 
-@simulated
-async def test_a_line_that_is_closed_sends_nothing() -> None:
-    line = Line()
-    first, *_ = line.put(1, 2)
-    (trial,) = line.put(9, is_trial=True)
-    assert [each.unit for each in line.stop()] == [2, 9]
-    await line.answer(first)
-    assert (line.log, line.over, line.waiting) == ([1], [(1, b"")], 0)
-    assert not line.remove(trial)
-    await line.close()
-
-
 # --- trials -----------------------------------------------------------------------------------
-
-
-@simulated
-async def test_a_silent_unit_is_tried_when_no_one_else_waits() -> None:
-    line = Line()
-    (first,) = line.put(1)
-    line.put(9, is_trial=True)
-    (other,) = line.put(2)
-    await line.answer(first)
-    await line.answer(other)
-    assert line.log == [1, 2, 9]
-
-
-@simulated
-async def test_or_after_a_timeout_but_not_twice_in_a_row() -> None:
-    line = Line()
-    (first,) = line.put(1)
-    trials = line.put(9, 8, is_trial=True)
-    others = line.put(2, 3, 4)
-    await asyncio.sleep(TIMEOUT - 0.01)
-    await line.answer(first)
-    await asyncio.sleep(0.01)
-    for each in (others[0], trials[0], others[1], trials[1]):
-        await line.answer(each)
-    assert line.log == [1, 2, 9, 3, 8, 4]
-    line.stop()
 
 
 @each_case(("most", "expected"), [(9, 3), (2, 2), (1, 1)])
@@ -323,25 +248,6 @@ async def test_as_many_trials_are_made_as_may_be(most: int, expected: int) -> No
     assert line.log == [1, 2, 3][:expected]
     await line.answer(trials[0])
     assert line.log == [1, 2, 3][: expected + 1]
-
-
-@simulated
-async def test_a_trial_makes_way_after_the_longest_of_the_answers() -> None:
-    line = Line()
-    await line.answer_after(0.2, 1)
-    line.put(9, is_trial=True)
-    await asyncio.sleep(0.5)  # nobody waits
-    assert line.log == [1, 9]
-    line.put(1)
-    assert line.log == [1, 9, -9, 1]
-    line = Line()
-    await line.answer_after(0.2, 1)
-    line.put(9, is_trial=True)
-    line.put(2)
-    await asyncio.sleep(0.19)
-    assert line.log == [1, 9]
-    await asyncio.sleep(0.02)
-    assert line.log == [1, 9, -9, 2]
 
 
 @simulated
@@ -358,20 +264,6 @@ async def test_a_unit_that_was_slower_has_as_long_as_its_own_answers_took() -> N
     assert line.log == [9]
     await asyncio.sleep(0.02)
     assert line.log == [9, -9, 1]
-
-
-@simulated
-async def test_one_trial_in_sixteen_waits_to_the_end() -> None:
-    found = []
-    for misses in range(1, 34):
-        line = Line()
-        line.put(9, is_trial=True, misses=misses)
-        line.put(1)
-        await asyncio.sleep(2 * TIMEOUT)
-        if line.log == [9]:
-            found.append(misses)
-    assert found == [16, 32]
-    assert 0 < shared_line.SHORTEST_TRIAL_S < TIMEOUT
 
 
 @simulated

@@ -5,8 +5,6 @@ Runs the recorded seeds first, then fresh ones for so many seconds. A run that f
 short as it can be, and what was said in it is printed; then the program exits with 1.
 """
 
-from __future__ import annotations
-
 import argparse
 import logging
 import math

@@ -5,8 +5,6 @@ Nothing takes time on a stage but the network. So what others cost a client is c
 the server's loop and in requests, from the arrival of its request to the answer.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field

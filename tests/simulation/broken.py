@@ -2,8 +2,6 @@
 Rules of the package broken on purpose, to see that the simulated world finds each of them.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager

@@ -2,8 +2,6 @@
 Casts of a simulated world: who asks whom, over what, and what goes wrong.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import random
@@ -15,6 +13,7 @@ from libmodbus_py import Client, Gateway, Route
 from tests.services.workers import simulated as workers_simulated
 
 from .fleets import fleet, plant
+from .reports import around_writes, of_odd_hosts, on_busy_line, with_new_clients
 from .rules import Rest
 from .world import Ask, World, asking_gateway, clients
 
@@ -233,6 +232,10 @@ CASTS: dict[str, Callable[[World], Any]] = {
     "gateway": _through_gateway,
     "blocking": _blocking,
     "silent unit": _past_silent_unit,
+    "busy line": on_busy_line,
+    "new clients": with_new_clients,
+    "around writes": around_writes,
+    "odd hosts": of_odd_hosts,
     "crowd": _crowd,
     "workers": _workers,
     "fleet": fleet,

@@ -7,8 +7,6 @@ time, so that the value itself says whose it is and how old; a write (function 6
 witness.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -161,6 +159,8 @@ class Host:
 
     def __init__(self, network: Network, url: str, units: list[Unit], accepts: float = 1.0) -> None:
         self.accepts: float = accepts
+        self.closes: bool = False  # after each answer
+        self.has_ids: bool = True  # else those of answers are 0
         self._events = network.events
         self._units = {unit.number: unit for unit in units}
         self._has_header = not url.startswith("rtu")
@@ -209,7 +209,8 @@ class Host:
         if self._events.random.random() < unit.behaviour.drop:
             end.close()
             return
-        frame = partial(_mbap, request[:4], number) if self._has_header else partial(_rtu, number)
+        head = request[:4] if self.has_ids else bytes(4)
+        frame = partial(_mbap, head, number) if self._has_header else partial(_rtu, number)
         for after, pieces in unit.replies(pdu, frame):
             self._events.after(after, self._send, end, pieces)
 
@@ -222,6 +223,8 @@ class Host:
         try:
             end.send(b"".join(pieces))
         except OSError:
+            end.close()
+        if self.closes:
             end.close()
 
 

@@ -6,8 +6,6 @@ Whatever goes to the server or comes from it takes time, and can be lost; connec
 still; the server can stop and can forget. Its clients are in `engine_client`.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections import deque

@@ -2,8 +2,6 @@
 What happens when, in simulated seconds. One seed decides every choice.
 """
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math

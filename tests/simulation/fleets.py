@@ -2,8 +2,6 @@
 Casts with fleets: whole workers share devices through an engine, and something happens to them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 from collections.abc import AsyncIterator

@@ -2,8 +2,6 @@
 Tests that are coroutines: each is given first what was made for it, and then its fixtures.
 """
 
-from __future__ import annotations
-
 import functools
 import inspect
 from collections.abc import Callable, Coroutine

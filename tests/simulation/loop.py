@@ -2,8 +2,6 @@
 An event loop on simulated time: when all wait, the clock moves to whatever is next.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import math

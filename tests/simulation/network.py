@@ -2,8 +2,6 @@
 The network of a simulated world: hosts and lines by name, and the package made to use them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import errno

@@ -2,8 +2,6 @@
 A plant of scripted units on one connection, which a fleet polls in simulated time.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager

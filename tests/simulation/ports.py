@@ -5,8 +5,6 @@ All but the system's part is the package's own: `TcpPort`, for example, sends an
 socket in memory.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import socket

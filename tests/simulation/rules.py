@@ -6,10 +6,9 @@ network, what is sent. A request is known by its unit, function, address and val
 one has.
 """
 
-from __future__ import annotations
-
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from libmodbus_py import ExceptionResponse, ModbusError
 
@@ -139,6 +138,13 @@ class Witness:
         times.append(self.events.now)
         if pdu[0] == 6 and len(times) > self._sent[key]:
             self.fail("a write is carried out as often as it was sent", _text(key))
+
+    def compare_order(self, keys: list[Key]) -> None:
+        """Requests of one unit were given in this order: none is carried out after the next one."""
+        for key, following in pairwise(keys):
+            times, later = self._executed.get(key), self._executed.get(following)
+            if times and later and times[-1] > later[0]:
+                self.fail("requests keep their order around a write", _text(key))
 
     def sent(self, unit: int, pdu: bytes) -> None:
         """A request left for a unit."""

@@ -2,8 +2,6 @@
 Peers that do what a test says, on a network in memory: over TCP, TLS and UDP, and on a line.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from typing import Any

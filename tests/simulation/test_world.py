@@ -3,8 +3,6 @@ The rules of the simulated world hold for recorded and for a few fixed seeds, th
 the same exchange, and what is broken on purpose is found. ``./run simulate`` does more of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -3,8 +3,6 @@ Workers in a simulated world: each is a whole `Polling` with its fleet and its c
 engine, which leaves, is killed, or is stopped for a while.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any, cast

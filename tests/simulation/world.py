@@ -2,8 +2,6 @@
 A simulated world: a network, a witness, units that misbehave, and how clients ask them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import random
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -127,11 +125,19 @@ class World:
 
     # --- asking -----------------------------------------------------------------------------------
 
-    def call(self, unit: int, limit: float, *, age: float = 0.0, is_direct: bool = True) -> Call:
+    def call(
+        self,
+        unit: int,
+        limit: float,
+        *,
+        age: float = 0.0,
+        is_direct: bool = True,
+        function: int | None = None,
+    ) -> Call:
         """Make a request that no other one equals; one of four writes."""
         self._number += 1
         high, low = divmod(self._number, 0x10000)
-        kind = self.random.choice([3, 3, 3, 6])
+        kind = function or self.random.choice([3, 3, 3, 6])
         if kind == 3:
             pdu = bytes([3]) + low.to_bytes(2, "big") + bytes([0, COUNT])
         else:

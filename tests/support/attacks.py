@@ -1,29 +1,22 @@
 """
-Attacks on a server, and what an innocent client sees of them.
+Attacks on a server, step by step, and a server that is a process of its own.
 
-The server is a process of its own. The attackers are another, at the lowest priority, for
-they stand for other machines: what is measured is the server, not who else gets this
-one's processors (`attackers.py`). The innocent is the process that imports this.
+On a stage `tests.simulation.attackers` carries them out, against processes `bench.attackers`.
 """
 
-from __future__ import annotations
-
 import contextlib
-import json
 import os
 import random
 import resource
-import select
 import signal
 import socket
 import ssl
-import statistics
 import struct
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Self
 
@@ -172,100 +165,6 @@ class ServerProcess:
                 return False
             time.sleep(0.01)
         return True
-
-
-# --- the innocent ------------------------------------------------------------------------
-
-
-@dataclass
-class Polled:
-    """What became of an innocent's requests; times are in seconds."""
-
-    latencies: list[float] = field(default_factory=list)
-    lost: int = 0
-    wrong: int = 0
-
-    @property
-    def requests(self) -> int:
-        return len(self.latencies) + self.lost
-
-    @property
-    def median(self) -> float:
-        return statistics.median(self.latencies)
-
-    @property
-    def p99(self) -> float:
-        return sorted(self.latencies)[len(self.latencies) * 99 // 100]
-
-    @property
-    def worst(self) -> float:
-        return max(self.latencies)
-
-
-class Innocent:
-    """
-    A client that reads what it wrote, every two milliseconds.
-
-    Args:
-        papers: for TLS.
-    """
-
-    FIRST = 1000
-    VALUES = tuple(range(40_000, 40_010))
-    PERIOD = 0.002
-
-    def __init__(self, port: int, papers: Papers | None = None) -> None:
-        self._port = port
-        self._papers = papers
-        self._transaction = 0
-        self._connection = self._connect()
-        data = struct.pack(f">{len(self.VALUES)}H", *self.VALUES)
-        self._request = struct.pack(">BHH", 3, self.FIRST, len(self.VALUES))
-        self._answer = bytes([3, len(data)]) + data
-        written = struct.pack(">BHHB", 16, self.FIRST, len(self.VALUES), len(data)) + data
-        self._connection.sendall(adu(written))
-        assert receive(self._connection, 12) == adu(written[:5])
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._connection.close()
-
-    def poll(self, seconds: float, until: Callable[[], bool] = lambda: True) -> Polled:
-        """Ask for so many seconds, and until that is true."""
-        polled = Polled()
-        end = time.perf_counter() + seconds
-        while time.perf_counter() < end or not until():
-            self._ask(polled)
-            time.sleep(self.PERIOD)
-        return polled
-
-    def _ask(self, polled: Polled) -> None:
-        self._transaction = (self._transaction + 1) & 0xFFFF
-        expected = adu(self._answer, self._transaction)
-        start = time.perf_counter()
-        try:
-            self._connection.sendall(adu(self._request, self._transaction))
-            answer = receive(self._connection, len(expected))
-        except OSError:
-            answer = b""
-        if len(answer) < len(expected):
-            polled.lost += 1
-            self._connection.close()
-            self._connection = self._connect()
-            return
-        polled.latencies.append(time.perf_counter() - start)
-        polled.wrong += answer != expected
-
-    def _connect(self) -> socket.socket:
-        connection = connect(self._port)
-        if self._papers is None:
-            return connection
-        context = ssl.create_default_context(cafile=str(self._papers.ca))
-        files = self._papers.files(certificates.client())
-        context.load_cert_chain(files.cert, files.key)
-        return context.wrap_socket(connection, server_hostname="localhost")
 
 
 # --- honest work, and much of it ---------------------------------------------------------
@@ -420,55 +319,3 @@ ATTACKS = [
     Attack("TLS handshake flood", 20, _hello_after_hello, scheme="tls"),
     Attack("idle and no TLS handshake", 1000, _idle, sends=False, scheme="tls"),
 ]
-
-
-class Done(NamedTuple):
-    """What an attack came to: connections made, bytes sent and received."""
-
-    connected: int
-    sent: int
-    received: int
-
-
-class AttackerProcess:
-    """All the attackers of one attack."""
-
-    def __init__(self, attack: Attack, port: int) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.attackers", attack.name, str(port)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self.pid = self._process.pid
-        self._all_attack = False
-        assert self._read_line() == "ready\n"
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._process.kill()
-        self._process.communicate()
-
-    def begin(self) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.write("go\n")
-        self._process.stdin.flush()
-
-    def all_attack(self) -> bool:
-        """Return True if all connections were made, and have sent what each of them sends."""
-        if not self._all_attack and select.select([self._process.stdout], [], [], 0)[0]:
-            self._all_attack = self._read_line() == "all\n"
-        return self._all_attack
-
-    def end(self) -> Done:
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._process.stdin = None  # communicate() would flush it
-        line = self._read_line()
-        return Done(*json.loads(self._read_line() if line == "all\n" else line))
-
-    def _read_line(self) -> str:
-        assert self._process.stdout is not None
-        return self._process.stdout.readline()

@@ -2,8 +2,6 @@
 Programs in C that talk through libmodbus, compiled once for all tests.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -17,8 +17,6 @@ A case costs about a microsecond here. A parametrized test costs a millisecond f
 pytest's own `subtests` as much once the report of each case travels from a worker of pytest-xdist.
 """
 
-from __future__ import annotations
-
 import functools
 import inspect
 import itertools

@@ -5,8 +5,6 @@ All that is good comes from `making`; what it refuses to make is put together he
 are made once for a process, for they take longest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ Every kind of client behind the same calls, on the real system or on a network i
 that they talk to on a `Network` whose clock jumps, where times are exact.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import inspect

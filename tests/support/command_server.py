@@ -7,8 +7,6 @@ and the surroundings as JSON, and the descriptors 0 to 2. The answer is the proc
 command, which becomes a child of the process that asked.
 """
 
-from __future__ import annotations
-
 import atexit
 import gc
 import importlib

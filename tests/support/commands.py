@@ -6,8 +6,6 @@ Commands of libmodbus-py, in three ways.
 for signals, pipes and terminals. `PROGRAM` starts an interpreter: for what happens at the start.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import ctypes

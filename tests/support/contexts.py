@@ -2,8 +2,6 @@
 Contexts that are libmodbus, for a URL; and slaves by hand, each in a thread.
 """
 
-from __future__ import annotations
-
 import contextlib
 import threading
 from collections.abc import Callable, Iterator

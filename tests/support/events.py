@@ -2,8 +2,6 @@
 What an audit trail records, parted by whose events they are, and the certificates in it.
 """
 
-from __future__ import annotations
-
 from cryptography import x509
 from cryptography.hazmat.primitives.hashes import SHA256
 

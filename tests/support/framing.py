@@ -1,7 +1,5 @@
 """Frames of units and bodies, as `talk` computes them, and framers fed with their bytes."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -2,8 +2,6 @@
 What the tests of gateways share: devices behind a line of any kind, and a gateway before it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ Long outputs that are compared with files: `tests/FOLDER/golden/NAME`.
 `./run test --make-golden tests/cli` writes the files again; `git diff` then shows what has changed.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable
 from pathlib import Path

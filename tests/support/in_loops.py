@@ -2,8 +2,6 @@
 Tests of the asyncio client that run in one event loop, with a peer, in simulated time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Awaitable, Callable
 from typing import Any
 

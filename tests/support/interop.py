@@ -5,8 +5,6 @@ client asks of it, and the ids from which interop_report.py makes its table.
 The same tables stand in c/server.c and c/client.c.
 """
 
-from __future__ import annotations
-
 import contextlib
 import subprocess
 from collections.abc import Callable, Generator, Iterable, Iterator

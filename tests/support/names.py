@@ -3,8 +3,6 @@ Host names that resolve in this process alone, for no test asks a name server, o
 whether this machine has ::1, which not every container has.
 """
 
-from __future__ import annotations
-
 import socket
 from typing import Any
 

@@ -2,8 +2,6 @@
 Outputs that a pump writes to, or a test directly, and one that takes what it likes.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
@@ -19,7 +17,7 @@ def reading(device: str, name: str, value: Any = 1, time: float = 100.0) -> Read
     return Reading(time, device, name, value, "V", "good")
 
 
-class Picky(Output):
+class FakeOutput(Output):
     """
     An output that takes what it likes.
 
@@ -34,7 +32,7 @@ class Picky(Output):
 
     def __init__(
         self,
-        name: str = "picky",
+        name: str = "fake",
         *,
         is_away: bool = False,
         next: Sequence[BaseException | float] = (),

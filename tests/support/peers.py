@@ -6,8 +6,6 @@ Each hands its requests to a function of the test, which writes what it likes, w
 a function of answers; `mbap`, `echo` and `answer` make the answers.
 """
 
-from __future__ import annotations
-
 import contextlib
 import heapq
 import itertools

@@ -2,8 +2,6 @@
 Programs that tests, fuzzers and benchmarks start, found also where a user's PATH does not lead.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket

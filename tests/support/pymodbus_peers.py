@@ -2,8 +2,6 @@
 Clients and servers of pymodbus, on each transport that it has.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import ssl

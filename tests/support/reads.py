@@ -2,8 +2,6 @@
 Reads of one register each, and a peer that answers a read with its address.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from libmodbus_py import pdu

@@ -2,8 +2,6 @@
 What answers the requests of a `Talk`, whatever their framing.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import ModbusTimeoutError

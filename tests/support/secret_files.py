@@ -2,8 +2,6 @@
 Files with passwords, tokens and seeds, which only their owner can read.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 

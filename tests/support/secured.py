@@ -2,8 +2,6 @@
 The server's side of TLS for peers that tests write, without a socket: bytes in, bytes out.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ssl
 from functools import cache

@@ -2,8 +2,6 @@
 A server on a stage, and the requests that tests of its limits send there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict

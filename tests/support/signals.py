@@ -2,8 +2,6 @@
 What happens to this process in the midst of a test: signals, and forks.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -2,8 +2,6 @@
 SunSpec devices for tests: chains of models as registers, and servers of them.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Generator, Iterable, Sequence

@@ -13,8 +13,6 @@ stood.
 The times are pytest-timeout's: 180 s, unless a mark says otherwise.
 """
 
-from __future__ import annotations
-
 import asyncio
 import faulthandler
 import re

@@ -2,8 +2,6 @@
 A TLS client that is none of ours: Python's ssl, with a hand on each record.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import socket

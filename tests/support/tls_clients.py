@@ -2,8 +2,6 @@
 What tests of clients over TLS share.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager

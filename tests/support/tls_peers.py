@@ -5,8 +5,6 @@ Servers that speak TLS as the test says: Python's own ssl at the other end, reco
 ones, tickets in pieces, one change of keys after the other.
 """
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import ssl

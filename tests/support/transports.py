@@ -2,8 +2,6 @@
 A server on every transport of the real system, and the URL with which a client reaches it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path

@@ -2,8 +2,6 @@
 URLs of every scheme, made from the table of transports.
 """
 
-from __future__ import annotations
-
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS, TransportRules
 
 CONNECTING = [scheme for scheme, (_, kind) in SCHEMES.items() if not TRANSPORTS[kind].is_listening]

@@ -1,7 +1,5 @@
 """Values of every type, and the calls that lay them into registers and back."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from hypothesis import strategies as st

@@ -4,8 +4,6 @@ Append a worked example to vectors.json, made of its PDU: ./run python -m tests.
 The check bytes are computed by `talk`, which shares no code with the package.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

@@ -10,8 +10,6 @@ the document gives the PDU alone. Ids with ``own`` are layouts of the specificat
 that have no example there, with values of ours.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -2,8 +2,6 @@
 TCP connections that are closed after a time, however their clients behave.
 """
 
-from __future__ import annotations
-
 import socket
 import socketserver
 from collections.abc import Iterator
@@ -75,16 +73,6 @@ def test_the_oldest_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
                 assert not is_answered(none_makes_room)
             assert is_answered(kept)
             assert is_answered(latest)
-
-
-def test_all_connections_are_closed_at_the_end() -> None:
-    with serving() as server:
-        first, second = connected(server), connected(server)
-        assert is_answered(first)
-        assert is_answered(second, b"k")
-    with first, second:
-        assert not is_answered(first)
-        assert not is_answered(second)
 
 
 def test_what_a_handler_raises_is_logged_unless_the_client_has_gone(

@@ -2,8 +2,6 @@
 A meter and its map, for the tests of the commands that ask.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 read of groups of a map, and --watch of points with intervals and of totals that fall.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Iterator

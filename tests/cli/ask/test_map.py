@@ -2,8 +2,6 @@
 The command map: what it says of files and makes of devices; and what sunspec prints of one.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import struct

@@ -4,8 +4,6 @@ connection, or say nothing: the command shows the rest, and why the part is miss
 of a map beside a refused point is in the session `refused`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

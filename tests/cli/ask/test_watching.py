@@ -2,8 +2,6 @@
 read --watch: on terminals and in pipes, whatever the server, the reader and the user do.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import signal

@@ -2,8 +2,6 @@
 The command write: items, ranges and names, and what is sent for them.
 """
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 The command listen: lines, JSON, colours, captures, and how it ends.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import resource

@@ -2,8 +2,6 @@
 The command scan: what it prints, where, and its exit codes.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

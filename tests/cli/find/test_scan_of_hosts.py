@@ -2,8 +2,6 @@
 scan of ranges of hosts, quick scans, what a scan does not know, and how its options may be typed.
 """
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Iterator

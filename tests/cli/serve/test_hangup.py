@@ -3,8 +3,6 @@ SIGHUP of commands that serve. A terminal that closes ends what was started in i
 starts; SIGHUP from others has files read again, those too that were read while it came.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -2,8 +2,6 @@
 The command poll: what it prints, writes and exposes, and how it ends.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import re

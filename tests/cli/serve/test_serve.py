@@ -2,8 +2,6 @@
 The commands serve and gateway: what they serve, and what they say when they start.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

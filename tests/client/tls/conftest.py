@@ -2,8 +2,6 @@
 Clients and servers over TLS.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any

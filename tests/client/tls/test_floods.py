@@ -2,8 +2,6 @@
 Servers of TLS that send without end, or nonsense, or do not read.
 """
 
-from __future__ import annotations
-
 import contextlib
 import random
 import socket

@@ -2,8 +2,6 @@
 Handshakes that take too long, are closed, interrupted or forked; connections that a fork leaves.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os
@@ -19,7 +17,7 @@ from libmodbus_py import AsyncClient, Client, Device, Mapping, ModbusConnectionE
 from tests.support import certificates
 from tests.support.certificates import Papers, secured
 from tests.support.clients import Connect
-from tests.support.peers import dead, until
+from tests.support.peers import until
 from tests.support.scripted import run as run_in_loop
 from tests.support.secured import context_of
 from tests.support.signals import in_child, interrupt, on_alarm
@@ -59,14 +57,6 @@ def test_a_handshake_ends_with_the_timeout(
         assert time.monotonic() - begin >= 0.19
         assert caught.value.errno is not None
         assert os.strerror(caught.value.errno) == "Connection timed out"
-        plc.close()
-
-
-def test_a_dead_host(connect: Connect, papers: Papers) -> None:
-    with dead() as port:
-        plc = connect(f"tls://127.0.0.1:{port}", security=papers.client(), timeout=0.1)
-        with pytest.raises(ModbusConnectionError):
-            plc.read_holding_registers(0, 1)
         plc.close()
 
 

@@ -2,8 +2,6 @@
 What goes over a connection of TLS, in whatever records, and how it ends.
 """
 
-from __future__ import annotations
-
 import socket
 import threading
 import time

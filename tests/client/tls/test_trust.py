@@ -2,8 +2,6 @@
 Whom a client over TLS trusts, who refuses it, and what is no TLS at all: each error says which.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

@@ -2,8 +2,6 @@
 One request of each function, and what examples say of them.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass

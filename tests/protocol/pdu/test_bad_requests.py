@@ -2,8 +2,6 @@
 What a server must answer to bad requests.
 """
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 

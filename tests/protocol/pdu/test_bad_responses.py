@@ -2,8 +2,6 @@
 What a client must make of bad responses.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 What the constructors of requests refuse, and how they name it.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from functools import partial

@@ -2,8 +2,6 @@
 The identifier of a server (function 17), and device identification (function 43/14).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -278,25 +276,3 @@ def test_an_object_that_comes_twice_or_was_not_asked_for_is_refused() -> None:
         pdu.ReadDeviceIdentification(4, 5).decode_response(page((4, b"a"), code=4))
     good = pdu.ReadDeviceIdentification(4, 5).decode_response(page((5, b"a"), code=4))
     assert good.objects == {5: b"a"}
-
-
-def test_a_full_message_may_lack_objects_that_it_promises() -> None:
-    """From 244 bytes on there was no room for them; what is too short lacks them for no reason."""
-    for size, is_full in ((243, False), (244, True), (253, True)):
-        value = bytes(size - 7 - 2)
-        response = bytearray(page((0, value)))
-        response[6] = 9
-        assert len(response) == size
-        if is_full:
-            found = pdu.ReadDeviceIdentification(1).decode_response(bytes(response))
-            assert found == pdu.IdentificationPage(0x81, None, {0: value}, complete=False)
-        else:
-            with pytest.raises(InvalidResponse, match="243 bytes"):
-                pdu.ReadDeviceIdentification(1).decode_response(bytes(response))
-
-
-def test_bytes_behind_the_objects_of_a_full_message_are_none_of_it() -> None:
-    response = page((0, bytes(235)))
-    assert pdu.ReadDeviceIdentification(1).decode_response(response).complete
-    with pytest.raises(InvalidResponse, match="246 bytes"):
-        pdu.ReadDeviceIdentification(1).decode_response(response + b"\0\0")

@@ -2,8 +2,6 @@
 Any request and any result survive the wire; tests/test_fuzz.py shows the same of any bytes.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from hypothesis import given, settings

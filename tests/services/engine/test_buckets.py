@@ -2,8 +2,6 @@
 Buckets on a simulated server of NATS.
 """
 
-from __future__ import annotations
-
 import asyncio
 from types import SimpleNamespace
 from typing import Any

@@ -3,8 +3,6 @@ The client of NATS between a worker and what servers and strangers send: malform
 errors of the server, a server that offers no TLS when the connection is made again.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import ssl

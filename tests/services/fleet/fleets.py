@@ -2,8 +2,6 @@
 What tests of fleets share: devices, maps, and waiting for what must happen.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from contextlib import AbstractAsyncContextManager, asynccontextmanager

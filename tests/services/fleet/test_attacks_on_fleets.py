@@ -2,8 +2,6 @@
 Fleets under attack: devices that flood, trickle, double and answer late; clocks, forks, cancels.
 """
 
-from __future__ import annotations
-
 import asyncio
 import os
 import tracemalloc

@@ -2,8 +2,6 @@
 Commands: values of every kind, one after the other for each device, and as many as are promised.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from datetime import UTC, datetime

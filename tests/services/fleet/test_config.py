@@ -2,8 +2,6 @@
 Devices of a fleet: bounds that are promised, names, addresses, and the table [engine].
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -2,8 +2,6 @@
 Fleet files: what they say, and what is wrong with them: file, line, key, what is allowed.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import re

@@ -2,8 +2,6 @@
 Fleets that poll: who shares a connection, who is down, what is skipped, what changes.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import weakref
@@ -29,7 +27,7 @@ from tests.services.fleet.fleets import (
     stand_still,
     until,
 )
-from tests.support.outputs import Picky
+from tests.support.outputs import FakeOutput
 
 # --- what is read ------------------------------------------------------------------------
 
@@ -233,7 +231,7 @@ async def test_devices_that_were_replaced_are_not_kept_until_their_next_poll() -
 
 @in_simulated_time
 async def test_no_plan_is_left_while_outputs_end() -> None:
-    class Slow(Picky):
+    class Slow(FakeOutput):
         async def close_output(self) -> None:
             await asyncio.sleep(5)
 

@@ -2,8 +2,6 @@
 Devices that share a line, in simulated time: whose poll is next, and what a silent one costs.
 """
 
-from __future__ import annotations
-
 import asyncio
 from itertools import pairwise
 

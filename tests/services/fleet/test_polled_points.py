@@ -2,8 +2,6 @@
 Intervals of points, and points that devices refuse or are silent about, in simulated time.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from pathlib import Path
@@ -127,7 +125,6 @@ def test_fleet_files_select_groups(tmp_path: Path) -> None:
 
 TWENTY = [Point(f"p{at}", H, at) for at in range(20)]
 MANY = RegisterMap(TWENTY)
-APART = RegisterMap(Point(name, H, 10 * at) for at, name in enumerate("abc"))
 
 
 def plant_of() -> Plant:
@@ -177,21 +174,6 @@ async def test_a_hole_costs_ten_requests_and_is_told_once(
         "device 1: cannot be read: p7, holding_registers 7 (1 register): "
         "illegal data address (exception 2)"
     ]
-
-
-@in_simulated_time
-async def test_devices_of_one_map_do_not_share_what_they_lack() -> None:
-    plant = plant_of()
-    plant.missing = {1: {3}, 2: {15}, 4: set(range(20))}
-    async with plant.polls(*(device(plant, unit) for unit in range(1, 5))):
-        await asyncio.sleep(100)
-        everything = [each.name for each in TWENTY]
-        assert [*refused(plant).values()] == [["p3"], ["p15"], [], everything]
-        assert plant.fleet.statistics.up == 4
-        for unit in range(1, 5):
-            plant.taken(unit)
-        await asyncio.sleep(100)
-        assert [plant.taken(unit) for unit in (3, 4)] == [10, 10]
 
 
 @in_simulated_time

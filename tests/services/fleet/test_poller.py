@@ -2,8 +2,6 @@
 The polls of one device, answer by answer: what is asked first, what it is taken for, how it rests.
 """
 
-from __future__ import annotations
-
 import weakref
 from typing import Any
 
@@ -96,15 +94,6 @@ def test_a_refusal_is_an_answer(poller: Poller) -> None:
     assert poller.is_refused
     assert poller.misses == 0
     assert [each.quality for each in poller.readings(9.0, 0)] == ["bad"] * 3
-
-
-def test_a_poll_begins_without_what_came_in_the_last_one(poller: Poller) -> None:
-    poller.begin()
-    poller.take([1], 0.0)
-    poller.begin()
-    assert poller.request.address == 0
-    poller.take(SILENT, 0.0)
-    assert poller.state is DeviceState.DOWN
 
 
 def test_plans_for_sets_of_points_are_made_once_and_bounded() -> None:

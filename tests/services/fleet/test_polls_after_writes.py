@@ -1,17 +1,27 @@
 """
-The poll that follows a write, so that the new value is reported at once, in simulated time.
+Polls that follow writes, and the function that writes.
 """
-
-from __future__ import annotations
 
 import asyncio
 import struct
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from typing import Any
 
 import pytest
 
-from libmodbus_py import Fleet, IllegalDataValue, Point, RegisterMap
+from libmodbus_py import (
+    Client,
+    Device,
+    Fleet,
+    IllegalDataValue,
+    IllegalFunction,
+    Mapping,
+    Point,
+    RegisterMap,
+    Server,
+    pdu,
+)
 from libmodbus_py.fleet import DeviceConfig, Reading
 from tests.services.fleet.fleets import Peer, in_simulated_time, meter, polling, until
 
@@ -174,3 +184,30 @@ async def test_a_point_that_cannot_be_read_leads_to_a_poll_of_the_others() -> No
         await fleet.write("a", {"start": 1})
         await asyncio.sleep(PAUSE)
         assert reported(readings) == [("setpoint", 9)]
+
+
+@pytest.mark.parametrize("place", ["device", "url", "point"])
+def test_a_fleet_commands_a_device_that_takes_no_function_6(place: str) -> None:
+    """The function is that of the point, of the device or of the URL."""
+    asked: list[Any] = []
+
+    def refuse(request: Any) -> None:
+        asked.append(request)
+        raise IllegalFunction
+
+    mapping = Mapping(holding_registers=10)
+    device = Device(mapping, handlers={pdu.WriteRegister: refuse})
+    keys: Any = {"write_function": "multiple"}
+    points = RegisterMap([Point("it", "holding_registers", 3, **keys if place == "point" else {})])
+
+    async def write(url: str) -> None:
+        config = DeviceConfig("pump", url, points, **keys if place == "device" else {})
+        async with Fleet([config]) as fleet:
+            await fleet.write("pump", {"it": 9})
+
+    with Server(device).background("tcp://127.0.0.1:0") as running:
+        url = running.urls[0]
+        asyncio.run(write(f"{url}?write_function=multiple" if place == "url" else url))
+        with Client(url) as plc:
+            assert plc.read_holding_registers(3, 1) == [9]
+    assert not asked

@@ -2,8 +2,6 @@
 Readings: what the registers of a point mean, which values are told, and how they are written.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from datetime import UTC, datetime

@@ -2,8 +2,6 @@
 When devices are polled: phases, skipping, how late polls begin, and that each counts once.
 """
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import fields
 from typing import Any
@@ -34,23 +32,6 @@ def test_phases_are_those_of_another_machine() -> None:
     for now, passed in ((5.0, 0.0), (9e5, 3.0)):
         at = first_time("pump 7", 10.0, now, wall + passed) - now + passed
         assert at == pytest.approx(9.974544, abs=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("planned", "now", "expected"),
-    [
-        (10.0, 10.0, (11.0, 0)),
-        (10.0, 10.4, (11.0, 0)),
-        (10.0, 10.999, (11.0, 0)),
-        (10.0, 11.0, (12.0, 1)),  # 11 is now, and polled as 10 is
-        (10.0, 13.5, (14.0, 3)),
-        (10.0, 9.9, (11.0, 0)),  # a timer that rings too early
-    ],
-)
-def test_times_that_have_passed_are_skipped(
-    planned: float, now: float, expected: tuple[float, int]
-) -> None:
-    assert next_time(planned, 1.0, now) == expected
 
 
 @given(st.floats(0, 1e6), st.floats(0.01, 86_400), st.floats(0, 1e6))
@@ -105,21 +86,6 @@ async def test_each_poll_counts_once(name: str) -> None:
         assert counted(statistics) == expected
         begun = statistics.held or sum(address == 0 for _, _, address in plant.asked)
         assert sum(statistics.lateness) == begun
-
-
-@in_simulated_time
-async def test_a_poll_is_as_late_as_the_one_before_it_takes() -> None:
-    plant = Plant()
-    plant.delay = 0.2
-    async with plant.polls(plant.device(1), plant.device(2)):
-        await asyncio.sleep(4 * INTERVAL)
-        statistics = plant.fleet.statistics
-        late = [at - min(plant.times(1)[0], plant.times(2)[0]) for at in plant.times(2)]
-        assert len(late) >= 3
-        assert sum(statistics.lateness) in (len(plant.asked), len(plant.asked) - 1)
-        assert 0 <= statistics.late_seconds <= 0.25 * len(plant.asked)
-        assert statistics.worst <= 0.65  # the first answer is held for twice its time
-        assert statistics.within(LATENESS_BOUNDS[-1]) == 1.0
 
 
 def test_lateness_is_counted_by_its_bounds() -> None:

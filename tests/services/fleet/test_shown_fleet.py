@@ -23,7 +23,7 @@ from libmodbus_py.services.fleet.shown_fleet import PageOutput, ShownFleet, flee
 from libmodbus_py.services.fleet.statistics import JournalStatistics
 from libmodbus_py.services.integrations.prometheus import collect
 from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, until
-from tests.support.outputs import Picky
+from tests.support.outputs import FakeOutput
 
 
 def shown_fleet(
@@ -152,7 +152,7 @@ async def test_an_output_is_behind_when_a_batch_has_not_been_all_that_waits_for_
 ) -> None:
     now = asyncio.get_running_loop().time
     monkeypatch.setattr(statistics, "time", SimpleNamespace(monotonic=now))
-    slow = Picky("database", next=[30.0, 30.0])
+    slow = FakeOutput("database", next=[30.0, 30.0])
     async with Peer() as peer:
         fleet, shown, _ = shown_fleet(meter("a", peer.url), outputs=[slow])
         async with fleet:
@@ -171,7 +171,7 @@ async def test_an_output_is_behind_when_a_batch_has_not_been_all_that_waits_for_
 @in_simulated_time
 async def test_an_output_shows_what_waits_since_when_and_why() -> None:
     async with Peer() as peer:
-        away = Picky("database", is_away=True)
+        away = FakeOutput("database", is_away=True)
         fleet, shown, _ = shown_fleet(meter("a", peer.url), outputs=[away])
         async with fleet:
             await until(lambda: fleet.statistics.outputs["database"].waiting > 20)

@@ -3,8 +3,6 @@ Values of what is not polled any more are taken back: each point is reported "of
 metrics forget it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -2,8 +2,6 @@
 The checks before a fleet runs: what is told of each device, and of lines that cannot carry polls.
 """
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

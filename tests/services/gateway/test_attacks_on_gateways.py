@@ -3,8 +3,6 @@ Each attack against a gateway, with a device behind it: an innocent client loses
 gets only right values, and nothing of the attack is left.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

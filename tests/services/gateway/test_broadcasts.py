@@ -2,8 +2,6 @@
 Broadcasts through a gateway: to every line, and done when all lines have sent them.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path

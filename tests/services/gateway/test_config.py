@@ -2,8 +2,6 @@
 Gateway files and routes: what they describe, and every mistake with its line and key.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -2,8 +2,6 @@
 Every counter of a gateway: what happens counts once, and nothing else does.
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import fields
 from typing import Any, NamedTuple

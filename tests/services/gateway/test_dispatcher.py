@@ -2,8 +2,6 @@
 Which line a request goes to, and under which unit.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import (

@@ -2,8 +2,6 @@
 A gateway over time: connections that come and go, routes that change, and its end.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import socket
@@ -86,21 +84,6 @@ def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(
         gate.open()  # the answer of a line that was replaced comes late
         assert other.receive(11) == adu(SEVEN, 4, unit=5)
         assert gate.asked == ([0, 0, 7] if stays else [0, 7])
-
-
-def test_requests_that_wait_are_not_sent_once_their_client_is_gone(stage: Stage) -> None:
-    with gated(stage) as (gate, line, url, _):
-        client = stage.talk(url)
-        requests = [pdu.ReadHoldingRegisters(at, 1).encode() for at in range(8)]
-        client.sendall(b"".join(adu(each) for each in requests))
-        assert stage.until(lambda: line.waiting == 7 and gate.asked)
-        client.reset()
-        assert stage.until(lambda: line.waiting == 0)
-        gate.open()
-        with Client(url, unit=1) as plc:
-            assert plc.read_holding_registers(9, 1) == [0]
-        assert gate.asked == [0, 9]
-        assert (line.waiting, line.in_flight, line.unwanted) == (0, 0, True)
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "ascii+tcp"])

@@ -3,8 +3,6 @@ The page of a gateway as people use it, in Chromium: what a line, a unit and a c
 them, and the log.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import Client, Device, Gateway, IllegalDataAddress, Mapping, Route, Server

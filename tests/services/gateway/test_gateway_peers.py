@@ -2,8 +2,6 @@
 Gateways with the programs of others at their ends: pymodbus, libmodbus and mbpoll.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack

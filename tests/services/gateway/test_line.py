@@ -2,8 +2,6 @@
 A line of a gateway in simulated time: who is asked when, and who is told what.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 

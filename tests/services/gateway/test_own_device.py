@@ -2,8 +2,6 @@
 The unit of the gateway itself: what its registers say.
 """
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

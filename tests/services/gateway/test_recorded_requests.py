@@ -3,8 +3,6 @@ What a gateway writes to the audit trail: each write with its outcome, and each 
 refuses.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from typing import Any

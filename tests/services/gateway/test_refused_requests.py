@@ -1,18 +1,22 @@
 """
-Requests and answers that a gateway does not pass on.
+Requests that a gateway refuses, and those that it forwards as bytes.
 """
-
-from __future__ import annotations
 
 import pytest
 
 from libmodbus_py import (
     Access,
+    ExceptionResponse,
+    IllegalDataValue,
     IllegalFunction,
+    InvalidResponse,
     pdu,
 )
+from libmodbus_py.services.gateway.line import request_of
 from tests.services.gateway.gates import READ_ONE, adu, small
 from tests.simulation.stage import Stage
+from tests.support import vectors
+from tests.support.cases import each_case
 from tests.support.gateways import passage
 from tests.support.interop import UNIT, make_device
 
@@ -79,3 +83,85 @@ def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(stage: Stage) -
             assert client.receive(len(expected)) == expected
         (line,) = through.gateway.traffic.lines.values()
         assert (line.units[1].requests, line.units[1].cached) == (1, 1)
+
+
+WORKED = [vector.values[0] for vector in vectors.rows(vectors.REQUESTS)]
+
+
+@pytest.mark.parametrize("code", [0, 0x80, 0x83, 0xFF])
+def test_no_function_has_such_a_code(code: int) -> None:
+    with pytest.raises(IllegalFunction) as raised:
+        request_of(bytes([code, 1, 2]))
+    assert raised.value.function == code
+
+
+@each_case("request", ["03", "03 000000", "03 0000000100", "07 00", "10 00000001 02 00"])
+def test_a_known_function_has_requests_of_its_length_only(request: str) -> None:
+    """With a wrong length, everybody on a line would look for the end in vain."""
+    given = bytes.fromhex(request)
+    with pytest.raises(IllegalDataValue) as raised:
+        request_of(given)
+    assert raised.value.function == given[0]
+
+
+READS = (pdu.ReadCoils, pdu.ReadDiscreteInputs, pdu.ReadHoldingRegisters, pdu.ReadInputRegisters)
+
+
+def test_what_is_a_read_and_what_a_write() -> None:
+    for vector in WORKED:
+        known = pdu.decode_request(vector.pdu)
+        request = request_of(vector.pdu)
+        assert request.known == known
+        assert request.is_read == isinstance(known, READS)
+        assert request.may_be_broadcast == known.may_be_broadcast
+        assert request.repeatable == known.repeatable
+        assert request.expects_response == known.expects_response
+        assert str(request) == str(known)
+
+
+def test_a_request_of_an_unknown_function_may_do_anything_once() -> None:
+    request = request_of(b"\x41\1\2")
+    assert request.known is None
+    assert (request.is_read, request.may_be_broadcast, request.repeatable) == (False, False, False)
+    assert request.expects_response
+    assert request.changes
+    assert str(request) == "a request of 3 bytes"
+
+
+def test_the_answer_of_an_unknown_function_begins_with_its_code() -> None:
+    request = request_of(b"\x41\1\2")
+    for answer in (b"\x41", b"\x41\1\2\3"):
+        assert request.decode_response(answer) == answer
+    for answer in (b"", b"\x42\1\2", b"\1"):
+        with pytest.raises(InvalidResponse):
+            request.decode_response(answer)
+
+
+# Requests of the application protocol, sections 6.1 to 6.4, with responses.
+RESPONSES = [
+    ("01 0013 0013", "01 03 CD6B05"),
+    ("02 00C4 0016", "02 03 ACDB35"),
+    ("03 006B 0003", "03 06 022B00000064"),
+    ("04 0008 0001", "04 02 000A"),
+]
+
+
+@each_case("request, response", RESPONSES)
+def test_a_response_to_a_read_is_passed_on_if_its_length_fits(request: str, response: str) -> None:
+    asked, good = request_of(bytes.fromhex(request)), bytes.fromhex(response)
+    assert asked.decode_response(good) == good
+    bad = [b"", good[:-1], good + b"\0", bytes([good[0] ^ 7]) + good[1:], good[:2]]
+    bad += [good[:1] + bytes([good[1] - 1]) + rest for rest in (good[2:], good[2:-1])]
+    for response_pdu in bad:
+        with pytest.raises(InvalidResponse):
+            asked.decode_response(response_pdu)
+    with pytest.raises(ExceptionResponse):
+        asked.decode_response(bytes([good[0] | 0x80, 2]))
+
+
+@each_case("request", ["05 0001 FF00", "06 0001 0007", "10 0001 0001 02 0007", "16 0001 FFFF 0000"])
+def test_bytes_behind_an_echo_are_not_forwarded(request: str) -> None:
+    """On a line they would have a wrong CRC."""
+    asked = bytes.fromhex(request)
+    echo = asked[: 7 if asked[0] == 0x16 else 5]
+    assert request_of(asked).decode_response(echo + b"\6") == echo

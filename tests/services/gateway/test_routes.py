@@ -2,8 +2,6 @@
 Which units go where, and what a route lets through.
 """
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 from typing import Any

@@ -2,8 +2,6 @@
 From any side of a gateway to any: all functions, and functions that the package does not know.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

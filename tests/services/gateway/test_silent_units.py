@@ -1,73 +1,35 @@
 """
-Units that rest, and functions that a unit leaves without an answer: with times from a list.
+Units that are silent or late behind a gateway, and what waits for them.
 """
 
-from __future__ import annotations
-
+import asyncio
 import random
+import socket
+from collections import Counter
 
 import pytest
 
+from libmodbus_py import (
+    AsyncClient,
+    Device,
+    ExceptionResponse,
+    Fault,
+    Gateway,
+    Mapping,
+    Route,
+    Server,
+    ServerDeviceBusy,
+    framing,
+    pdu,
+)
 from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
+from tests.services.gateway.gates import LINE, adu, gateway, small
+from tests.simulation.scripted import Scripted, Write
+from tests.simulation.stage import Stage
+from tests.support.cases import each_case
+from tests.support.gateways import passage
 
 GOOD, RESTING, DUE = UnitState.GOOD, UnitState.RESTING, UnitState.DUE
-
-
-def test_a_silent_unit_rests_longer_each_time_until_it_answers() -> None:
-    """The function that got no answer twice as long as others, which it may answer."""
-    units = SilentUnits(0.5)
-    assert units.state(7, 3, 0.0) is GOOD
-    assert units.note_silence(7, 3, 1.0)
-    now, rest = 1.0, 0.5
-    for misses in range(1, 11):
-        assert [units.state(7, 4, now + part * rest) for part in (0.99, 1)] == [RESTING, DUE]
-        assert [units.state(7, 3, now + part * rest) for part in (1.99, 2)] == [RESTING, DUE]
-        now += 2 * rest
-        assert units.start_trial(7, 3) == misses
-        assert {units.state(7, each, now) for each in (3, 4)} == {RESTING}  # one trial is enough
-        assert not units.note_silence(7, 3, now)
-        rest = min(2 * rest, 15.0)
-    assert units.note_answer(7, 3)
-    assert units.state(7, 3, now) is GOOD
-    assert not units.note_answer(7, 3)
-    assert units.state(8, 3, now) is GOOD
-    assert units.note_silence(7, 3, now)  # and it begins anew
-    assert units.state(7, 3, now + 1.0) is DUE
-
-
-def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> None:
-    units = SilentUnits(1.0)
-    assert units.note_silence(3, 3, 0.0)
-    assert not units.note_silence(3, 3, 1.0)
-    assert units.state(3, 3, 2.0) is DUE
-
-
-def test_a_unit_rests_when_nothing_that_it_answered_is_answered_any_more() -> None:
-    units = SilentUnits(1.0)
-    for function in (3, 4):
-        units.note_answer(7, function)
-    assert units.note_silence(7, 5, -9.0)
-    assert units.start_trial(7, 5) == 1
-    assert units.note_silence(7, 3, 0.0)
-    assert not units.rests(7)
-    assert units.note_silence(7, 4, 0.1)
-    assert units.rests(7)
-    assert not units.note_silence(7, 5, 0.2)  # it was in flight with the other one
-    assert units.state(7, 16, 0.5) is RESTING
-    # When it is back, so is all that was silent with it.
-    assert units.note_answer(7, 16)
-    assert not units.rests(7)
-    assert {units.state(7, function, 0.5) for function in (3, 4, 5, 16)} == {GOOD}
-
-
-def test_a_trial_that_was_not_sent_lets_whoever_comes_next_try() -> None:
-    units = SilentUnits(1.0)
-    units.note_silence(7, 3, 0.0)
-    units.start_trial(7, 4)
-    units.cancel_trial(7, 4, 1.2)
-    assert [units.state(7, function, 1.2) for function in (3, 4)] == [DUE, DUE]
-    units.cancel_trial(7, 4, 9.0)  # nothing tries now
-    assert units.state(7, 3, 1.3) is DUE
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -102,3 +64,107 @@ def test_nothing_rests_of_what_was_answered_last_and_nothing_for_ever(seed: int)
     while in_flight:
         units.note_silence(*in_flight.pop()[0], now)
     assert RESTING not in {units.state(*key, now + 30) for key in keys}
+
+
+def value(unit: int, address: int) -> int:
+    """Return the value of a register of a unit, which no other register has."""
+    return (unit * 10_000 + address) & 0xFFFF
+
+
+def test_late_answers_are_never_anybody_elses(stage: Stage) -> None:
+    """A unit whose every third answer comes after its timeout, and good ones beside it."""
+    framer = framing.make_framer("rtu", "server")
+    asked: Counter[int] = Counter()
+
+    def answer(request: bytes, write: Write) -> None:
+        unit, address = request[0], int.from_bytes(request[2:4], "big")
+        asked[unit] += 1
+        is_late = unit == 2 and asked[unit] % 3 == 0
+        pdu = b"\3\2" + value(unit, address).to_bytes(2, "big")
+        write(framer.encode(framing.Frame(unit, pdu)), after=0.6 if is_late else 0.0)
+
+    Scripted(stage, LINE, answer)
+
+    async def poll(client: AsyncClient, unit: int, first: int) -> tuple[int, int]:
+        right = failed = 0
+        for at in range(first, first + 60):
+            try:
+                got = await client.for_unit(unit).read_holding_registers(at, 1)
+            except ExceptionResponse:
+                failed += 1
+                continue
+            assert got == [value(unit, at)]
+            right += 1
+        return right, failed
+
+    with gateway([Route(f"{LINE}?timeout=0.5")]) as (made, url):
+
+        async def all_of_them() -> list[tuple[int, int]]:
+            async with (
+                AsyncClient(url, timeout=10) as one,
+                AsyncClient(url, timeout=10) as other,
+            ):
+                jobs = [poll(one, 1, 0), poll(one, 2, 300), poll(other, 3, 500), poll(other, 2, 7)]
+                return await asyncio.gather(*jobs)
+
+        found = stage.wait(all_of_them())
+        assert [right for right, _ in found[::2]] == [60, 60]
+        assert sum(failed for _, failed in found[1::2]) > 0
+        (line,) = made.traffic.lines.values()
+        assert line.units[2].answers > 0
+        stage.pass_time(1)
+        assert line.connection.late_answers > 0
+
+
+def test_who_asks_again_without_ids_gets_the_answer_to_that_only(stage: Stage) -> None:
+    """It has given up the first request: the answer to that would be taken for the second's."""
+    device = small()
+    device.mapping.holding_registers[:] = range(10)
+    slow = {1: [Fault("delay", seconds=0.3)]}
+    options = "timeout=5&max_in_flight=2"
+    with (
+        passage(
+            "rtu+tcp", "tcp", {1: device}, faults=slow, line_options=options, stage=stage
+        ) as through,
+        stage.talk(through.url) as client,
+    ):
+        framer = framing.make_framer("rtu", "server")
+        first, second = (
+            framer.encode(framing.Frame(1, pdu.ReadHoldingRegisters(at, 1).encode()))
+            for at in (3, 4)
+        )
+        client.sendall(first)
+        stage.pass_time(0.05)
+        client.sendall(second)
+        assert client.receive(7)[3:5] == b"\0\4"
+        stage.pass_time(3000)
+        assert not client.has_input()
+        (line,) = through.gateway.traffic.lines.values()
+        assert line.unwanted == 1
+
+
+READ, WRITE = bytes.fromhex("03 0001 0001"), bytes.fromhex("06 0001 004D")
+
+
+@each_case(
+    "target", ["tcp?busy_retries=1", "tcp?busy_retries=1&max_in_flight=4", "rtu+tcp?busy_retries=1"]
+)
+def test_a_write_waits_for_the_repetition_of_the_read_before_it(target: str) -> None:
+    """Both requests arrive together; the device is busy when the read comes first."""
+    busy = [True]
+
+    def before_read(access: object) -> None:
+        if busy:
+            busy.pop()
+            raise ServerDeviceBusy
+
+    scheme, _, options = target.partition("?")
+    device = Device(Mapping(holding_registers={0: [0, 5]}), before_read=before_read)
+    with Server(device).background(f"{scheme}://127.0.0.1:0") as behind:
+        gateway = Gateway([Route(f"{behind.urls[0]}?{options}")])
+        with gateway.background("tcp://127.0.0.1:0") as running:
+            host, port = running.urls[0].removeprefix("tcp://").split(":")
+            with socket.create_connection((host, int(port)), timeout=10) as client:
+                client.sendall(adu(READ, 1) + adu(WRITE, 2))
+                expected = adu(bytes.fromhex("03 02 0005"), 1) + adu(WRITE, 2)
+                assert client.makefile("rb").read(len(expected)) == expected

@@ -2,8 +2,6 @@
 What nobody waits for any more is not sent, on any kind of line; and what a silent function costs.
 """
 
-from __future__ import annotations
-
 import asyncio
 
 import pytest

@@ -2,8 +2,6 @@
 The alerts for Prometheus in deploy/, as promtool of Prometheus itself judges them.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

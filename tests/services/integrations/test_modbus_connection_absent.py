@@ -2,8 +2,6 @@
 The backend of modbus-connection where that is not installed.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 

@@ -2,8 +2,6 @@
 Metrics, as Prometheus's own parser reads them, beside what really happened.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import dataclasses

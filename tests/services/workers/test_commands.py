@@ -3,8 +3,6 @@ Writes by name that come over the engine or a broker: one worker answers, whoeve
 has died; strangers cannot have anything else written or published; floods are dropped.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Awaitable, Callable, Sequence

@@ -3,8 +3,6 @@ The files in deploy/: three servers with TLS between them, a worker and a viewer
 they are; and what their own tools say to them.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import re

@@ -2,8 +2,6 @@
 What people meet of the engine: errors in one line, changes, results over MQTT, commands, status.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -3,8 +3,6 @@ No connection is asked by two, whatever happens: workers in simulated time. And 
 happens any more, each is asked by one.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 

@@ -3,8 +3,6 @@ A worker with its clock, its bucket and its fleet, on simulated time: how it beg
 ends, what it logs and reports.
 """
 
-from __future__ import annotations
-
 import asyncio
 import inspect
 import json

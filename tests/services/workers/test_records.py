@@ -1,15 +1,15 @@
 """
-What is taken from the bucket, and what is refused as nothing that a worker wrote.
+What stands in the bucket and in the stream of workers.
 """
-
-from __future__ import annotations
 
 import json
 import re
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
+from libmodbus_py.services.fleet.readings import Reading
+from libmodbus_py.services.workers.messages import Stream
 from libmodbus_py.services.workers.records import (
     SETTINGS,
     Connection,
@@ -22,6 +22,7 @@ from libmodbus_py.services.workers.records import (
     digest_of,
 )
 from tests.services.workers.trial import LEASE, Trial, tried
+from tests.simulation.engine import Engine, EngineClient, with_engine
 
 LINE = "serial:/dev/ttyUSB0"
 DIGEST = digest_of(LINE)
@@ -113,3 +114,27 @@ async def test_devices_in_any_form_cost_no_answer_and_no_poll(
     answer = await client.request("modbus.write.nobody.setpoint", b"20", timeout=5)
     assert json.loads(answer.data)["error"] == "there is no device 'nobody'"
     await client.close()
+
+
+def reading(name: str, value: Any, *, time: float = 100.0) -> Reading:
+    return Reading(time, "kälte", name, value, "m", "good", "")
+
+
+@with_engine
+async def test_the_readings_of_a_poll_are_one_message_and_a_repeated_one_is_dropped(
+    engine: Engine, client: EngineClient
+) -> None:
+    stream = Stream(cast(Any, client), {})
+    await stream.open_output()
+    poll = [reading("level", 1.5), reading("höhe", 2)]
+    await stream.write_readings(poll)
+    await stream.write_readings([])
+    await stream.write_readings([*poll, reading("level", 3, time=101.0)])
+    first, second = (json.loads(data) for _, _, data in engine.stream)
+    assert first["device"] == "kälte"
+    assert {name: each["value"] for name, each in first["values"].items()} == {
+        "level": 1.5,
+        "höhe": 2,
+    }
+    assert {name: each["value"] for name, each in second["values"].items()} == {"level": 3}
+    assert "kälte".encode() in engine.stream[0][2]

@@ -2,8 +2,6 @@
 What `fleet status` says, of a bucket on a simulated server.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 from typing import Any

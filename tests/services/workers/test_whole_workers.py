@@ -4,8 +4,6 @@ are as promised, whoever dies, stops, leaves or hears nothing. A device that a w
 any more is reported "offline" if no other one polls it, and not late.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 

@@ -3,8 +3,6 @@ Workers of the real command line on a real nats-server: none of their devices is
 whoever dies, stops or leaves. All that they decide is tried in `test_whole_workers`.
 """
 
-from __future__ import annotations
-
 import signal
 import time
 

@@ -2,8 +2,6 @@
 Servers with faults and requests to them, for the tests of faults.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager

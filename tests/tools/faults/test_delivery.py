@@ -2,8 +2,6 @@
 The bytes of each fault, when they are sent, and the order of answers around them.
 """
 
-from __future__ import annotations
-
 import asyncio
 from pathlib import Path
 from types import SimpleNamespace

@@ -3,8 +3,6 @@ Which requests a fault happens to: every n-th, of a unit, a function, a range; a
 cannot be, which are refused with the name of the argument.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -3,8 +3,6 @@ Units with faults: which requests are counted, refused, executed or left to C; a
 notice: their requests are answered, and the server stops.
 """
 
-from __future__ import annotations
-
 import socket
 from contextlib import suppress
 from typing import Any

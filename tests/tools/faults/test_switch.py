@@ -2,8 +2,6 @@
 The fault switch of a server: several users, none of whom undoes what another one did.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 

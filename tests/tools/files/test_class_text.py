@@ -2,8 +2,6 @@
 Python classes for register maps: what they have, and that no text of a map becomes a program.
 """
 
-from __future__ import annotations
-
 import ast
 import sys
 from pathlib import Path

@@ -2,8 +2,6 @@
 Register maps from files: as people write them in TOML, as vendors give them in CSV, and as neither.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

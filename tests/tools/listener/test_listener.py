@@ -2,8 +2,6 @@
 Listening for real: a line of pseudo-terminals, others' programs on it, and a tap between.
 """
 
-from __future__ import annotations
-
 import asyncio
 import importlib
 import logging

@@ -1,16 +1,15 @@
 """
-The cells that masters read and write, by name: what a map says of a capture, and learned maps.
-
-Frames are those of the application protocol (6.3, 6.6, 6.12, 6.16), with check bytes from talk.py.
+Transactions that a listener hears, with the names of their values.
 """
-
-from __future__ import annotations
 
 from typing import Any
 
-from libmodbus_py import Point, RegisterMap
+import pytest
+
+from libmodbus_py import Point, RegisterMap, pdu
 from libmodbus_py.listen import MapDecoder, Separator, Transaction
 from libmodbus_py.tools.listener.named import LearnedMap
+from libmodbus_py.tools.listener.transaction import AnswerTimes, damage_alone, decoded
 from tests.support.cases import each_case
 from tests.support.talk import rtu
 
@@ -30,9 +29,9 @@ def heard(*pairs: tuple[str, str]) -> list[Transaction]:
     """Return transactions of unit 17 on a line: requests, and responses, empty for none."""
     separator, found, at = Separator("rtu"), list[Transaction](), 0.0
     for pair in pairs:
-        for pdu in filter(None, pair):
+        for text in filter(None, pair):
             at += 0.1
-            found += separator.feed(rtu(f"11 {pdu}"), at)
+            found += separator.feed(rtu(f"11 {text}"), at)
         at += 10
     return found + separator.end()
 
@@ -87,10 +86,10 @@ def test_values_of_a_map_in_transactions(
 def test_units_keep_their_own_cells() -> None:
     decoder, separator = MapDecoder(POINTS), Separator("rtu")
     found = []
-    for at, pdu in enumerate(
+    for at, text in enumerate(
         ("11 03 006C 0001", "11 03 02 0001", "12 03 006D 0001", "12 03020002")
     ):
-        for each in separator.feed(rtu(pdu), at * 0.1):
+        for each in separator.feed(rtu(text), at * 0.1):
             found += decoder.decode(each)
     assert found == []
 
@@ -124,3 +123,36 @@ def test_a_broadcast_has_the_values_that_it_writes_and_no_others() -> None:
         (0, "voltage", 0.1, True)
     ]
     assert [each.description for each in learned.points()] == ["1", *["no value heard"] * 2]
+
+
+@each_case(
+    ("request_", "found"),
+    [
+        ("03 006B 0003", pdu.ReadHoldingRegisters(107, 3)),
+        ("41 01", pdu.RawRequest(0x41, b"\1")),  # a function that nobody knows
+        ("03 006B 0000", None),  # refused with exception 3
+        ("03 006B", None),
+        ("C1 01", None),  # no request has this code
+    ],
+)
+def test_requests_that_a_server_refuses_are_none_but_for_unknown_functions(
+    request_: str, found: pdu.Request[object] | None
+) -> None:
+    assert decoded(bytes.fromhex(request_)) == found
+
+
+def test_response_times_have_a_shortest_a_mean_and_a_longest() -> None:
+    times = AnswerTimes()
+    assert (times.shortest, times.mean, times.longest) == (0.0, 0.0, 0.0)
+    for seconds in (0.02, 0.01, 0.06):
+        times.note(seconds)
+    assert (times.shortest, times.longest) == (0.01, 0.06)
+    assert times.mean == pytest.approx(0.03)
+
+
+@each_case(
+    ("data", "text"),
+    [(b"\0", "a byte that is not a frame"), (b"\0\1", "2 bytes that are not a frame")],
+)
+def test_damage_is_told_with_its_size(data: bytes, text: str) -> None:
+    assert str(damage_alone(1.0, data).error).startswith(text)

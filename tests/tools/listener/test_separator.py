@@ -5,8 +5,6 @@ Frames are those of the specification (tests/support/vectors.json) or carry chec
 talk.py computes.
 """
 
-from __future__ import annotations
-
 import random
 import tracemalloc
 from collections.abc import Iterable

@@ -2,8 +2,6 @@
 The connections through a tap: all of them end, whoever falls silent, and none keeps others out.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

@@ -5,8 +5,6 @@ Frames are those of the specification (messaging on TCP/IP, 3.1.3; application p
 6.5; serial line, 2.5.1.2), or carry check bytes that talk.py computes.
 """
 
-from __future__ import annotations
-
 import math
 import tracemalloc
 from typing import NamedTuple

@@ -2,8 +2,6 @@
 Pages whose streams and sweeps are not waited for.
 """
 
-from __future__ import annotations
-
 import pytest
 
 SHORT = 0.01

@@ -2,8 +2,6 @@
 Attacks on the page: who may not ask, requests that are none, and visitors who never end.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import socket

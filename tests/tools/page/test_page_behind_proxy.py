@@ -3,8 +3,6 @@ The page through nginx and Caddy, with the files in deploy/: under a path, with 
 in Host and Origin.
 """
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Iterator

@@ -3,8 +3,6 @@ Pages as people use them: in Chromium, with a mouse, with a keyboard alone, in a
 that of a telephone, with values that move, with names that are attacks, and a server that goes.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Mapping as MappingABC

@@ -3,8 +3,6 @@ The samples of a value: bounded, with gaps, in the order of time, and their extr
 rows over time, made of counters.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor

@@ -2,8 +2,6 @@
 The network that scans meet, in simulated time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -3,8 +3,6 @@ What a scan meets, in simulated time: a serial bus whose devices hear only what 
 own settings, and peers on a network that answer what they are told.
 """
 
-from __future__ import annotations
-
 import os
 import termios
 from collections.abc import Callable, Iterator

@@ -2,8 +2,6 @@
 Who answers where: real pseudo-terminals and sockets, and peers of every kind.
 """
 
-from __future__ import annotations
-
 import signal
 import subprocess
 from collections.abc import Callable

@@ -2,8 +2,6 @@
 What a unit has, over sockets and pseudo-terminals: devices that refuse in their own ways.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

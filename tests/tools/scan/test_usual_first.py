@@ -2,8 +2,6 @@
 The order of a full scan of a line: usual settings and units first.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import Device, Mapping

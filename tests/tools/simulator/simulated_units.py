@@ -2,8 +2,6 @@
 Units of device files, and a clock that tests set.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

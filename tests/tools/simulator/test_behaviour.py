@@ -2,8 +2,6 @@
 Values that move by themselves.
 """
 
-from __future__ import annotations
-
 import math
 import resource
 import time

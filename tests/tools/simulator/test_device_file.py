@@ -2,8 +2,6 @@
 Device files: values lie where the file says, with the types that it says; units and their faults.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

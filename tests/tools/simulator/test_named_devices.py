@@ -2,8 +2,6 @@
 Device files with names, scales, defaults and register maps: what clients, programs and pages find.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from datetime import UTC, datetime

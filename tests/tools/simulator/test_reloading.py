@@ -2,12 +2,9 @@
 A device file that is read again while its devices are served: what stays, and what is told.
 """
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import queue
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,9 +18,7 @@ from libmodbus_py import Client, Device, Server, pdu
 from libmodbus_py.tools.simulator.device_file import SimulatedDevice, load, parse
 from libmodbus_py.tools.simulator.reloading import Reloader
 from libmodbus_py.tools.simulator.simulated import Simulation
-from tests.cli.serving import INFO, reload_line
 from tests.support.cases import each_case
-from tests.support.commands import Started
 from tests.support.peers import until
 from tests.tools.simulator.simulated_units import Clock
 
@@ -292,28 +287,3 @@ def test_devices_that_were_replaced_are_not_kept(path: Path) -> None:
         assert client.read_holding_registers(0, 2) == [1, 2]
         gc.collect()
         until(lambda: sum(isinstance(each, SimulatedDevice) for each in gc.get_objects()) < 10)
-
-
-@pytest.mark.parametrize("by", ["hangups", "a look at the file"])
-def test_the_command_reads_its_file_again_and_connections_stay(by: str, path: Path) -> None:
-    options = ["--reload"] if by == "a look at the file" else []
-    hangups = 200 if by == "hangups" else 0
-    with Started("serve", "tcp://127.0.0.1:0", "--device", path, *options, *INFO) as process:
-        url = process.stdout.readline().removeprefix("listening on ").rstrip("\n")
-        with Client(url, unit=1, timeout=5) as client:
-            assert client.read_holding_registers(0, 1) == [1]
-            path.write_text("[[unit]")
-            for _ in range(min(hangups, 1)):
-                process.send_signal(signal.SIGHUP)
-            assert reload_line(process).startswith(f"the former content is used: {path}: ")
-            other = path.with_name("other.toml")
-            other.write_text(PLAIN.replace("[1, 2]", "[8, 9]"))
-            other.rename(path)
-            for _ in range(hangups):
-                process.send_signal(signal.SIGHUP)
-                client.read_holding_registers(0, 1)
-            until(lambda: client.read_holding_registers(0, 1) == [8])
-        assert reload_line(process) == f"{path}: read again, 2 units: 1 changed"
-        process.send_signal(signal.SIGHUP)
-        process.send_signal(signal.SIGTERM)
-        assert process.wait() == 0

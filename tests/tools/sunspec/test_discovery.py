@@ -2,8 +2,6 @@
 Discovery over TCP, beside pysunspec2's client: the same models, registers and values.
 """
 
-from __future__ import annotations
-
 import asyncio
 import importlib.util
 from collections.abc import Callable, Iterator

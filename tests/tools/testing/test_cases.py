@@ -1,14 +1,16 @@
 """
-The loop over a table of cases: one test that tries them all, and names those that failed.
+Tables of cases, and the ends of lines in memory.
 """
 
-from __future__ import annotations
-
 import inspect
-from collections.abc import Iterable
+import os
+import select
+import threading
+from collections.abc import Iterable, Iterator
 
 import pytest
 
+from libmodbus_py.tools.testing.wires import SerialWire, open_line, read_what_is_there, write_all
 from tests.support.cases import each, each_case
 
 
@@ -31,16 +33,6 @@ def test_every_failed_case_is_named_and_the_others_are_not() -> None:
     assert "ZeroDivisionError: " in text
     assert "(4, 2)" not in text
     assert "(6, 3)" not in text
-
-
-def test_a_missing_exception_fails_its_case() -> None:
-    def never_raised() -> None:
-        for check, _ in each("ab"):
-            with check, pytest.raises(ValueError, match="bad"):
-                pass
-
-    with pytest.raises(AssertionError, match="2 of 2 cases failed"):
-        never_raised()
 
 
 def raising(error: BaseException) -> None:
@@ -90,16 +82,46 @@ def test_each_case_calls_the_test_with_every_combination() -> None:
     assert list(inspect.signature(test).parameters) == ["fixture"]
 
 
-def test_each_case_refuses_what_would_not_be_tried() -> None:
-    def test(number: int) -> None: ...
+@pytest.fixture
+def ends() -> Iterator[tuple[int, int]]:
+    far, near, _ = open_line()
+    yield far, near
+    os.close(far)
+    os.close(near)
 
-    with pytest.raises(ValueError, match="marks"):
-        each_case("number", [pytest.param(1, marks=pytest.mark.skip)])
-    with pytest.raises(ValueError, match="no parameter other"):
-        each_case("other", [1])(test)
-    with pytest.raises(ValueError, match="zip"):
-        each_case(("number", "other"), [(1,)])
-    with pytest.raises(ValueError, match="2 cases have 1 ids"):
-        each_case("number", [1, 2], ids=["one"])
-    with pytest.raises(AssertionError, match="empty"):
-        each_case("number", [])(test)()  # type: ignore[call-arg]
+
+@pytest.mark.timeout(20)
+def test_what_is_gone_is_not_waited_for(ends: tuple[int, int]) -> None:
+    far, near = ends
+    assert read_what_is_there(far) == b""
+    os.write(near, b"abc")
+    assert select.select([far], [], [], 5)[0]
+    assert read_what_is_there(far) == b"abc"
+    assert read_what_is_there(far) == b""
+
+
+@pytest.mark.timeout(20)
+def test_more_than_there_is_room_for_is_written_when_somebody_reads(ends: tuple[int, int]) -> None:
+    far, near = ends
+    data = bytes(range(256)) * 1000
+    thread = threading.Thread(target=write_all, args=(far, data))
+    thread.start()
+    read = b""
+    while len(read) < len(data):
+        read += os.read(near, 4096)
+    thread.join()
+    assert read == data
+
+
+@pytest.mark.timeout(60)
+def test_a_wire_that_nobody_reads_at_the_other_end_can_be_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """More is written than the terminals hold: what finds no room is lost, and not waited for."""
+    monkeypatch.setattr("libmodbus_py.tools.testing.wires.TIMEOUT", 0.01)
+    with SerialWire() as wire:
+        client = os.open(wire.client, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        for _ in range(50):
+            select.select([], [client], [])
+            os.write(client, bytes(4096))
+        os.close(client)

@@ -2,8 +2,6 @@
 The pytest plugin in suites of others: what reports show, and what it leaves behind.
 """
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

@@ -2,8 +2,6 @@
 The fixtures of the pytest plugin, as tests get them: these are tests that do.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 

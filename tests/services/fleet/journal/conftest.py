@@ -2,8 +2,6 @@
 The file of a journal, and disks that take no time or fail.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -2,8 +2,6 @@
 What tests of journals share.
 """
 
-from __future__ import annotations
-
 import asyncio
 import queue
 import sqlite3

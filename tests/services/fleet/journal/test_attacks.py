@@ -2,8 +2,6 @@
 Journals under attack: programs that are killed, disks that fail, clocks, defects, and floods.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import os
@@ -48,7 +46,7 @@ from tests.services.fleet.journal.journals import (
     readings,
     run_for,
 )
-from tests.support.outputs import Picky
+from tests.support.outputs import FakeOutput
 
 
 def opened(path: str, size: int = 10**9) -> JournalFile:
@@ -97,18 +95,18 @@ def test_a_defect_while_a_journal_closes_lets_others_use_the_file(
         disk.error = RuntimeError("a defect")
         await asyncio.sleep(10)
 
-    fleet = run_for(path, 100, Picky(), change=fail)
+    fleet = run_for(path, 100, FakeOutput(), change=fail)
     disk.error = None
     assert journal_of(fleet).dropped > 0
     assert "readings are lost" in caplog.text
-    run_for(path, 100, Picky())
+    run_for(path, 100, FakeOutput())
 
 
 @in_simulated_time
 async def test_a_clock_that_jumps_back_loses_and_repeats_nothing(
     path: str, inline: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    broker, away = Picky(), Picky("away", is_away=True)
+    broker, away = FakeOutput(), FakeOutput("away", is_away=True)
     shift = [0.0]
     now = NETWORK.get().time_of_day
     monkeypatch.setattr(time, "time", lambda: now() + shift[0])
@@ -130,7 +128,7 @@ async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
     path: str, inline: None
 ) -> None:
     """Also with `on_change`, and after failed transactions: no list of points grows."""
-    broker = Picky()
+    broker = FakeOutput()
     async with Peer() as one, Peer() as two:
         journal = Journal(path)
         fleet = Fleet([], outputs=[broker], journal=journal)
@@ -159,14 +157,14 @@ async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
 def test_an_output_that_changes_the_list_it_is_given_loses_nothing(
     path: str, inline: None, change: Callable[[list[Reading]], object]
 ) -> None:
-    class Changing(Picky):
+    class Changing(FakeOutput):
         async def write_readings(self, readings: Any) -> None:
             await super().write_readings(list(readings))
             change(readings)
 
     broker = Changing()
     run_for(path, 100, broker)
-    again = Picky()
+    again = FakeOutput()
     run_for(path, 100, again)
     assert (broker.ids + again.ids) == in_journal(path)
 
@@ -246,7 +244,7 @@ def delete(path: str, *endings: str) -> None:
         os.unlink(f"{path}{each}")
 
 
-async def polled(broker: Picky, count: int) -> None:
+async def polled(broker: FakeOutput, count: int) -> None:
     """Wait until an output has received so many more polls, in simulated time."""
     for _ in range(count):
         before = len(broker.ids)
@@ -258,7 +256,7 @@ async def polled(broker: Picky, count: int) -> None:
 def test_a_journal_that_was_deleted_is_replaced(
     path: str, endings: tuple[str, ...], caplog: pytest.LogCaptureFixture
 ) -> None:
-    broker, away = Picky(), Picky("away", is_away=True)
+    broker, away = FakeOutput(), FakeOutput("away", is_away=True)
 
     async def lose(fleet: Fleet) -> None:
         delete(path, *endings)
@@ -283,7 +281,7 @@ def test_a_journal_whose_changes_were_deleted_is_kept(
     path: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The changes are in the file -wal, which is merged once it is closed."""
-    broker = Picky()
+    broker = FakeOutput()
 
     async def lose(fleet: Fleet) -> None:
         delete(path, "-wal")
@@ -297,11 +295,11 @@ def test_a_journal_whose_changes_were_deleted_is_kept(
 @pytest.mark.usefixtures("inline")
 def test_another_file_in_its_place_is_kept(path: str, tmp_path: Path) -> None:
     """Somebody has copied an older journal there, and has forgotten that the fleet runs."""
-    run_for(path, 100, Picky())
+    run_for(path, 100, FakeOutput())
     older = in_journal(path)
     copy = tmp_path / "copy.db"
     copy.write_bytes(Path(path).read_bytes())
-    broker = Picky()
+    broker = FakeOutput()
 
     async def restore(fleet: Fleet) -> None:
         os.rename(copy, path)

@@ -3,8 +3,6 @@ The disk of a journal: it is full, damaged, hangs, or reports errors, and what w
 onto it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os
@@ -27,7 +25,7 @@ from tests.services.fleet.journal.journals import (
     readings,
     run_for,
 )
-from tests.support.outputs import Picky
+from tests.support.outputs import FakeOutput
 
 HOUR = 3600.0
 
@@ -59,7 +57,7 @@ def test_what_fails_for_long_is_told_delays_no_output_and_loses_nothing(
     told: str,
 ) -> None:
     failing = Failing(monkeypatch, kind, name)
-    broker, away = Picky(), Picky("away", is_away=True)
+    broker, away = FakeOutput(), FakeOutput("away", is_away=True)
 
     async def fail(fleet: Fleet) -> None:
         journal = journal_of(fleet)
@@ -89,7 +87,7 @@ def test_while_a_disk_is_full_for_long_memory_is_bounded(
 ) -> None:
     monkeypatch.setattr(recent, "MOST_WAITING", 60)
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 60)
-    broker, away = Picky(), Picky("away", is_away=True)
+    broker, away = FakeOutput(), FakeOutput("away", is_away=True)
 
     async def fill(fleet: Fleet) -> None:
         disk.error = FULL
@@ -106,7 +104,7 @@ def test_while_a_disk_is_full_for_long_memory_is_bounded(
     assert caplog.text.count("the oldest are dropped") == 1
 
 
-async def come_back(fleet: Fleet, away: Picky) -> None:
+async def come_back(fleet: Fleet, away: FakeOutput) -> None:
     """Let the output take readings again, until none waits."""
     away.is_away = False
     await asyncio.sleep(30)  # the longest pause between its tries
@@ -116,7 +114,7 @@ async def come_back(fleet: Fleet, away: Picky) -> None:
 def test_a_journal_that_is_damaged_while_it_is_used_is_replaced(
     path: str, disk: Failing, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    broker, away = Picky(), Picky("away", is_away=True)
+    broker, away = FakeOutput(), FakeOutput("away", is_away=True)
 
     async def damage(fleet: Fleet) -> None:
         before = fleet.statistics.outputs["away"].waiting
@@ -139,7 +137,7 @@ def test_a_journal_that_is_damaged_while_it_is_used_is_replaced(
 
 
 def test_damage_that_a_reader_meets_is_healed_too(path: str, reader: Failing) -> None:
-    away = Picky("away", is_away=True)
+    away = FakeOutput("away", is_away=True)
 
     async def damage(fleet: Fleet) -> None:
         reader.error = DAMAGED
@@ -157,11 +155,11 @@ def test_damage_that_a_reader_meets_is_healed_too(path: str, reader: Failing) ->
 def test_a_damaged_journal_is_replaced_when_a_fleet_begins(
     path: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    run_for(path, 100, Picky())
+    run_for(path, 100, FakeOutput())
     whole = bytearray(Path(path).read_bytes())
     whole[4096:] = b"\xff" * (len(whole) - 4096)
     Path(path).write_bytes(whole)
-    broker = Picky()
+    broker = FakeOutput()
     run_for(path, 100, broker)
     assert broker.ids == in_journal(path) != []
     assert Path(f"{path}-damaged").read_bytes() == bytes(whole)
@@ -171,7 +169,7 @@ def test_a_damaged_journal_is_replaced_when_a_fleet_begins(
 def test_a_disk_that_reports_errors_to_a_reader_is_asked_again(
     path: str, reader: Failing, caplog: pytest.LogCaptureFixture
 ) -> None:
-    away = Picky("away", is_away=True)
+    away = FakeOutput("away", is_away=True)
 
     async def read(fleet: Fleet) -> None:
         reader.error = JournalError("the disk reports an error")

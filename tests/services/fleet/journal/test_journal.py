@@ -3,8 +3,6 @@ A fleet with a journal, on simulated time and real files: outputs that are away,
 how it begins and ends.
 """
 
-from __future__ import annotations
-
 import asyncio
 import threading
 import time
@@ -29,7 +27,7 @@ from tests.services.fleet.fleets import (
     until,
 )
 from tests.services.fleet.journal.journals import asked, in_journal, journal_of, readings, run_for
-from tests.support.outputs import Picky
+from tests.support.outputs import FakeOutput
 
 HOUR = 3600.0
 
@@ -38,7 +36,7 @@ HOUR = 3600.0
 
 
 def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: None) -> None:
-    broker, other = Picky("north", is_away=True), Picky("south")
+    broker, other = FakeOutput("north", is_away=True), FakeOutput("south")
 
     async def come_back(fleet: Fleet) -> None:
         # As long as the broker was away, its readings were on the disk only.
@@ -55,23 +53,23 @@ def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: Non
 
 
 def test_an_output_goes_on_in_the_next_run(path: str, inline: None) -> None:
-    away, present = Picky("north", is_away=True), Picky("south")
+    away, present = FakeOutput("north", is_away=True), FakeOutput("south")
     run_for(path, 100, away, present)
     assert away.ids == []
     first = list(present.ids)
-    again, new = Picky("north"), Picky("new")
+    again, new = FakeOutput("north"), FakeOutput("new")
     run_for(path, 100, again, new)
     every = in_journal(path)
     assert again.ids == every
     assert new.ids == every[len(first) :]  # it begins with the next reading
-    late = Picky("south")
+    late = FakeOutput("south")
     run_for(path, 100, late)
     assert late.ids == in_journal(path)[len(first) :]
 
 
 def test_a_live_output_gets_the_readings_of_this_run_only(path: str, inline: None) -> None:
-    run_for(path, 100, Picky("live", is_away=True))
-    live = Picky("live")
+    run_for(path, 100, FakeOutput("live", is_away=True))
+    live = FakeOutput("live")
     live.is_live = True
     fleet = run_for(path, 100, live)
     assert len(live.ids) == fleet.statistics.readings
@@ -253,7 +251,7 @@ async def test_an_output_that_is_fast_and_behind_gets_larger_batches(
 ) -> None:
     sizes: list[int] = []
 
-    class Fast(Picky):
+    class Fast(FakeOutput):
         async def write_readings(self, readings: Sequence[Reading]) -> None:
             sizes.append(len(readings))
             await super().write_readings(readings)

@@ -3,8 +3,6 @@ The file of a journal: what is written is read, by us and by a person with SQL, 
 used is refused in one line.
 """
 
-from __future__ import annotations
-
 import os
 import sqlite3
 import time

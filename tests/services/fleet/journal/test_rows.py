@@ -1,19 +1,27 @@
 """
-Polls as rows of a journal, the ids of readings, and the polls in memory.
+Polls as rows of a journal, places of outputs, and histories of values.
 """
-
-from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
+from contextlib import closing
+from itertools import pairwise
+from typing import Any
 
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.journal import place as recent
-from libmodbus_py.services.fleet.journal.place import JournalPlace, RecentPolls
+from libmodbus_py.services.fleet.journal.journal_file import JournalFile
+from libmodbus_py.services.fleet.journal.journal_reader import (
+    HistoricalValue,
+    history,
+    past_in,
+    thinned,
+)
+from libmodbus_py.services.fleet.journal.place import JournalPlace
 from libmodbus_py.services.fleet.journal.schema import (
     MARGIN,
+    JournalError,
     JournalPoll,
     Points,
     decoded,
@@ -32,14 +40,6 @@ def test_the_first_id_is_above_all_that_may_have_been_given() -> None:
     # The clock was set back, and the last readings were sent, but never came to the disk.
     assert first_id(0.0, 10**15) == 10**15 + MARGIN
     assert first_id(0.0, 0) == 1
-
-
-def test_readings_become_polls_with_ids_in_order() -> None:
-    mixed = [*readings("a", 1.0), *readings("b", 1.0), *readings("b", 2.0, 1)]
-    found = list(numbered(mixed, 10))
-    assert [(each.first, each.last) for each in found] == [(10, 11), (12, 13), (14, 14)]
-    assert [one.id for each in found for one in each.readings] == [10, 11, 12, 13, 14]
-    assert [one._replace(id=0) for each in found for one in each.readings] == mixed
 
 
 NAMED = [("p0", "V"), ("p1", ""), ("p2", "W")]
@@ -70,52 +70,12 @@ def test_a_row_gives_back_what_was_put_into_it(readings: Sequence[tuple[str, obj
         assert row.chosen is None
 
 
-def test_a_point_that_is_not_in_the_list_is_an_error() -> None:
-    [poll] = numbered([Reading(1.0, "a", "p9", 1, "", "good")], 1)
-    with pytest.raises(KeyError):
-        encoded(poll, POINTS)
-
-
 def test_values_that_json_lacks_are_none_in_a_row() -> None:
     [poll] = numbered([Reading(1.0, "a", "p1", {"x": float("inf")}, "", "good")], 1)
     assert encoded(poll, POINTS).data == '[{"x":null}]'
 
 
-def filled(first: int, count: int) -> RecentPolls:
-    made = RecentPolls(first - 1)
-    for each in polls(first, count):
-        made.add(each)
-    return made
-
-
-def test_polls_are_taken_whole_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recent, "MOST_IN_MEMORY", 6)
-    made, every = filled(10, 5), polls(10, 5)
-    assert (made.before, made.last) == (9, 19)  # the file lacks them all
-    assert made.after(9, 100) == every
-    assert made.take(3) == every[:1]
-    assert made.take(1) == every[1:2]  # one at least
-    made.add(polls(20, 1)[0])
-    assert (made.before, made.taken, made.dropped) == (13, 13, 0)
-    assert made.after(12, 100) is None
-    assert made.after(17, 3) == every[4:]
-    assert made.after(21, 100) == []
-
-
-def test_what_no_disk_takes_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recent, "MOST_IN_MEMORY", 4)
-    monkeypatch.setattr(recent, "MOST_WAITING", 8)
-    made = filled(1, 3)
-    assert made.take(4) == polls(1, 2)
-    for each in polls(7, 100):
-        made.add(each)
-    # Those that were taken before are on their way to the disk, and not lost.
-    assert (made.last, made.dropped) == (206, 206 - 8 - 4)
-    assert made.take(1000) == made.after(198, 1000) == polls(199, 4, time=196.0)
-    assert made.take(1) == []
-
-
-class Shelf:
+class FakeJournal:
     """A journal that has these polls, and no others between them."""
 
     def __init__(self, *every: JournalPoll) -> None:
@@ -136,106 +96,111 @@ class Shelf:
         return behind[:2], number
 
 
-def place_in(shelf: Shelf, confirmed: int, waiting: int) -> JournalPlace:
-    return JournalPlace("x", shelf, confirmed, waiting)
+def place_in(journal: FakeJournal, confirmed: int, waiting: int) -> JournalPlace:
+    return JournalPlace("x", journal, confirmed, waiting)
 
 
 @in_simulated_time
-async def test_an_output_goes_on_where_it_confirmed() -> None:
-    shelf = Shelf(*polls(1, 4))
-    place = place_in(shelf, 2, 6)
-    assert len(place) == 6
-    batch = await place.take_polls(1)
-    assert [each.id for each in batch] == [3, 4]
-    assert len(place) == 6  # taken, but not confirmed
-    place.put_back(batch)
-    assert await place.take_polls(1) == batch
-    await place.confirm(batch)
-    assert (place.confirmed, len(place), shelf.noted) == (4, 4, 1)
-    for ids in ([5, 6], [7, 8], []):
-        batch = await place.take_polls(100, 0.5)
-        assert [each.id for each in batch] == ids
-        await place.confirm(batch)
-    assert await place.take_polls(100, 0.5) == []
-    assert place.dropped == 0
-
-
-@in_simulated_time
-async def test_a_place_never_falls() -> None:
-    shelf = Shelf(*polls(1, 4))
-    place = place_in(shelf, 0, 8)
+async def test_an_output_that_confirms_twice_or_late_goes_on_where_it_was() -> None:
+    journal = FakeJournal(*polls(1, 4))
+    place = place_in(journal, 0, 8)
     first, second = await place.take_polls(2), await place.take_polls(2)
     await place.confirm(second)
     for old in (second, first, []):  # an output that confirms twice, or late
         await place.confirm(old)
         place.drop(old)
-    assert (place.confirmed, place.dropped, shelf.noted) == (4, 0, 1)
+    assert (place.confirmed, place.dropped, journal.noted) == (4, 0, 1)
     place.put_back(first)
     assert [each.id for each in await place.take_polls(2)] == [5, 6]
 
 
 @in_simulated_time
 async def test_a_disk_that_notes_nothing_delays_an_output_by_a_second() -> None:
-    shelf = Shelf(*polls(1, 4))
-    shelf.is_stuck = True
-    place = place_in(shelf, 0, 8)
+    journal = FakeJournal(*polls(1, 4))
+    journal.is_stuck = True
+    place = place_in(journal, 0, 8)
     loop = asyncio.get_running_loop()
     begun = loop.time()
     await place.confirm(await place.take_polls(2))
     assert loop.time() - begun == pytest.approx(1.0)
 
 
-@in_simulated_time
-async def test_what_was_deleted_unconfirmed_is_counted_and_told_once(
-    caplog: pytest.LogCaptureFixture,
+SINCE = 1_700_000_000.0
+
+
+def at(time: float, value: Any, quality: str = "good") -> HistoricalValue:
+    return HistoricalValue(SINCE + time, value, quality)
+
+
+def values(*numbers: Any) -> list[HistoricalValue]:
+    return [at(time, number) for time, number in enumerate(numbers)]
+
+
+def left(given: list[HistoricalValue], length: float, most: int) -> list[float]:
+    """Return the seconds of the values that stand for the others."""
+    return [each.time - SINCE for each in thinned(given, SINCE, SINCE + length, most)]
+
+
+@pytest.mark.parametrize(("most", "spans"), [(3, 1), (5, 1), (6, 2), (29, 9), (30, 10)])
+def test_each_of_equal_spans_has_its_extremes(most: int, spans: int) -> None:
+    length = 100 / spans
+    firsts = [-int(-number * length // 1) for number in range(spans + 1)]
+    expected = [at for first, end in pairwise(firsts) for at in (first, end - 1)]
+    assert left(values(*range(100)), 100, most) == expected
+
+
+@each_case(
+    ("given", "length", "most", "expected"),
+    [
+        (values(*range(30)), 30, 30, [*range(30)]),  # as many as may be are all
+        # Of a span the first smallest, the last greatest, and the first bad one, in their order.
+        (values(5, 9, 1, 1, None, 9, "text", 5), 8, 3, [2, 4, 5]),
+        (values(7, 7, 7, 7), 4, 3, [0, 3]),
+        (values(4, 3, 2, 1), 4, 3, [0, 3]),
+        (values(*["on"] * 10), 10, 3, [0]),
+        # A number of another quality is no extreme.
+        ([*values(1, 2, 3), at(2.5, 1000, "invalid")], 3, 3, [0, 2, 2.5]),
+        # Values at the end belong to the last span.
+        ([at(time, time) for time in (0, 1, 2, 7, 10, 10, 10)], 10, 6, [0, 2, 7, 10]),
+        ([], 0, 3, []),
+    ],
+)
+def test_some_values_stand_for_others(
+    given: list[HistoricalValue], length: float, most: int, expected: list[float]
 ) -> None:
-    shelf = Shelf(*polls(1, 10))
-    place = place_in(shelf, 0, 20)
-    batch = await place.take_polls(2)
-    place.put_back(batch)
-    for gone in ([(1, 2)], [], [(1, 2), (3, 2), (5, 2)]):
-        place.deleted(gone)
-    assert (place.dropped, place.confirmed, len(place)) == (6, 6, 14)
-    batch = await place.take_polls(4)
-    assert [each.id for each in batch] == [7, 8, 9, 10]
-    await place.confirm(batch)
-    shelf.polls = shelf.polls[8:]  # rows that were damaged
-    assert [each.id for each in await place.take_polls(2)] == [17, 18]
-    assert place.dropped == 6 + 6
-    [record] = caplog.records
-    assert record.getMessage() == (
-        "x: the journal is full; its oldest readings are dropped unconfirmed"
-    )
+    assert left(given, length, most) == expected
 
 
-@in_simulated_time
-async def test_other_polls_are_looked_at_without_being_taken() -> None:
-    place = place_in(Shelf(*polls(1, 8)), 0, 16)
-    found = await place.polls(3)
-    assert [each[0].id for each in found] == [1, 3, 5]
-    assert len(await place.polls(1000)) == 8
-    assert [each.id for each in await place.take_polls(3)] == [1, 2, 3, 4]
+def test_no_time_at_all_is_one_span() -> None:
+    given = [at(0, number) for number in range(9)]
+    assert [each.value for each in thinned(given, SINCE, SINCE, 3)] == [0, 8]
 
 
-@in_simulated_time
-async def test_a_closed_place_is_over_when_all_was_taken() -> None:
-    place = place_in(Shelf(*polls(1, 2)), 0, 4)
-    place.close()
-    assert not place.is_over
-    await place.take_polls(100)
-    assert place.is_over
-    assert await place.take_polls(100) == []
-    other = place_in(Shelf(*polls(1, 2)), 0, 4)
-    await other.take_polls(2)
-    other.give_up()
-    assert (other.dropped, len(other)) == (0, 4)  # it waits for the next run
+@each_case(
+    ("most", "error", "said"),
+    [
+        (2, ValueError, "most"),
+        (3, JournalError, "fleet.db"),
+        (1_000_000, JournalError, "fleet.db"),
+        (1_000_001, ValueError, "most"),
+    ],
+)
+def test_three_values_to_a_million_may_be_asked_for(
+    path: str, most: int, error: type[Exception], said: str
+) -> None:
+    """There is no such file, so that what may be asked for ends with another error."""
+    with pytest.raises(error, match=said):
+        history(path, "meter", "level", SINCE, SINCE + 1, most)
+    assert past_in(path)("meter", "level", SINCE, SINCE + 1, 100) == []
 
 
-@in_simulated_time
-async def test_a_closed_place_ends_the_wait_of_an_output() -> None:
-    place = place_in(Shelf(), 0, 0)
-    waiting = asyncio.create_task(place.take_polls(100))
-    await asyncio.sleep(0)
-    assert not waiting.done()
-    place.close()
-    assert await asyncio.wait_for(waiting, 1) == []
+def test_numbers_and_gaps_of_a_value(path: str) -> None:
+    told = [(1, 5.5, "good"), (2, None, "down"), (3, "text", "good"), (4, 7, "good")]
+    past = past_in(path)
+    with closing(JournalFile(path, 1e9, 10**9)) as file:
+        file.open([])
+        for at, value, quality in told:
+            poll = [each._replace(time=float(at), value=value) for each in readings()]
+            file.write(numbered([each._replace(quality=quality) for each in poll], at * 10), {}, 0)  # type: ignore[arg-type]
+        assert past("a", "p1", 0.0, 9.0, 100) == [(1.0, 5.5), (2.0, None), (3.0, None), (4.0, 7.0)]
+        assert past("a", "p1", 3.5, 9.0, 100) == [(4.0, 7.0)]

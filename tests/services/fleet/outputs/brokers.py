@@ -2,8 +2,6 @@
 mosquitto for tests, its subscribers, and fleets that it commands.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import signal

@@ -5,8 +5,6 @@ The tables are those of its pages: https://www.home-assistant.io/integrations/mq
 components (sensor.mqtt, number.mqtt, ...), and the units of device classes on that of sensors.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import re

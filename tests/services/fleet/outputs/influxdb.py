@@ -2,8 +2,6 @@
 InfluxDB for tests: version 1, as Debian 12 has it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -2,8 +2,6 @@
 Outputs under attack: servers that answer badly, disks that are full, reloads while readings wait.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os
@@ -27,7 +25,7 @@ from tests.services.fleet.fleets import (
     simulated,
     until,
 )
-from tests.support.outputs import Picky, pumping
+from tests.support.outputs import FakeOutput, pumping
 
 
 def poll(at: int, device: str = "a") -> list[Reading]:
@@ -83,7 +81,7 @@ async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_rea
 ) -> None:
     """`run` raises its error; in an `async with` nobody else would hear of it."""
 
-    class Broken(Picky):
+    class Broken(FakeOutput):
         async def open_output(self) -> None:
             raise OutputError("MQTT needs aiomqtt")
 

@@ -2,8 +2,6 @@
 Discovery by Home Assistant, over a real broker, as a subscriber sees it that knows only its schema.
 """
 
-from __future__ import annotations
-
 import asyncio
 import signal
 import subprocess

@@ -2,8 +2,6 @@
 What each output promises of readings: their labels, which are those of their time, and their ids.
 """
 
-from __future__ import annotations
-
 import asyncio
 import csv
 import json

@@ -2,8 +2,6 @@
 Outputs that would write to one place, or to a file the fleet is read from; several of a kind.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +16,7 @@ from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import Output
 from tests.support.cases import each_case
 from tests.support.commands import run
-from tests.support.outputs import Picky
+from tests.support.outputs import FakeOutput
 
 SERVER = '[[output.influx]]\nurl = "http://h:8086"\n'
 
@@ -145,8 +143,8 @@ def test_a_program_with_two_outputs_to_one_place(
 
 
 def test_one_output_given_twice_is_refused() -> None:
-    output = Picky()
-    with pytest.raises(ValueError, match="two outputs use the same picky"):
+    output = FakeOutput()
+    with pytest.raises(ValueError, match="two outputs use the same fake"):
         Fleet([], outputs=[output, output])
 
 

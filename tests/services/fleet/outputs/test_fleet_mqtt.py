@@ -2,8 +2,6 @@
 MQTT with a real broker: TLS, the last will, commands, and a message for each poll of a device.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import re

@@ -2,8 +2,6 @@
 Outputs that are slow, full, gone or wrong: polling goes on, and what was lost is counted.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import os
@@ -28,7 +26,7 @@ from tests.services.fleet.fleets import (
     real_peer,
     until,
 )
-from tests.support.outputs import Picky
+from tests.support.outputs import FakeOutput
 
 
 @pytest.fixture
@@ -50,9 +48,9 @@ async def polled(
 
 @in_simulated_time
 async def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
-    output = Picky(next=[1.5], buffer=20)
+    output = FakeOutput(next=[1.5], buffer=20)
     fleet = await polled(output, lambda fleet: fleet.statistics.polls > 30)
-    lost = fleet.statistics.outputs["picky"]
+    lost = fleet.statistics.outputs["fake"]
     assert lost.dropped > 10
     assert len(output.accepted) + lost.dropped == fleet.statistics.readings
     # Those that were taken before it was slow, and the last ones.
@@ -62,21 +60,21 @@ async def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
 @in_simulated_time
 async def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> None:
     no = OSError(errno.EIO, "no")
-    output = Picky(next=[no, no, 0, RuntimeError("a bug")])
+    output = FakeOutput(next=[no, no, 0, RuntimeError("a bug")])
     fleet = await polled(output, lambda fleet: fleet.statistics.polls > 60, interval=0.05)
     # Twice as long after each failure, and as at first after a success.
     pauses = [after - before for before, after in pairwise(output.opened_at)]
     assert pauses == pytest.approx([0.5, 1.0, 0.5], abs=0.1)
-    statistics = fleet.statistics.outputs["picky"]
+    statistics = fleet.statistics.outputs["fake"]
     assert statistics.failures == 3
     assert len(output.opened_at) == output.closed == 4
     assert statistics.dropped == 0
     assert len(output.accepted) == fleet.statistics.readings
     warned = [each for each in caplog.records if each.levelname == "WARNING"]
     told = [each.getMessage() for each in warned]
-    assert told.count("picky: no") == 1  # each trouble once
-    assert "picky: a bug" in told
-    assert told.count("picky accepts readings again") == 2
+    assert told.count("fake: no") == 1  # each trouble once
+    assert "fake: a bug" in told
+    assert told.count("fake accepts readings again") == 2
 
 
 @pytest.mark.parametrize("error", [OutputError("gone"), SystemError("?"), GeneratorExit()])
@@ -84,7 +82,7 @@ async def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> 
 async def test_what_ends_an_output(error: BaseException) -> None:
     """OutputError and what is not an Exception end `run`; the rest are tried again."""
     async with Peer() as peer:
-        fleet = Fleet([meter("a", peer.url)], outputs=[Picky(next=[error])])
+        fleet = Fleet([meter("a", peer.url)], outputs=[FakeOutput(next=[error])])
         if isinstance(error, SystemError):
             with pytest.raises(TimeoutError):
                 await asyncio.wait_for(fleet.run(), 1)
@@ -149,7 +147,7 @@ async def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path
     await until(lambda: threading.active_count() <= threads)
 
 
-class Described(Picky):
+class Described(FakeOutput):
     """An output that wants to know the devices."""
 
     def describe_devices(self, devices: Any) -> None:
@@ -160,12 +158,12 @@ class Described(Picky):
 async def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_apart() -> (
     None
 ):
-    outputs = [Described(), Picky(), Picky()]
+    outputs = [Described(), FakeOutput(), FakeOutput()]
     async with Peer() as peer:
         devices = [meter("a", peer.url, labels={"site": "here"})]
         async with Fleet(devices, outputs=outputs) as fleet:
             assert outputs[0].labels == {"a": {"site": "here"}}
-            assert list(fleet.statistics.outputs) == ["picky", "picky (2)", "picky (3)"]
+            assert list(fleet.statistics.outputs) == ["fake", "fake (2)", "fake (3)"]
             fleet.replace([meter("b", peer.url, labels={"site": "there"})])
             assert outputs[0].labels == {"b": {"site": "there"}}
 

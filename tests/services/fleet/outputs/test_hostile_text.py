@@ -3,8 +3,6 @@ Text from devices with quotes, line ends and control characters: each reader of 
 same text back, and a terminal obeys none of it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import csv
 import io

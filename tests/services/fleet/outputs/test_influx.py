@@ -2,8 +2,6 @@
 The output `influx`: the line protocol of InfluxDB, and servers that may refuse or lie.
 """
 
-from __future__ import annotations
-
 import asyncio
 import base64
 from collections.abc import AsyncIterator, Iterable

@@ -2,8 +2,6 @@
 InfluxDB itself, version 1 as Debian 12 has it: it takes the lines, and answers with what they said.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Iterator
 from pathlib import Path

@@ -3,8 +3,6 @@ Files of readings while others rename, delete, empty or break them; and a standa
 does not block.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import csv

@@ -3,8 +3,6 @@ What a real broker retains: the status of workers and devices, and last values a
 brokers that refuse a message, or die with it.
 """
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import signal
@@ -256,15 +254,4 @@ async def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> 
     left = [each for each in asyncio.all_tasks() if "_publish_all" in repr(each)]
     broker.send_signal(signal.SIGCONT)
     assert not left
-    await output.close_output()
-
-
-@in_real_time
-async def test_a_confirmation_waits_for_no_ack_of_tcp(broker: Broker) -> None:
-    """Nagle's algorithm would hold back the request for it until the broker acknowledged others."""
-    output = Mqtt(broker.url)
-    await output.open_output()
-    assert output._connection._client is not None
-    connection = output._connection._client._client.socket()
-    assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
     await output.close_output()

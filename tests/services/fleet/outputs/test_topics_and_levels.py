@@ -2,8 +2,6 @@
 Names as levels of topics and subjects, and topics with names and labels.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -3,8 +3,6 @@ Readings that an output can never take are told and dropped, and hold up no othe
 other side only ends the connection; all that fails for the moment is tried again.
 """
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import json
@@ -21,7 +19,7 @@ from tests.services.fleet.fleets import Peer, in_simulated_time, meter, simulate
 from tests.simulation.engine import Engine
 from tests.simulation.network import Network
 from tests.support.cases import each_case
-from tests.support.outputs import Picky, pumped, pumping, reading
+from tests.support.outputs import FakeOutput, pumped, pumping, reading
 
 LOST = ConnectionError("the connection was lost")
 
@@ -43,7 +41,7 @@ async def ended(pump: Pump) -> None:
     await until(lambda: not pump.buffer)
 
 
-def played(output: Picky, play: Callable[[Pump], Awaitable[object]]) -> OutputStatistics:
+def played(output: FakeOutput, play: Callable[[Pump], Awaitable[object]]) -> OutputStatistics:
     """Let a pump write what `play` puts into its buffer, and return the counts."""
 
     async def go() -> OutputStatistics:
@@ -55,7 +53,7 @@ def played(output: Picky, play: Callable[[Pump], Awaitable[object]]) -> OutputSt
     return simulated_run(go())
 
 
-def written(output: Picky, devices: str, later: str = "") -> OutputStatistics:
+def written(output: FakeOutput, devices: str, later: str = "") -> OutputStatistics:
     """Write polls until none waits or one is refused, then `later`; return the counts."""
 
     async def play(pump: Pump) -> None:
@@ -72,16 +70,16 @@ def written(output: Picky, devices: str, later: str = "") -> OutputStatistics:
 def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    output = Picky(refused=("b", "d"))
+    output = FakeOutput(refused=("b", "d"))
     statistics = written(output, "abcde")
     assert [each.device for each in output.accepted] == list("aaccee")
     assert (statistics.dropped, statistics.written) == (4, 6)
-    assert errors(caplog) == [f"picky: 2 readings of {each} are dropped: too long" for each in "bd"]
+    assert errors(caplog) == [f"fake: 2 readings of {each} are dropped: too long" for each in "bd"]
 
 
 @each_case(("error", "failures"), [(RuntimeError("a bug"), 1), (OSError(errno.ENOSPC, "full"), 5)])
 def test_what_fails_for_the_moment_is_not_dropped(error: Exception, failures: int) -> None:
-    output = Picky(refused=("a",), error=error)
+    output = FakeOutput(refused=("a",), error=error)
 
     async def play(pump: Pump) -> None:
         pump.buffer.put_readings(polls("ab"))
@@ -93,7 +91,7 @@ def test_what_fails_for_the_moment_is_not_dropped(error: Exception, failures: in
 
 
 def test_an_output_that_raises_when_closed_is_opened_again() -> None:
-    class Clumsy(Picky):
+    class Clumsy(FakeOutput):
         async def close_output(self) -> None:
             raise RuntimeError("a bug")
 
@@ -103,7 +101,7 @@ def test_an_output_that_raises_when_closed_is_opened_again() -> None:
 
 
 def test_a_poll_is_never_divided_by_the_buffer() -> None:
-    output = Picky()
+    output = FakeOutput()
     simulated_run(
         pumped(output, [reading(device, f"{at}") for device in "abc" for at in range(1200)])
     )
@@ -116,11 +114,11 @@ def test_a_poll_is_never_divided_by_the_buffer() -> None:
 async def test_once_waits_for_a_slow_output_and_ends_after_a_failure(
     is_gone: bool, counts: tuple[int, int]
 ) -> None:
-    output = Picky(refused=("a",), error=OSError("gone")) if is_gone else Picky(next=[60])
+    output = FakeOutput(refused=("a",), error=OSError("gone")) if is_gone else FakeOutput(next=[60])
     async with Peer() as peer:
         fleet = Fleet([meter("a", peer.url)], outputs=[output])
         await fleet.run(once=True)
-    statistics = fleet.statistics.outputs["picky"]
+    statistics = fleet.statistics.outputs["fake"]
     assert (statistics.written, statistics.dropped) == counts
 
 
@@ -140,7 +138,7 @@ async def test_once_waits_for_a_slow_output_and_ends_after_a_failure(
     ],
 )
 def test_what_is_refused_is_dropped_and_all_others_are_written(devices: str, refused: str) -> None:
-    output = Picky(refused=refused, error=LOST)
+    output = FakeOutput(refused=refused, error=LOST)
     statistics = written(output, devices, later="ab")
     good = [each for each in polls(devices) if each.device not in refused]
     assert statistics.dropped == len(polls(devices)) - len(good)
@@ -149,15 +147,15 @@ def test_what_is_refused_is_dropped_and_all_others_are_written(devices: str, ref
 
 
 def test_a_poll_that_is_dropped_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    written(Picky(refused="b", error=LOST), "abc")
+    written(FakeOutput(refused="b", error=LOST), "abc")
     assert errors(caplog) == [
-        "picky: 2 readings of b are dropped: others were accepted and these were not,"
+        "fake: 2 readings of b are dropped: others were accepted and these were not,"
         " several times: the connection was lost"
     ]
 
 
 def test_an_output_of_one_device_writes_its_later_polls() -> None:
-    class OnePoll(Picky):
+    class OnePoll(FakeOutput):
         async def write_readings(self, readings: Sequence[Reading]) -> None:
             self.refused = "a" if any(each.value == 1 for each in readings) else ""
             await super().write_readings(readings)
@@ -170,7 +168,7 @@ def test_an_output_of_one_device_writes_its_later_polls() -> None:
 @each_case("away", [*range(9), 20, 59])
 def test_what_is_away_loses_nothing_however_long_and_ends_with_the_newest(away: int) -> None:
     every = polls("abcabcab")
-    output = Picky(next=[LOST] * away)
+    output = FakeOutput(next=[LOST] * away)
     statistics = written(output, "abcabcab")
     assert (statistics.dropped, statistics.written) == (0, 16)
     assert {*map(str, output.accepted)} == {*map(str, every)}
@@ -179,7 +177,7 @@ def test_what_is_away_loses_nothing_however_long_and_ends_with_the_newest(away: 
 
 
 def test_a_poll_that_waits_alone_is_kept() -> None:
-    output = Picky(refused="a", error=LOST)
+    output = FakeOutput(refused="a", error=LOST)
 
     async def play(pump: Pump) -> None:
         pump.buffer.put_readings(polls("a"))
@@ -193,7 +191,7 @@ def test_a_poll_that_waits_alone_is_kept() -> None:
 
 @in_simulated_time
 async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
-    output = Picky(refused="x", error=LOST, buffer=4)
+    output = FakeOutput(refused="x", error=LOST, buffer=4)
     async with pumping(output) as pump:
         pump.buffer.put_readings(polls("x"))
         await until(lambda: output.failed > 3)
@@ -209,7 +207,7 @@ async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
 
 def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
     """That a poll was refused says nothing about the next ones, if the other side is away."""
-    output = Picky(refused="b", error=LOST)
+    output = FakeOutput(refused="b", error=LOST)
 
     async def play(pump: Pump) -> None:
         pump.buffer.put_readings(polls("abc"))
@@ -225,7 +223,7 @@ def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
 
 @pytest.mark.parametrize("devices", ["abc", "bac", "abcdefgh"])
 def test_a_device_that_is_refused_again_costs_few_connections_and_no_time(devices: str) -> None:
-    output = Picky(refused="b", error=LOST)
+    output = FakeOutput(refused="b", error=LOST)
     failed: list[int] = []
     took: list[float] = []
 
@@ -245,7 +243,7 @@ def test_a_device_that_is_refused_again_costs_few_connections_and_no_time(device
 
 
 def test_a_device_that_is_accepted_again_is_believed_again() -> None:
-    output = Picky(refused="b", error=LOST)
+    output = FakeOutput(refused="b", error=LOST)
 
     async def play(pump: Pump) -> None:
         pump.buffer.put_readings(polls("abc"))

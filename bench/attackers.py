@@ -1,8 +1,9 @@
 """
-The process that attacks a server: python -m tests.support.attackers NAME PORT
+Processes that attack a server, and an innocent client that polls it meanwhile.
 
-It says "ready", attacks from the first line of its input to the end of it, and prints what it did
-as JSON.
+The attackers are a process of their own, at the lowest priority, for they stand for other machines:
+python -m bench.attackers NAME PORT. It says "ready", attacks from the first line of its input to
+the end of it, and prints what it did as JSON.
 """
 
 from __future__ import annotations
@@ -11,13 +12,178 @@ import heapq
 import itertools
 import json
 import os
+import select
 import selectors
 import socket
+import ssl
+import statistics
+import struct
+import subprocess
 import sys
 import time
-from typing import IO
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import IO, NamedTuple, Self
 
-from tests.support.attacks import ATTACKS, Attack, Done, Step, descriptor_limit
+from tests.support import certificates
+from tests.support.attacks import (
+    ATTACKS,
+    Attack,
+    Step,
+    adu,
+    connect,
+    descriptor_limit,
+    receive,
+)
+from tests.support.certificates import Papers
+
+# --- the innocent ------------------------------------------------------------------------
+
+
+@dataclass
+class Polled:
+    """What became of an innocent's requests; times are in seconds."""
+
+    latencies: list[float] = field(default_factory=list)
+    lost: int = 0
+    wrong: int = 0
+
+    @property
+    def requests(self) -> int:
+        return len(self.latencies) + self.lost
+
+    @property
+    def median(self) -> float:
+        return statistics.median(self.latencies)
+
+    @property
+    def p99(self) -> float:
+        return sorted(self.latencies)[len(self.latencies) * 99 // 100]
+
+    @property
+    def worst(self) -> float:
+        return max(self.latencies)
+
+
+class Innocent:
+    """
+    A client that reads what it wrote, every two milliseconds.
+
+    Args:
+        papers: for TLS.
+    """
+
+    FIRST = 1000
+    VALUES = tuple(range(40_000, 40_010))
+    PERIOD = 0.002
+
+    def __init__(self, port: int, papers: Papers | None = None) -> None:
+        self._port = port
+        self._papers = papers
+        self._transaction = 0
+        self._connection = self._connect()
+        data = struct.pack(f">{len(self.VALUES)}H", *self.VALUES)
+        self._request = struct.pack(">BHH", 3, self.FIRST, len(self.VALUES))
+        self._answer = bytes([3, len(data)]) + data
+        written = struct.pack(">BHHB", 16, self.FIRST, len(self.VALUES), len(data)) + data
+        self._connection.sendall(adu(written))
+        assert receive(self._connection, 12) == adu(written[:5])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._connection.close()
+
+    def poll(self, seconds: float, until: Callable[[], bool] = lambda: True) -> Polled:
+        """Ask for so many seconds, and until that is true."""
+        polled = Polled()
+        end = time.perf_counter() + seconds
+        while time.perf_counter() < end or not until():
+            self._ask(polled)
+            time.sleep(self.PERIOD)
+        return polled
+
+    def _ask(self, polled: Polled) -> None:
+        self._transaction = (self._transaction + 1) & 0xFFFF
+        expected = adu(self._answer, self._transaction)
+        start = time.perf_counter()
+        try:
+            self._connection.sendall(adu(self._request, self._transaction))
+            answer = receive(self._connection, len(expected))
+        except OSError:
+            answer = b""
+        if len(answer) < len(expected):
+            polled.lost += 1
+            self._connection.close()
+            self._connection = self._connect()
+            return
+        polled.latencies.append(time.perf_counter() - start)
+        polled.wrong += answer != expected
+
+    def _connect(self) -> socket.socket:
+        connection = connect(self._port)
+        if self._papers is None:
+            return connection
+        context = ssl.create_default_context(cafile=str(self._papers.ca))
+        files = self._papers.files(certificates.client())
+        context.load_cert_chain(files.cert, files.key)
+        return context.wrap_socket(connection, server_hostname="localhost")
+
+
+# --- the attackers -----------------------------------------------------------------------------
+
+
+class Done(NamedTuple):
+    """What an attack came to: connections made, bytes sent and received."""
+
+    connected: int
+    sent: int
+    received: int
+
+
+class AttackerProcess:
+    """All the attackers of one attack."""
+
+    def __init__(self, attack: Attack, port: int) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "bench.attackers", attack.name, str(port)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.pid = self._process.pid
+        self._all_attack = False
+        assert self._read_line() == "ready\n"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+    def begin(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write("go\n")
+        self._process.stdin.flush()
+
+    def all_attack(self) -> bool:
+        """Return True if all connections were made, and have sent what each of them sends."""
+        if not self._all_attack and select.select([self._process.stdout], [], [], 0)[0]:
+            self._all_attack = self._read_line() == "all\n"
+        return self._all_attack
+
+    def end(self) -> Done:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.stdin = None  # communicate() would flush it
+        line = self._read_line()
+        return Done(*json.loads(self._read_line() if line == "all\n" else line))
+
+    def _read_line(self) -> str:
+        assert self._process.stdout is not None
+        return self._process.stdout.readline()
 
 
 class Attackers:

@@ -1,13 +1,11 @@
 """
 Run the interoperability tests and print what works with whom, as a Markdown table.
 
-    python -m tests.support.interop_report [options for pytest, such as -n 2]
+    python packaging/interop_report.py [options for pytest, such as -n 2]
 
 The table is read off the ids of the tests, and off those that they record for the
 cases of their tables (interop.case_id, interop.tried). Ends with pytest's exit status.
 """
-
-from __future__ import annotations
 
 import re
 import subprocess
@@ -19,7 +17,7 @@ from itertools import compress
 from pathlib import Path
 from xml.etree import ElementTree
 
-TESTS = Path(__file__).parents[1]
+TESTS = Path(__file__).parents[1] / "tests"
 CASE = re.compile(
     r"(?P<peer>\w+)-(?P<role>client|server)-(?P<transport>[a-z+]+)-fc(?P<function>\d+)(?P<more>.*)$"
 )
