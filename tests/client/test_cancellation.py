@@ -12,10 +12,14 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError, State, Traced, pdu
+from libmodbus_py.client.call import Call
 from tests.simulation.scripted import Scripted
+from tests.support.cases import each_case
 from tests.support.in_loops import run_client, run_peer
 from tests.support.peers import TcpPeer, Write, echo
 from tests.support.reads import good, good_at
+from tests.support.replies import answer
+from tests.support.talk import LINE, TCP, Talk
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
@@ -88,6 +92,40 @@ def test_a_pause(options: dict[str, Any]) -> None:
             assert 1 not in [request[9] for request in peer.requests]
 
     run_peer(good, main)
+
+
+@each_case("url", [LINE, TCP])
+@each_case("order", ["as given", "reverse", "random"])
+def test_many_that_wait_cost_few_steps_each(
+    url: str, order: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Comparisons of requests are counted: removed one by one from a list, 12 to 50 million."""
+    talk, compared = Talk(url, max_in_flight=1), 0
+
+    def equal(one: object, other: object) -> bool:
+        nonlocal compared
+        compared += 1
+        return one is other
+
+    present = talk.ask(1)
+    batches = [talk.batch(2) for _ in range(10_000)]
+    for batch in batches:
+        talk.connection.submit(batch, 0.0)
+    if order == "reverse":
+        batches.reverse()
+    elif order == "random":
+        random.Random(1).shuffle(batches)
+    last = batches.pop(5000)
+    monkeypatch.setattr(Call, "__eq__", equal)
+    monkeypatch.setattr(Call, "__hash__", object.__hash__)
+    for batch in batches:
+        talk.connection.withdraw(batch, 0.0)
+    assert compared < 100_000
+    assert len(talk.connection.queue.waiting) <= 2
+    talk.come(answer(talk))
+    talk.come(answer(talk))
+    assert (present.outcomes, last.outcomes) == ([[1]], [[2]])
+    assert talk.is_at_rest
 
 
 # --- at any step of the loop ----------------------------------------------------------------------
