@@ -20,8 +20,8 @@ from .mistakes import WrongValue, close_to
 # fmt: off
 __all__ = [
     "MAX_STRING_BYTES", "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "BitsType",
-    "FloatType", "IntegerType", "Layout", "NumberType", "Order", "Reference", "StringType",
-    "TextOptions", "TextType", "TimeType", "TypeName", "close_word", "order_named",
+    "FloatType", "IntegerType", "Layout", "NumberType", "Order", "PlainIntegerType", "Reference",
+    "StringType", "TextOptions", "TextType", "TimeType", "TypeName", "close_word", "order_named",
     "parse_reference", "plain", "string_type", "table_named", "type_named",
 ]
 # fmt: on
@@ -31,9 +31,13 @@ Order = Literal[
 ]  # fmt: skip
 """The orders of bytes: the names that hold for every width, and those of 64 bits only."""
 # fmt: off
-IntegerType = Literal[
+PlainIntegerType = Literal[
     "int8", "int16", "int24", "int32", "int48", "int64", "uint8", "uint16", "uint24", "uint32",
-    "uint48", "uint64", "signmag16", "signmag32", "mod10k32", "mod10k48", "mod10k64", "umod10k32",
+    "uint48", "uint64",
+]
+"""Types of which all registers hold a whole number."""
+IntegerType = Literal[
+    PlainIntegerType, "signmag16", "signmag32", "mod10k32", "mod10k48", "mod10k64", "umod10k32",
     "umod10k48", "umod10k64", "bcd16", "bcd32", "bcd64", "sbcd16", "sbcd32",
 ]
 """Types whose values are whole numbers."""

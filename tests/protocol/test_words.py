@@ -10,7 +10,8 @@ from typing import Any, get_args
 import pytest
 
 from libmodbus_py import Client, Device, Mapping, Point, Server, pdu
-from libmodbus_py.maps.plan import Plan, Read
+from libmodbus_py.maps.items import Read
+from libmodbus_py.maps.plan import Plan
 from libmodbus_py.protocol.tables import TABLE_SIZE, TABLES, RegisterTable, Table
 from libmodbus_py.protocol.values import value_type
 from tests.support.cases import each_case
