@@ -6,9 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from functools import cached_property
-from typing import Any, Generic, Literal, Required, TypeAlias, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, Required, TypeAlias, TypedDict, TypeVar
 
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusError
@@ -17,6 +16,9 @@ from ..protocol.pdu.request import checked_span, store
 from ..protocol.tables import TABLE_SIZE, TABLES, RegisterTable, Table, checked_table
 from ..protocol.values import Order, TypeName, ValueType, value_type
 from ..protocol.words import FloatType, PlainIntegerType
+
+if TYPE_CHECKING:
+    from datetime import datetime
 
 # fmt: off
 __all__ = [
@@ -124,7 +126,7 @@ Key = TypeVar("Key")
 Items: TypeAlias = Iterable[AnyItem] | Mapping[Any, AnyItem]
 Forbidden = Iterable[tuple[Table, range]]
 Borders = Iterable[tuple[Table, int]]
-Values: TypeAlias = list[bool | int | float | str | datetime | list[bool] | None]
+Values: TypeAlias = "list[bool | int | float | str | datetime | list[bool] | None]"
 """The values of an item of any type."""
 ValuesOfItem = TypeVar("ValuesOfItem")
 

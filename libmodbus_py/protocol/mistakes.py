@@ -155,6 +155,8 @@ def close_option(name: str, known: Collection[str]) -> str:
         return f"; did you mean {meant}?"
     if meant in SERIAL_SETTINGS and not URLS.isdisjoint(known):
         return f"; {meant} is part of the URL of a serial port: rtu:///dev/ttyUSB0?{meant}=..."
+    if meant == "port" and "max_in_flight" in known:
+        return "; the port is part of the URL: tcp://HOST:PORT"
     return close_to(name, known)
 
 

@@ -171,7 +171,10 @@ ORDER_WORDS = by_word(
 _LITTLE = ", which is DCBA to some, and CDAB (the low word first) to others"
 _BIG = ", which is ABCD to some, and CDAB (each register alone, the low word first) to others"
 
-_TWO_ORDERS = {"little endian": _LITTLE, "le": _LITTLE, "big endian": _BIG, "be": _BIG}
+_TWO_ORDERS = {
+    **dict.fromkeys(("little endian", "little", "le"), _LITTLE),
+    **dict.fromkeys(("big endian", "big", "be"), _BIG),
+}
 """Word that names no order, because vendors mean two -> the end of the message about it."""
 
 
@@ -254,7 +257,8 @@ def parse_reference(text: str) -> Reference:
         raise WrongValue(
             "reference",
             f"{text!r} must have 5 or 6 digits and begin with 0 (coil), 1 (discrete"
-            " input), 3 (input register), 4 (holding register) or 6 (file record), as in 40123",
+            " input), 3 (input register), 4 (holding register) or 6 (file record), as in 40123;"
+            " addresses that count from 0 follow the name of a table, as in hr 122",
         )
     table, item = REFERENCE_TABLES[text[0]], int(text[1:])
     if table == "file":

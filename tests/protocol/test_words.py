@@ -69,6 +69,7 @@ def test_orders(word: Any, order: str) -> None:
         (lambda: value_type("bool"), "type must be one of"),
         (lambda: value_type("float32", order="middle endian"), "order must be one of"),
         (lambda: value_type("float32", order="little endian"), "DCBA to some, and CDAB"),
+        (lambda: value_type("float32", order="little"), "DCBA to some, and CDAB"),
         (lambda: value_type("float32", order="Big_Endian"), "ABCD to some, and CDAB"),
         (lambda: Point("p", "holding_registers", 0, type="int32", order="le"), "DCBA to some"),
         (lambda: Plan([("coils", 0)], forbidden=[("coilz", range(3))]), "did you mean coils"),  # type: ignore[list-item]
