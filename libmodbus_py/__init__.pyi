@@ -17,10 +17,10 @@ from .device.authorization import Rules as Rules
 from .device.device import Device as Device
 from .device.hooks import Hook as Hook
 from .device.mapping import Mapping as Mapping
+from .maps.items import Read as Read
 from .maps.map_file import MapError as MapError
 from .maps.meaning import NoValue as NoValue
 from .maps.plan import Plan as Plan
-from .maps.plan import Read as Read
 from .maps.point import Point as Point
 from .maps.register_map import RegisterMap as RegisterMap
 from .maps.register_map import load_map as load_map

@@ -95,6 +95,8 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
         flags = found.parser._option_string_actions
         option = next((word for word in unknown if word.startswith("-")), "").partition("=")[0]
         close = close_to(option[2:], [each[2:] for each in flags if each[:2] == "--"], "--")
+        if name == "poll" and not option:
+            close = f"; {PROGRAM} read {' '.join(others)} --watch polls without a fleet file"
         found.parser.error(f"unrecognized arguments: {' '.join(unknown)}{close}")
     return found
 
@@ -179,6 +181,10 @@ class Parser(argparse.ArgumentParser):
 
         close = close_to(value, action.choices)
         if action.nargs == argparse.PARSER and (close or self.prog == PROGRAM):
+            from .foreign import COMMANDS as FOREIGN
+
+            if (other := FOREIGN.get(value)) and not close:
+                close = f"; type {PROGRAM} {other}"
             device = f"; a device of this name is read by {PROGRAM} read {value}"
             raise argparse.ArgumentError(None, f"there is no command {value!r}{close or device}")
         known = ", ".join(map(str, action.choices))

@@ -15,13 +15,14 @@ TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["equivalents", "is_place", "place"]
+__all__ = ["COMMANDS", "equivalents", "is_place", "place"]
 
 UNIT = "-u VALUE"
 PORT = "HOST:VALUE"
 URL = "HOST, udp://HOST, rtu+tcp://HOST:PORT, /dev/ttyUSB0 or ascii:///dev/ttyUSB0"
 PLACE = "hr N, which counts from 0, or a reference such as 40001"
 KIND = "co, di, ir or hr N for 0, 1, 3 or 4; --hex, or --type, with --order CDAB for int and float"
+ORDER = "--order CDAB for the low word first, BADC for the low byte first, DCBA for both"
 FUNCTION = "co, di, hr or ir N for 1 to 4, write HOST co N or hr N to write, raw HOST N for others"
 
 OPTIONS = {
@@ -43,6 +44,12 @@ OPTIONS = {
     **dict.fromkeys(("--host", "--ip"), "VALUE without an option"),
     "--function": FUNCTION,
     "--baud": "-b VALUE",
+    "--format": "--hex, --json or --csv",
+    **dict.fromkeys(("--swap", "--word-order", "--byte-order", "--endian"), ORDER),
+    "--float": "hr N:float32",
+    "--registers": "hr N COUNT to read them, or scan --deep to find them",
+    "--log-level": "--log VALUE",
+    "--for": "timeout VALUE before libmodbus-py",
     "--bit": "hr N.VALUE, a bit of a register, of which 0 is the lowest",
 }
 """Option of another program -> what is typed here; VALUE stands for its value."""
@@ -54,8 +61,17 @@ TAKEN = {
 }
 """Option that is one here, too -> the values that it has only there, and what is typed here."""
 
-SWITCHES = ("-B", "-f", "-i", "-0", "-1", "-R", "-F")
+SWITCHES = ("-B", "-f", "-i", "-0", "-1", "-R", "-F", "--swap", "--float", "--registers")
 """Options without a value."""
+
+COMMANDS = {
+    "help": "COMMAND --help",
+    **dict.fromkeys(("watch", "monitor"), "read ... --watch"),
+    **dict.fromkeys(("simulate", "simulator", "server", "slave"), "serve"),
+    **dict.fromkeys(("sniff", "sniffer", "spy"), "listen"),
+    "discover": "scan",
+}
+"""Command of another program -> what is typed here."""
 
 
 def equivalents(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:

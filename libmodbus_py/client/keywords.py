@@ -61,7 +61,7 @@ def unexpected(method: Any, given: Iterable[str], known: Collection[str] = ()) -
 
 def check_plan_options(method: Any, options: Mapping[str, Any]) -> None:
     """Raise the error for the first option that is none of a `Plan`."""
-    from ..maps.plan import PlanOptions
+    from ..maps.items import PlanOptions
 
     known = PlanOptions.__annotations__
     if not options.keys() <= known.keys():

@@ -7,7 +7,7 @@ steady pace.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, Unpack, overload
 
 from ..protocol.checks import seconds
@@ -19,7 +19,20 @@ from .keywords import NoOthers, check_plan_options, public_methods, unexpected
 # What only some methods need is imported by them.
 if TYPE_CHECKING:
     from ..maps.holes import Holes
-    from ..maps.plan import Item, Items, Key, Named, Plan, PlanOptions, Strict, Tolerant, Values
+    from ..maps.items import (
+        AnyItem,
+        BitItem,
+        FloatItem,
+        IntegerItem,
+        Items,
+        Key,
+        NamedValues,
+        PlanOptions,
+        Strict,
+        Tolerant,
+        Values,
+    )
+    from ..maps.plan import Plan
     from ..maps.register_map import AnyMap
     from ..maps.watched import Pace, PolledValues, WatchedPoints
     from ..protocol import pdu
@@ -71,17 +84,43 @@ class AsyncMany(AsyncFunctions):
 
     @overload
     async def read_many(  # type: ignore[overload-overlap]
-        self, items: Named[Key], **options: Unpack[Strict]
+        self, items: Mapping[Key, FloatItem], **options: Unpack[Strict]
+    ) -> dict[Key, list[float]]: ...
+    @overload
+    async def read_many(  # type: ignore[overload-overlap]
+        self, items: Mapping[Key, FloatItem], **options: Unpack[Tolerant]
+    ) -> NamedValues[Key, list[float]]: ...
+    @overload
+    async def read_many(  # type: ignore[overload-overlap]
+        self, items: Mapping[Key, BitItem], **options: Unpack[Strict]
+    ) -> dict[Key, list[bool]]: ...
+    @overload
+    async def read_many(  # type: ignore[overload-overlap]
+        self, items: Mapping[Key, BitItem], **options: Unpack[Tolerant]
+    ) -> NamedValues[Key, list[bool]]: ...
+    @overload
+    async def read_many(  # type: ignore[overload-overlap]
+        self, items: Mapping[Key, IntegerItem], **options: Unpack[Strict]
+    ) -> dict[Key, list[int]]: ...
+    @overload
+    async def read_many(  # type: ignore[overload-overlap]
+        self, items: Mapping[Key, IntegerItem], **options: Unpack[Tolerant]
+    ) -> NamedValues[Key, list[int]]: ...
+    @overload
+    async def read_many(  # type: ignore[overload-overlap]
+        self, items: Mapping[Key, AnyItem], **options: Unpack[Strict]
     ) -> dict[Key, Values]: ...
     @overload
     async def read_many(  # type: ignore[overload-overlap]
-        self, items: Named[Key], **options: Unpack[Tolerant]
-    ) -> dict[Key, Values | ModbusError]: ...
-    @overload
-    async def read_many(self, items: Iterable[Item], **options: Unpack[Strict]) -> list[Values]: ...
+        self, items: Mapping[Key, AnyItem], **options: Unpack[Tolerant]
+    ) -> NamedValues[Key, Values]: ...
     @overload
     async def read_many(
-        self, items: Iterable[Item], **options: Unpack[Tolerant]
+        self, items: Iterable[AnyItem], **options: Unpack[Strict]
+    ) -> list[Values]: ...
+    @overload
+    async def read_many(
+        self, items: Iterable[AnyItem], **options: Unpack[Tolerant]
     ) -> list[Values | ModbusError]: ...
     @overload
     async def read_many(self, items: Plan, *, return_exceptions: bool = False) -> Any: ...
@@ -107,7 +146,8 @@ class AsyncMany(AsyncFunctions):
 
         Returns:
             A list of values for each item, in the order of the items; a dict by name if `items`
-            is a mapping. None stands for data that is no value of the item's type.
+            is a mapping. None stands for data that is no value of the item's type. With
+            `return_exceptions`, `good` and `failed` of the dict have the values and the errors.
 
         Raises:
             TypeError, ValueError: an argument is wrong, as for `Plan`.
@@ -145,19 +185,23 @@ class AsyncMany(AsyncFunctions):
     ) -> AsyncPolls[PolledValues]: ...
     @overload
     def watch(  # type: ignore[overload-overlap]
-        self,
-        what: Named[Key],
-        *,
-        every: float,
-        **options: Unpack[PlanOptions],
-    ) -> AsyncPolls[dict[Key, Values | ModbusError]]: ...
+        self, what: Mapping[Key, FloatItem], *, every: float, **options: Unpack[PlanOptions]
+    ) -> AsyncPolls[NamedValues[Key, list[float]]]: ...
+    @overload
+    def watch(  # type: ignore[overload-overlap]
+        self, what: Mapping[Key, BitItem], *, every: float, **options: Unpack[PlanOptions]
+    ) -> AsyncPolls[NamedValues[Key, list[bool]]]: ...
+    @overload
+    def watch(  # type: ignore[overload-overlap]
+        self, what: Mapping[Key, IntegerItem], *, every: float, **options: Unpack[PlanOptions]
+    ) -> AsyncPolls[NamedValues[Key, list[int]]]: ...
+    @overload
+    def watch(  # type: ignore[overload-overlap]
+        self, what: Mapping[Key, AnyItem], *, every: float, **options: Unpack[PlanOptions]
+    ) -> AsyncPolls[NamedValues[Key, Values]]: ...
     @overload
     def watch(
-        self,
-        what: Iterable[Item],
-        *,
-        every: float,
-        **options: Unpack[PlanOptions],
+        self, what: Iterable[AnyItem], *, every: float, **options: Unpack[PlanOptions]
     ) -> AsyncPolls[list[Values | ModbusError]]: ...
     @overload
     def watch(self, what: Plan, *, every: float) -> AsyncPolls[Any]: ...
@@ -196,6 +240,7 @@ class AsyncMany(AsyncFunctions):
             ``return_exceptions=True``, in a dict whose attribute `fell` has the names of totals
             (`Point.never_falls`) that are smaller than before, even when they were read a second
             time. Otherwise it yields what `read_many` returns with ``return_exceptions=True``.
+            `good` and `failed` of a dict have the values and the errors.
 
         Raises:
             TypeError, ValueError: an argument is wrong; nothing was sent.

@@ -18,7 +18,7 @@ from .many_async import AsyncMany
 
 # What only some methods need is imported by them.
 if TYPE_CHECKING:
-    from ..maps.plan import PlanOptions
+    from ..maps.items import NamedValues, PlanOptions, Tolerant
     from ..maps.register_map import AnyMap
     from ..protocol.tables import RegisterTable, WritableTable, WriteFunction
     from ..protocol.value_types import ValueType
@@ -254,6 +254,19 @@ class AsyncValues(AsyncMany):
 
     # --- register maps ------------------------------------------------------------------
 
+    @overload
+    async def read_map(
+        self, map: AnyMap, names: Iterable[str] | None = None, **options: Unpack[Tolerant]
+    ) -> NamedValues[str, Any]: ...
+    @overload
+    async def read_map(
+        self,
+        map: AnyMap,
+        names: Iterable[str] | None = None,
+        *,
+        return_exceptions: bool = False,
+        **options: Unpack[PlanOptions],
+    ) -> dict[str, Any]: ...
     async def read_map(
         self,
         map: AnyMap,
@@ -286,7 +299,8 @@ class AsyncValues(AsyncMany):
         Returns:
             The scaled values by name, as `Point.decode` returns them; None if the device reports
             that there is no value, if its registers hold none of its type, or if the value is not
-            plausible.
+            plausible. With `return_exceptions`, `good` and `failed` of the dict have the values
+            and the errors.
 
         Raises:
             TypeError, ValueError: there is no such point, or it cannot be read; an option is wrong.
@@ -294,11 +308,13 @@ class AsyncValues(AsyncMany):
         """
         if options:
             check_plan_options(self.read_map, options)
+        from ..maps.items import NamedValues
         from ..maps.register_map import map_of
 
         plan = map_of(map).plan(names, **options)
         answers = await self._answers(plan, return_exceptions)
-        return plan.results(answers, return_exceptions=return_exceptions)
+        values = plan.results(answers, return_exceptions=return_exceptions)
+        return NamedValues(values) if return_exceptions else values
 
     async def write_map(
         self,

@@ -13,7 +13,8 @@ The registers of a device, by name, and the requests that read and write them. N
     states         the names of numbers, ranges and all others
     meaning        cells to values and back: no value, states, bits, parts: Meaning, Judged,
                    NoValue; raw numbers to scaled ones: Scaling
-    plan           few requests of many reads: Plan, Read
+    items          what a plan reads, and its values by name: Read, NamedValues
+    plan           few requests of many reads: Plan
     point_plan     the same for points, and for points that scale them: PointPlan
     holes          the items that a device refuses, found by halving
     watched        the points of a map from poll to poll: those that are due, and totals

@@ -9,149 +9,22 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from heapq import heapify, heappop, heappush
-from typing import Any, Literal, NamedTuple, Required, TypeAlias, TypedDict, TypeVar
+from typing import Any, NamedTuple
 
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusError
-from ..protocol.mistakes import WrongType, WrongValue, inside, named_arguments, placed
-from ..protocol.pdu.request import checked_span, store
-from ..protocol.tables import (
-    TABLE_SIZE,
-    TABLES,
-    Table,
-    checked_ranges,
-    checked_table,
-    joined,
-    touches,
-)
+from ..protocol.mistakes import WrongType, WrongValue, inside, named_arguments
+from ..protocol.tables import TABLE_SIZE, TABLES, checked_ranges, checked_table, joined, touches
 from ..protocol.value_types import cells_of
-from ..protocol.values import Order, TypeName, ValueType, value_type
 from .holes import Block, BlockPiece, Holes, PartialAnswer, Span, Unreadable
+from .items import Borders, Forbidden, Items, NamedValues, PlanOptions, Read, checked_items
 from .meaning import no_value
 
-# fmt: off
-__all__ = [
-    "Borders", "Item", "Items", "Key", "Named", "Plan", "PlanOptions",
-    "Read", "Strict", "Tolerant", "Values", "planned", "unreadable_of",
-]
-# fmt: on
-
-
-@named_arguments
-@dataclass(frozen=True)
-class Read:
-    """
-    A read of consecutive cells of one table, or of values in its registers.
-
-    Args:
-        table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
-        address: the address of the first cell, 0..65535.
-        count: the number of cells or values, 1 or more, up to the end of the table.
-        type: the type of the values, such as "float32" (`libmodbus_py.values`), for registers
-            only; None for the cells themselves.
-        order, encoding, padding: the layout of the type, as for `values.value_type`.
-
-    Attributes:
-        kind: the `ValueType` of `type`, or None.
-
-    Raises:
-        TypeError, ValueError: an argument of the wrong type or range.
-    """
-
-    table: Table
-    address: int
-    count: int = 1
-    type: TypeName | None = None
-    order: Order = "ABCD"
-    encoding: str = "ascii"
-    padding: str = "\0"
-    kind: ValueType | None = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.table, str) or self.table not in TABLES:
-            store(self, table=checked_table(self.table))
-        store(self, kind=self._find_kind())
-        if self.kind is not None:
-            store(self, type=self.kind.name)
-        count = integer("count", self.count, 1, TABLE_SIZE // self.size)
-        name = "count" if self.size == 1 else f"{self.size} * count"
-        address = checked_span("address", self.address, name, count * self.size)
-        store(self, address=address, count=count)
-
-    def _find_kind(self) -> ValueType | None:
-        if self.type is None:
-            if (self.order, self.encoding, self.padding) != ("ABCD", "ascii", "\0"):
-                raise WrongValue("type", "must be given with order, encoding or padding")
-            return None
-        if TABLES[self.table].is_bits:
-            raise WrongValue("type", f"must be None for {self.table}, not {self.type!r}")
-        return value_type(self.type, order=self.order, encoding=self.encoding, padding=self.padding)
-
-    @cached_property
-    def size(self) -> int:
-        """The number of cells of one value."""
-        return 1 if self.kind is None else self.kind.registers
-
-    @cached_property
-    def cells(self) -> range:
-        """The addresses of all cells."""
-        return range(self.address, self.address + self.count * self.size)
-
-    def decode(self, cells: Sequence[Any]) -> list[Any]:
-        """
-        Return the values of all cells.
-
-        Args:
-            cells: True and False, or registers 0..65535, as many as the attribute `cells`.
-
-        Raises:
-            TypeError, ValueError: the number of cells is wrong, or they hold no value of this type.
-        """
-        if len(cells) != len(self.cells):
-            raise WrongValue("cells", f"must have {len(self.cells)} items, not {len(cells)}")
-        return list(cells) if self.kind is None else self.kind.decode_many(cells)
-
-
-Key = TypeVar("Key")
-Item: TypeAlias = (
-    Read
-    | tuple[Table, int]
-    | tuple[Table, int, int]
-    | tuple[Table, int, int, TypeName | None]
-    | tuple[Table, int, int, TypeName, Order, *tuple[str, ...]]
-)
-"""A `Read`, or its arguments."""
-
-Named = Mapping[Key, Item]
-Items: TypeAlias = Iterable[Item] | Mapping[Any, Item]
-Forbidden = Iterable[tuple[Table, range]]
-Borders = Iterable[tuple[Table, int]]
-Values = list[Any]
-
-
-class PlanOptions(TypedDict, total=False):
-    """The options of a `Plan` that control how it merges reads; see `Plan`."""
-
-    gap: int
-    forbidden: Forbidden
-    max_registers: int
-    max_bits: int
-
-
-class Strict(PlanOptions, total=False):
-    """The options of `read_many` when every failure is raised."""
-
-    return_exceptions: Literal[False]
-
-
-class Tolerant(PlanOptions, total=False):
-    """The options of `read_many` when a failed item gets a ModbusError in place of its values."""
-
-    return_exceptions: Required[Literal[True]]
+__all__ = ["Plan", "planned", "unreadable_of"]
 
 
 class _Part(NamedTuple):
@@ -196,8 +69,8 @@ class Plan:
 
     Args:
         items: a list in which each item is a `Read` or a tuple of its arguments, such as
-            ("coils", 10, 3) or ("holding_registers", 100, 2, "float32"); or a
-            mapping from names to such items.
+            ("coils", 10, 3) or ("holding_registers", 100, 2, "float32"), where the count
+            may be left out; or a mapping from names to such items.
         gap: the most consecutive cells outside the items that may be read to save a request,
             0..2000.
         forbidden: pairs (table, range of addresses) that must never be read,
@@ -234,7 +107,7 @@ class Plan:
         self._borders = _checked_borders(borders)
         registers = integer("max_registers", max_registers, 1, 125)
         bits = integer("max_bits", max_bits, 1, 2000)
-        self._reads = _checked_items(items)
+        self._reads = checked_items(items)
         self._is_named = isinstance(items, Mapping)
         self._parts: dict[Any, list[_Part]] = {name: [] for name in self._reads}
         self._requests: list[pdu.Request[list[Any]]] = []
@@ -261,8 +134,8 @@ class Plan:
             ValueError: the answers do not fit the requests.
         """
         given = self._checked_answers(list(answers))
-        found = {name: self._values(name, given) for name in self._reads}
-        return found if self._is_named else list(found.values())
+        values = NamedValues({name: self._values(name, given) for name in self._reads})
+        return values if self._is_named else list(values.values())
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
@@ -391,27 +264,6 @@ def unreadable_of(plan: Plan, holes: Holes, device: str) -> list[Unreadable]:
         for name, read in plan._reads.items()
         if name in found
     ]
-
-
-def _checked_items(items: object) -> dict[Any, Read]:
-    if isinstance(items, Mapping):
-        return {name: _checked_item(name, item) for name, item in items.items()}
-    if isinstance(items, Read | str | bytes) or not isinstance(items, Iterable):
-        raise WrongType("items", f"must be a list of reads, not {type(items).__name__}")
-    return {name: _checked_item(name, item) for name, item in enumerate(items)}
-
-
-def _checked_item(name: object, item: object) -> Read:
-    if isinstance(item, Read):
-        return item
-    if not isinstance(item, tuple) or not 2 <= len(item) <= 7:
-        raise WrongType(
-            f"items[{name!r}]", f"must be a Read or a tuple of its arguments, not {item!r}"
-        )
-    try:
-        return Read(*item)
-    except (TypeError, ValueError) as error:
-        raise placed(error, (f"items[{name!r}]",)) from None
 
 
 def _checked_forbidden(forbidden: object) -> dict[str, tuple[range, ...]]:

@@ -13,8 +13,8 @@ from ..protocol.mistakes import WrongType, WrongValue, named_arguments
 from ..protocol.pdu.request import checked_sequence
 from ..protocol.tables import Table
 from ..protocol.values import Order, TypeName
+from .items import Read
 from .meaning import CellChange, Judged, Meaning, NoValue, Scaling, exact, scaling_by
-from .plan import Read
 from .point_checks import check_point
 
 __all__ = ["Point"]

@@ -15,8 +15,8 @@ from ..protocol.pdu.request import store
 from ..protocol.plain import shortest
 from ..protocol.tables import TABLES, checked_table, checked_write_function
 from ..protocol.values import ValueType
+from .items import Read
 from .meaning import Meaning, Part, Scaling, number, part_of
-from .plan import Read
 from .states import NumberSpan, States, check_spans, state_key
 
 # fmt: off

@@ -14,8 +14,9 @@ from ..protocol.mistakes import WrongValue
 from ..protocol.tables import Table
 from ..protocol.values import ValueType
 from .holes import PartialAnswer
+from .items import Borders, PlanOptions
 from .meaning import Meaning, NoValue, scaling_by
-from .plan import Borders, Plan, PlanOptions
+from .plan import Plan
 from .point import Point
 
 __all__ = ["PointPlan", "borders_of", "scale_mistakes", "sources_of"]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, Unpack
 from ..protocol import pdu
 from ..protocol.mistakes import WrongType, WrongValue, close_to
 from ..protocol.tables import WriteFunction, checked_write_function
-from .plan import PlanOptions
+from .items import PlanOptions
 from .point import Point
 from .point_plan import PointPlan, borders_of, scale_mistakes, sources_of
 

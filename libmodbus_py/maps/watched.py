@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 from ..protocol.errors import ModbusError
 from .holes import is_refusal
+from .items import NamedValues, PlanOptions
 from .meaning import NoValue
 
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from .plan import Plan, PlanOptions
+    from .plan import Plan
     from .point_plan import PointPlan
     from .register_map import RegisterMap
 
@@ -141,7 +142,7 @@ class PartialPlans:
         return self._parts[indexes]
 
 
-class PolledValues(dict[str, Any]):
+class PolledValues(NamedValues[str, Any]):
     """
     The values of a poll by name.
 

@@ -50,7 +50,8 @@ def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
     if not endpoint.options:
         if given is None:
             raise ValueError(
-                f"{endpoint} needs security: Security(...), or ?cert=...&key=... and ca or pin"
+                f"{endpoint} needs security: Security(...), or ?cert=...&key=... and ca or pin,"
+                " which are options of commands, too"
             )
         return given
     if given is not None:

@@ -154,9 +154,10 @@ def close_option(name: str, names: Collection[str]) -> str:
     if spelling in names:
         return f"; did you mean {spelling}?"
     if spelling in SERIAL_SETTINGS and not URLS.isdisjoint(names):
-        return (
-            f"; {spelling} is part of the URL of a serial port: rtu:///dev/ttyUSB0?{spelling}=..."
-        )
+        url = f"rtu:///dev/ttyUSB0?{spelling}=..."
+        return f"; {spelling} is part of the URL of a serial port: {url}"
+    if spelling == "port" and "max_in_flight" in names:
+        return "; the port is part of the URL: tcp://HOST:PORT"
     return close_to(name, names)
 
 

@@ -20,8 +20,8 @@ from .mistakes import WrongValue, close_to
 # fmt: off
 __all__ = [
     "MAX_STRING_BYTES", "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "BitsType",
-    "FloatType", "IntegerType", "Layout", "NumberType", "Order", "Reference", "StringType",
-    "TextOptions", "TextType", "TimeType", "TypeName", "close_word", "order_named",
+    "FloatType", "IntegerType", "Layout", "NumberType", "Order", "PlainIntegerType", "Reference",
+    "StringType", "TextOptions", "TextType", "TimeType", "TypeName", "close_word", "order_named",
     "parse_reference", "plain", "string_type", "table_named", "type_named",
 ]
 # fmt: on
@@ -31,9 +31,13 @@ Order = Literal[
 ]  # fmt: skip
 """The orders of bytes: the names that hold for every width, and those of 64 bits only."""
 # fmt: off
-IntegerType = Literal[
+PlainIntegerType = Literal[
     "int8", "int16", "int24", "int32", "int48", "int64", "uint8", "uint16", "uint24", "uint32",
-    "uint48", "uint64", "signmag16", "signmag32", "mod10k32", "mod10k48", "mod10k64", "umod10k32",
+    "uint48", "uint64",
+]
+"""Types of which all registers hold a whole number."""
+IntegerType = Literal[
+    PlainIntegerType, "signmag16", "signmag32", "mod10k32", "mod10k48", "mod10k64", "umod10k32",
     "umod10k48", "umod10k64", "bcd16", "bcd32", "bcd64", "sbcd16", "sbcd32",
 ]
 """Types whose values are whole numbers."""
@@ -167,7 +171,10 @@ ORDER_WORDS = by_word(
 _LITTLE = ", which is DCBA to some, and CDAB (the low word first) to others"
 _BIG = ", which is ABCD to some, and CDAB (each register alone, the low word first) to others"
 
-_TWO_ORDERS = {"little endian": _LITTLE, "le": _LITTLE, "big endian": _BIG, "be": _BIG}
+_TWO_ORDERS = {
+    **dict.fromkeys(("little endian", "little", "le"), _LITTLE),
+    **dict.fromkeys(("big endian", "big", "be"), _BIG),
+}
 """Word that names no order, because vendors mean two -> the end of the message about it."""
 
 
@@ -250,7 +257,8 @@ def parse_reference(text: str) -> Reference:
         raise WrongValue(
             "reference",
             f"{text!r} must have 5 or 6 digits and begin with 0 (coil), 1 (discrete"
-            " input), 3 (input register), 4 (holding register) or 6 (file record), as in 40123",
+            " input), 3 (input register), 4 (holding register) or 6 (file record), as in 40123;"
+            " addresses that count from 0 follow the name of a table, as in hr 122",
         )
     table, item = REFERENCE_TABLES[text[0]], int(text[1:])
     if table == "file":

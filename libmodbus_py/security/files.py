@@ -149,7 +149,8 @@ class Loaded:
         self._files = files
         self.own: bytes = files.certificate.certificates()[0]
         if "PRIVATE KEY-----" not in files.key.text():
-            raise ValueError(f"{files.key}: no key in PEM format")
+            hint = "; name its file as key" if files.key.path == files.certificate.path else ""
+            raise ValueError(f"{files.key}: no key in PEM format{hint}")
         self._pins = {} if files.trust is not None else _read_pins(files.pins)
         self._trusted = [] if files.trust is None else files.trust.certificates()
         self._authorities = frozenset(map(digest_of, self._trusted))

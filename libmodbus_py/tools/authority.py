@@ -129,13 +129,16 @@ class Authority:
             days: how long they are valid; None for as long as before.
 
         Raises:
-            ValueError: there is no such certificate, or `days` is not in 1..36500.
+            ValueError: there is no such certificate, or it is revoked, or `days` is not in
+                1..36500.
         """
         if days is not None:
             check_days(days)
         issued = self.issued()
         for name in names:
             self._check_name(name, issued)
+            if issued[name].is_revoked:  # others may know its key, which would be the same
+                raise ValueError(f"{name!r} is revoked, and its key with it: make another one")
         every = [*names] or [
             each.name for each in issued.values() if each.name != AUTHORITY and not each.is_revoked
         ]

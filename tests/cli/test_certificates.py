@@ -233,6 +233,7 @@ def test_revoked_ones_are_refused_and_no_others(tmp_path: Path) -> None:
     assert listed["crl"] == ["2", "days", "revocation", "list"]
     before = load(tmp_path / "viewer.pem")
     assert made(tmp_path, "--renew").code == 0
+    assert "'viewer' is revoked" in made(tmp_path, "server", "viewer", "--renew").err
     assert load(tmp_path / "viewer.pem") == before
 
 

@@ -30,6 +30,8 @@ GENERAL = [
     ("", "COMMAND"),
     ("--nonsense", "COMMAND"),
     ("reed 127.0.0.1", "there is no command 'reed'; did you mean read?"),
+    ("help read", "there is no command 'help'; type libmodbus-py COMMAND --help"),
+    ("watch h hr 0", "there is no command 'watch'; type libmodbus-py read ... --watch"),
     ("plc1 hr 0", "there is no command 'plc1'; a device of this name is read by"),
     ("--unit 1 read h hr 0", "options stand behind the command: libmodbus-py read --unit 1 ..."),
     ("--timeout 0.5 read 127.0.0.1 hr 0", "libmodbus-py read --timeout 0.5 ..."),
@@ -38,6 +40,12 @@ GENERAL = [
 
 OPTIONS = [
     ("read h hr 0 --ordr CDAB", "; did you mean --order?"),
+    ("read h hr 0 --format hex", "--format hex: type --hex, --json or --csv"),
+    ("read h hr 0:float32 --swap", "--swap: type --order CDAB for the low word first"),
+    ("scan h --registers", "--registers: type hr N COUNT to read them, or scan --deep to find them"),
+    ("serve h --log-level info", "--log-level info: type --log info"),
+    ("listen /dev/x --for 2s", "--for 2s: type timeout 2s before libmodbus-py"),
+    ("poll h:502 hr 0", "libmodbus-py read h:502 hr 0 --watch polls without a fleet file"),
     ("read h hr 0 --time 3", "unrecognized arguments: --time"),  # no beginnings of options
     ("map from-device h --time 1", "unrecognized arguments: --time"),
     ("map check x --devce h", "unrecognized arguments: --devce h; did you mean --device?"),
@@ -79,6 +87,7 @@ ITEMS = [
     ("read h holdng 0", "did you mean holding?"),
     ("read h hr 0 voltage", "'voltage' must be one of coils"),
     ("read h hr 0 1 2 3", "'2' must have 5 or 6 digits"),
+    ("read h 0", "follow the name of a table, as in hr 122"),
     ("read h hr 0 1 coils", "coils lacks an address"),
     ("read h coils x", "address"),
     ("read h coils:1 0", "only a file"),
@@ -284,6 +293,7 @@ SERVERS = [
     ("serve 127.0.0.1:0 --audit /", "--audit: /: Is a directory"),
     ("serve 127.0.0.1:0 --audit /no/file", "No such file or directory"),
     ("gateway 127.0.0.1:0", "either --to or --config must say"),
+    ("gateway plant.toml", "must say where the devices are: type --config plant.toml"),
     ("gateway h --to 1=tcp://b --to 1=tcp://c", "an earlier route has unit 1 already"),
     ("gateway h --to 1-x=192.0.2.1", "'1-x' must be a unit"),
     ("gateway 127.0.0.1:5020 --to 127.0.0.1:5020", "the gateway itself listens"),

@@ -23,7 +23,8 @@ from libmodbus_py import (
     pdu,
     values,
 )
-from libmodbus_py.maps.plan import Plan, Read, planned
+from libmodbus_py.maps.items import Read
+from libmodbus_py.maps.plan import Plan, planned
 from tests.support.cases import each_case
 from tests.support.peers import FakeServer, mbap
 
@@ -117,6 +118,23 @@ def test_results_are_values_by_name() -> None:
     }
 
 
+def test_a_count_may_be_left_out_before_a_type() -> None:
+    short = Plan([(H, 0, "float32"), (H, 2, "float32", "CDAB"), (H, 4, "string:4", "DCBA")])
+    full = [(H, 0, 1, "float32"), (H, 2, 1, "float32", "CDAB"), (H, 4, 1, "string:4", "DCBA")]
+    cells = [[0x4248, 0, 0, 0x4248, 0x4241, 0x4443]]
+    assert short.results(cells) == Plan(full).results(cells) == [[50.0], [50.0], ["ABCD"]]
+
+
+def test_values_by_name_tell_the_good_from_the_failed() -> None:
+    plan = Plan({"level": (H, 0, "float32"), "valves": (C, 0), "digits": (INPUT, 0, "bcd16")})
+    refusal = IllegalDataAddress("refused")
+    values = plan.results([refusal, [0x4248, 0], [0xFFFF]])
+    assert values.good == {"level": [50.0]}
+    assert list(values.failed) == ["valves", "digits"]
+    assert values.failed["valves"] is values["valves"] is refusal
+    assert isinstance(values.failed["digits"], NoValue)
+
+
 def test_failed_request_stands_in_for_its_items_only() -> None:
     plan = Plan([("coils", 0, 2), ("coils", 1, 2), ("coils", 9, 1), ("coils", 100, 3000)])
     assert len(plan.requests) == 4
@@ -155,6 +173,8 @@ def test_results_are_made_anew_each_time() -> None:
         ([("holding_registers", 65535, 1, "float32")], {}, ValueError, "must not pass 65536"),
         ([("holding_registers", 0, 1, "float31")], {}, ValueError, r"items\[0\].type must be"),
         ([("holding_registers", 0, 1, None, "CDAB")], {}, ValueError, "type must be given"),
+        ([("coils", 0, "bits16")], {}, ValueError, "type must be None for coils"),
+        ([("holding_registers", 0, "float31")], {}, ValueError, r"items\[0\].type must be"),
         ([("coils", 0, 1, "bits16")], {}, ValueError, "type must be None for coils"),
         ([], {"gap": -1}, ValueError, "gap must be in 0..2000"),
         ([], {"gap": None}, TypeError, "gap"),

@@ -10,7 +10,8 @@ from typing import Any, get_args
 import pytest
 
 from libmodbus_py import Client, Device, Mapping, Point, Server, pdu
-from libmodbus_py.maps.plan import Plan, Read
+from libmodbus_py.maps.items import Read
+from libmodbus_py.maps.plan import Plan
 from libmodbus_py.protocol.tables import TABLE_SIZE, TABLES, RegisterTable, Table
 from libmodbus_py.protocol.values import value_type
 from tests.support.cases import each_case
@@ -68,6 +69,7 @@ def test_orders(word: Any, order: str) -> None:
         (lambda: value_type("bool"), "type must be one of"),
         (lambda: value_type("float32", order="middle endian"), "order must be one of"),
         (lambda: value_type("float32", order="little endian"), "DCBA to some, and CDAB"),
+        (lambda: value_type("float32", order="little"), "DCBA to some, and CDAB"),
         (lambda: value_type("float32", order="Big_Endian"), "ABCD to some, and CDAB"),
         (lambda: Point("p", "holding_registers", 0, type="int32", order="le"), "DCBA to some"),
         (lambda: Plan([("coils", 0)], forbidden=[("coilz", range(3))]), "did you mean coils"),  # type: ignore[list-item]

@@ -1,7 +1,7 @@
 """
 What type checkers say to programs that use the package: python tests/typing/check.py
 
-mypy --strict and pyright must take every line of right.py, must refuse every line of
+mypy --strict and pyright must take every line of right.py and loop.py, must refuse every line of
 wrong.py that is marked so, and pyright must know the types of what the package exports.
 Part of ./run lint; it ends with 1 and says where a checker disagrees.
 """
@@ -18,7 +18,7 @@ from typing import Any
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
-FILES = ("right.py", "wrong.py")
+FILES = ("right.py", "loop.py", "wrong.py")
 # Percent of the exported names whose types pyright knows without guessing.
 COMPLETE = 99.0
 

@@ -34,6 +34,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.bound import Unreadable
 from libmodbus_py.listen import Separator, Transaction, listen
+from libmodbus_py.maps.items import NamedValues, Values
 from libmodbus_py.maps.watched import PolledValues
 from libmodbus_py.protocol.words import TypeName, string_type
 
@@ -169,27 +170,39 @@ async def awaited_classes(plc: AsyncClient) -> None:
 def many(plc: Client) -> None:
     for key, read in plc.read_many({"level": ("coils", 0, 8)}).items():
         assert_type(key, str)
-        assert_type(read, list[Any])
+        assert_type(read, list[bool])
     for number in plc.read_many({7: ("coils", 0, 8)}, gap=4):
         assert_type(number, int)
     level = Read("holding_registers", 0, 1, "float32", "CDAB")
-    assert_type(plc.read_many([("coils", 0), level]), list[list[Any]])
+    assert_type(plc.read_many([("coils", 0), level]), list[Values])
     text = plc.read_many([("input_registers", 0, 1, "string:8", "ABCD", "latin-1", " ")])
-    assert_type(text, list[list[Any]])
-    plc.read_many([("holding_registers", 0, 2, "int32", "CDAB")])
+    assert_type(text, list[Values])
+    floats = plc.read_many({1: ("holding_registers", 0, 2, "float32", "CDAB")}, gap=2)
+    assert_type(floats, dict[int, list[float]])
+    counts = plc.read_many({"a": ("input_registers", 0), "b": ("holding_registers", 2, "int32")})
+    assert_type(counts, dict[str, list[int]])
+    digits = plc.read_many({"a": ("holding_registers", 2, 3, "bcd16")})  # an F is None
+    assert_type(digits, dict[str, Values])
+    mixed = plc.read_many({"a": ("coils", 3), "b": ("holding_registers", 2, "float32", "CDAB")})
+    assert_type(mixed, dict[str, Values])
     found = plc.read_many([("coils", 0, 8)], return_exceptions=True)
-    assert_type(found, list[list[Any] | ModbusError])
+    assert_type(found, list[Values | ModbusError])
+    named = plc.read_many({"a": ("holding_registers", 0, "float64")}, return_exceptions=True)
+    assert_type(named.good, dict[str, list[float]])
+    assert_type(named.failed, dict[str, ModbusError])
+    assert_type(named["a"], list[float] | ModbusError)
     plc.read_many(Plan({"level": ("coils", 0, 8)}, forbidden=[("coils", range(4))]))
     assert_type(plc.execute_many([pdu.ReadCoils(0, 8), pdu.ReportServerId()]), list[Any])
     for values in plc.watch({"level": ("coils", 0, 8)}, every=1, gap=4):
-        assert_type(values, dict[str, list[Any] | ModbusError])
+        assert_type(values, NamedValues[str, list[bool]])
 
 
 def named(plc: Client) -> None:
     meter = load_map(Path("meter.csv"))
     assert_type(meter["level"], Point)
     assert_type(plc.read_map(meter), dict[str, Any])
-    plc.read_map(meter, ["level"], return_exceptions=True, gap=4)
+    tolerant = plc.read_map(meter, ["level"], return_exceptions=True, gap=4)
+    assert_type(tolerant.failed, dict[str, ModbusError])
     assert_type(plc.unreadable(meter), list[Unreadable])
     assert_type(plc.unreadable(meter.plan(["level"])), list[Unreadable])
     plc.write_map(meter, {"setpoint": 21.5, "run": True}, multiple=True)
@@ -210,10 +223,11 @@ async def asking(plc: AsyncClient) -> None:
     assert_type(await plc.for_unit(3, timeout=0.3).read_coils(0, 8), list[bool])
     for key, read in (await plc.read_many({"level": ("coils", 0, 8)})).items():
         assert_type(key, str)
-        assert_type(read, list[Any])
+        assert_type(read, list[bool])
     async for values in plc.watch(Path("meter.toml"), every=0.5, names=["level"]):
         assert_type(values, PolledValues)
         assert_type(values.fell, frozenset[str])
+        assert_type(values.failed, dict[str, ModbusError])
     async with plc as same:
         assert_type(same, AsyncClient)
 

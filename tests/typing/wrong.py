@@ -66,9 +66,11 @@ def blocking(plc: Client) -> None:
     plc.read_coils(0, cuont=8)  # wrong
     plc.read_coils(0)  # wrong
     plc.write_registers(0, 555)  # wrong
-    plc.read_many({"level": ("coil", 0, 8)})  # wrong
-    plc.read_many([("holding_registers", 0, 1, "flaot32")])  # wrong
-    plc.read_many([("holding_registers", 0, 1, "float32", "ABDC")])  # wrong
+    plc.read_many({"level": "coils"})  # wrong
+    plc.read_many([("holding_registers", "0", ["float32"])])  # wrong
+    plc.read_many([Read("holding_registers", 0, 1, "float32", "ABDC")])  # wrong
+    print(plc.read_many({"a": ("holding_registers", 0, "float32")})["a"].value)  # wrong
+    print(plc.read_many({"a": ("coils", 0)}, return_exceptions=True)["a"][0])  # wrong
     plc.read_many([("coils", 0, 8)], gpa=4)  # wrong
     meter = load_map("meter.csv")
     plc.read_map(meter, gpa=4)  # wrong
@@ -93,7 +95,7 @@ async def asking(plc: AsyncClient) -> None:
     await plc.execute(pdu.ReadCoils(0, 8), unit=3)  # wrong
     await plc.read_map(load_map("meter.csv"), gaps=3)  # wrong
     await plc.read_coils("0", 8)  # wrong
-    await plc.read_many({"level": ("coil", 0, 8)})  # wrong
+    await plc.read_many({"level": 8})  # wrong
     await plc.read_map(5)  # wrong
 
 

@@ -19,7 +19,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from ...maps.plan import Borders, Read
+from ...maps.items import Borders, Read
 from ...protocol.checks import integer
 from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.plain import number_of

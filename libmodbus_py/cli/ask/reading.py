@@ -19,7 +19,8 @@ from typing import Any, TextIO
 
 from ...client.blocking import Client
 from ...maps.holes import Holes, carried_out, reading
-from ...maps.plan import Borders, Plan
+from ...maps.items import Borders
+from ...maps.plan import Plan
 from ...maps.watched import PointIntervals, Totals
 from ...protocol import pdu
 from ...protocol.errors import ExceptionResponse, ModbusError

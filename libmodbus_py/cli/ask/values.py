@@ -166,7 +166,7 @@ def _add_item_arguments(command: argparse.ArgumentParser, more: str = "") -> Non
 def _of_reads() -> dict[str, Any]:
     from dataclasses import fields
 
-    from ...maps.plan import Read
+    from ...maps.items import Read
 
     return {each.name: each.default for each in fields(Read)} | {"padding": "NUL"}
 

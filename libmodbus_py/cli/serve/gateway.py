@@ -100,7 +100,9 @@ def add_command(command: argparse.ArgumentParser) -> None:
 
 def _gateway(options: argparse.Namespace) -> int:
     if (options.config is None) == (options.to is None):
-        raise ValueError("either --to or --config must say where the devices are")
+        files = [url for url in options.urls if url.endswith(".toml")]
+        hint = f": type --config {files[0]}" if files else ""
+        raise ValueError(f"either --to or --config must say where the devices are{hint}")
     with starting(options) as command:
         file = None if options.config is None else config.load(options.config)
         urls = options.urls or list(file.listen if file else ())
