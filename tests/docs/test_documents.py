@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from sybil import Document, Region
 
-from tests.docs.documents import DOCUMENTS, ROOT, blocks, not_run
+from tests.docs.documents import DOCUMENTS, PAGES, ROOT, blocks, not_run
 from tests.docs.python_blocks import Comparing
 from tests.support.cases import each_case
 
@@ -81,7 +81,7 @@ def in_nav(entry: object) -> Iterator[str]:
 def test_every_page_is_in_the_navigation() -> None:
     """A page that is not there is missing, too: Zensical says nothing of either."""
     project = tomllib.loads((ROOT / "zensical.toml").read_text())["project"]
-    pages = [str(path.relative_to(ROOT / "docs")) for path in DOCUMENTS[1:]]
+    pages = [str(path.relative_to(ROOT / "docs")) for path in PAGES[1:]]
     assert sorted(in_nav(project["nav"])) == pages
 
 
@@ -127,7 +127,7 @@ def links_of(text: str) -> list[str]:
     return ["".join(found) for found in LINK.findall(shown)]
 
 
-@each_case("path", DOCUMENTS, ids=NAMES)
+@each_case("path", PAGES)
 def test_links_lead_somewhere(path: Path) -> None:
     for link in links_of(path.read_text()):
         if re.match(r"\w+:", link):
