@@ -111,6 +111,12 @@ def test_the_first_screen_of_the_readme() -> None:
     assert len([line for line in program.splitlines() if line]) <= 15
 
 
+@each_case("path", DOCUMENTS, ids=NAMES)
+def test_names_of_files_stand_above_their_blocks(path: Path) -> None:
+    """A forge does not show the title of a fence."""
+    assert re.findall(r"(?m)^```\w* .+$", path.read_text()) == []
+
+
 def headings(path: Path) -> set[str]:
     return {
         re.sub(r"[^\w\- ]", "", line.lstrip("# ").lower()).replace(" ", "-")

@@ -38,7 +38,9 @@ begun
 ^C
 ```
 
-```toml title="plant.toml"
+`plant.toml`:
+
+```toml
 url = "tcp://127.0.0.1:1502"
 ```
 
@@ -138,10 +140,11 @@ def test_commands_are_cut() -> None:
 
 def test_only_examples_are_read(tmp_path: Path, examples: Examples) -> None:
     path = tmp_path / "some.md"
-    path.write_text('```\nx\n```\n\n```text\ny\n```\n\n```json title="z.json"\n{}\n```\n')
+    path.write_text('```\nx\n```\n\n```text\ny\n```\n\n`z.json`:\n\n```json\n{}\n```\n')
     assert len(list(read(path, examples).examples())) == 1
 
 
 def test_the_modem_of_the_page_is_that_of_the_examples() -> None:
     page = (ROOT / "docs" / "how-to" / "devices-that-connect.md").read_text()
-    assert f'```python title="modem.py"\n{(ROOT / "examples" / "modem.py").read_text()}```' in page
+    source = (ROOT / "examples" / "modem.py").read_text()
+    assert f"`modem.py`:\n\n```python\n{source}```" in page

@@ -38,7 +38,7 @@ def first(path: Path) -> tuple[list[Region], Region]:
     for region in blocks(document):
         if not_run(document, region):
             continue
-        if region.lexemes.get("title"):
+        if region.lexemes.get("file"):
             files.append(region)
         elif region.lexemes["language"] in RUN:
             return files, region
@@ -61,7 +61,7 @@ def test_the_first_block_of_a_page_runs_as_typed(path: Path, tmp_path: Path) -> 
         return text.replace(address, "127.0.0.1").replace(str(tmp_path), ".")
 
     for each in files:
-        (tmp_path / each.lexemes["title"]).write_text(here(each.lexemes["source"]))
+        (tmp_path / each.lexemes["file"]).write_text(here(each.lexemes["source"]))
     if block.lexemes["language"] == "python":
         (tmp_path / "typed.py").write_text(here(source))
         done = subprocess.run(
