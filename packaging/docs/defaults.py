@@ -13,6 +13,7 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
+from libmodbus_py import Point
 from libmodbus_py.client.options import AsyncOptions
 from libmodbus_py.ports.options import SERIAL_OPTIONS, rows_of
 from libmodbus_py.server.limits import Limits
@@ -27,8 +28,8 @@ HEAD = """\
 
 # Defaults
 
-These are the options of clients, servers, gateways and fleets with their defaults. Times
-are in seconds.
+These are the options of clients, servers, gateways and fleets, and the keys of points, with their
+defaults. Times are in seconds.
 
 ## Clients
 
@@ -44,6 +45,11 @@ settings of such URLs everywhere.
 DEVICES = """\
 Keys of `[[device]]` and `[defaults]` in a [fleet file](how-to/fleet.md), and arguments of
 `DeviceConfig`; `name`, `url` and `map` have no default.
+"""
+
+POINTS = """\
+Keys of a point of a [register map](how-to/register-maps.md), in TOML and as columns in
+CSV, and arguments of `Point`; `name`, `table` and `address` have no default.
 """
 
 LINKS = {
@@ -75,8 +81,8 @@ def table(rows: Iterator[tuple[str, Any, str]]) -> str:
 def of_fields(cls: Any, described: Any = None) -> Iterator[tuple[str, Any, str]]:
     """Yield name, default and text of each argument of a dataclass that has a default."""
     part = (inspect.getdoc(described or cls) or "").partition("Args:\n")[2].partition("\n\n")[0]
-    texts = re.findall(r"(?ms)^ {4}(\w+): (.+?)(?=^ {4}\w|\Z)", part)
-    meanings = {name: " ".join(text.split()) for name, text in texts}
+    texts = re.findall(r"(?ms)^ {4}([\w, ]+): (.+?)(?=^ {4}\w|\Z)", part)
+    meanings = {name: " ".join(text.split()) for names, text in texts for name in names.split(", ")}
     for field in fields(cls):
         if field.init and field.default_factory is not MISSING:
             yield field.name, field.default_factory(), meanings[field.name]
@@ -101,6 +107,9 @@ def page() -> str:
             "## Devices of a fleet\n",
             DEVICES,
             table(of_fields(DeviceConfig)),
+            "## Points of a register map\n",
+            POINTS,
+            table(of_fields(Point)),
         ]
     )
 

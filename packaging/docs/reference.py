@@ -136,7 +136,7 @@ def markdown(docstring: str) -> str:
             continue
         if not line.startswith(" ") and line:
             section = ""
-        entry = re.fullmatch(r" {4}([\w, *.]+): ?(.*)", line) if section != "Returns:" else None
+        entry = re.fullmatch(r" {4}(\w+(?:, \w+)*): ?(.*)", line) if section != "Returns:" else None
         if section and entry:
             names = ", ".join(f"`{name.strip()}`" for name in entry[1].split(","))
             lines.append(f"- {names}: {entry[2]}")

@@ -1,9 +1,9 @@
 """
 The documents of the repository, cut into what of them is run.
 
-Fences of Python and shell run, with no names but those of blocks before them; one with
-"`NAME`:" above it is a file, which the rest of its document finds; ``<!-- not run: REASON -->`` above
-a fence says why it is neither. The other fences are pictures, for whoever reads.
+Fences of Python and shell run, with no names but those of blocks before them; one below "`NAME`:"
+is a file, which the rest of its document finds; ``<!-- not run: REASON -->`` above a fence says why
+it is neither. The other fences are pictures, for whoever reads.
 """
 
 from __future__ import annotations

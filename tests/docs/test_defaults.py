@@ -81,7 +81,7 @@ def test_the_page_has_each_option_with_its_default() -> None:
     assert {name: value(text) for name, text in rows.items()} == {
         name: row.default for name, row in ROWS.items()
     }
-    for cls in (Limits, GatewayOptions, DeviceConfig):
+    for cls in (Limits, GatewayOptions, DeviceConfig, Point):
         names = [each.name for each in fields(cls) if each.init and each.default is not MISSING]
         assert [name for name in names if f"| `{name}` |" not in page] == []
 
@@ -91,14 +91,6 @@ def test_pages_name_the_default_timeout_and_the_serial_settings() -> None:
     assert f"# {seconds} is the default" in (DOCS / "how-to" / "timeouts.md").read_text()
     usual = "{baudrate} {data_bits}{parity}{stop_bits}".format(**SERIAL_DEFAULTS)
     assert f"[{usual}](../defaults.md" in (DOCS / "how-to" / "serial-ports.md").read_text()
-
-
-def test_the_page_of_register_maps_has_every_key_of_a_point() -> None:
-    page = (DOCS / "how-to" / "register-maps.md").read_text()
-    table = page.partition("| key | default | meaning |")[2].partition("\n\n")[0]
-    firsts = [line.split("|")[1] for line in table.splitlines()[2:]]
-    keys = [key for first in firsts for key in re.findall(r"`(\w+)`", first)]
-    assert sorted(keys) == sorted(each.name for each in fields(Point) if each.init)
 
 
 def test_pages_that_name_an_option_with_a_number_name_its_default() -> None:

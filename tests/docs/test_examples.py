@@ -140,7 +140,7 @@ def test_commands_are_cut() -> None:
 
 def test_only_examples_are_read(tmp_path: Path, examples: Examples) -> None:
     path = tmp_path / "some.md"
-    path.write_text('```\nx\n```\n\n```text\ny\n```\n\n`z.json`:\n\n```json\n{}\n```\n')
+    path.write_text("```\nx\n```\n\n```text\ny\n```\n\n`z.json`:\n\n```json\n{}\n```\n")
     assert len(list(read(path, examples).examples())) == 1
 
 
