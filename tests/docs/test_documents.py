@@ -97,15 +97,11 @@ def test_extras_exist(path: Path) -> None:
 
 
 def test_the_first_screen_of_the_readme() -> None:
-    """What it is, two commands, fifteen lines, a table and a picture, in this order."""
-    parts = (ROOT / "README.md").read_text().split("\n\n")
-    assert parts[1].count(".") == 1
-    assert parts[2].startswith(
-        "<!-- not run: this repository's own commands -->\n```sh\n./run demo"
-    )
-    assert len(parts[2].splitlines()) == 2 + 3
-    text = "\n\n".join(parts[3:])
-    order = [text.index(each) for each in ("```python\n", "\n```\n\n| |", "\n\n![", "\n```sh")]
+    """What it is, how to install it, fifteen lines, the commands of a clone, a table, a picture."""
+    text = (ROOT / "README.md").read_text()
+    assert text.split("\n\n")[1].count(".") == 1
+    parts = ("pip install", "```python\n", "./run demo", "\n| |", "\n![", "\n* [Start here]")
+    order = [text.index(part) for part in parts]
     assert order == sorted(order)
     program = text.partition("```python\n")[2].partition("\n```")[0]
     assert len([line for line in program.splitlines() if line]) <= 15
