@@ -4,19 +4,10 @@ Read YAML, and write a register map in CSV: what the converters beside this file
 
 import csv
 
-HEADINGS = [
-    "name",
-    "table",
-    "address",
-    "type",
-    "order",
-    "scale",
-    "offset",
-    "units",
-    "access",
-    "states",
+HEADINGS = (
+    *("name", "table", "address", "type", "order", "scale", "offset", "units", "access", "states"),
     "bit",
-]
+)
 
 
 def load(path):

@@ -50,7 +50,7 @@ from tests.support.peers import FakeServer
 FOLDER = ROOT / "docs" / "coming-from"
 
 # The fewest pairs of each page; mbpoll.md has a session, and tables of options.
-PAIRS = {"pymodbus": 8, "others": 4}
+PAIRS = {"pymodbus": 6, "others": 4}
 
 PAIR = '<div class="grid" markdown>'
 LINES = re.compile(r"takes (\d+) lines with \w+ and (\d+) with libmodbus-py")

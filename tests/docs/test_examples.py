@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.documents import ROOT, Examples, read
+from tests.docs.documents import Examples, read
 from tests.docs.python_blocks import matches
 from tests.docs.shell_blocks import of_console, of_sh
 from tests.support.cases import each_case
@@ -142,9 +142,3 @@ def test_only_examples_are_read(tmp_path: Path, examples: Examples) -> None:
     path = tmp_path / "some.md"
     path.write_text("```\nx\n```\n\n```text\ny\n```\n\n`z.json`:\n\n```json\n{}\n```\n")
     assert len(list(read(path, examples).examples())) == 1
-
-
-def test_the_modem_of_the_page_is_that_of_the_examples() -> None:
-    page = (ROOT / "docs" / "how-to" / "devices-that-connect.md").read_text()
-    source = (ROOT / "examples" / "modem.py").read_text()
-    assert f"`modem.py`:\n\n```python\n{source}```" in page

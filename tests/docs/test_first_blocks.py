@@ -1,8 +1,8 @@
 """
 The first block of each page that shows how to do something runs as typed, in an empty folder.
 
-It gets no names, files or servers but its own, and those of the files with titles before it. Only
-the addresses of this machine are replaced, because two processes cannot have the same port.
+It gets no names, files or servers but its own, the files before it, and the examples. Only the
+addresses of this machine are replaced, because two processes cannot have the same port.
 """
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ def test_the_first_block_of_a_page_runs_as_typed(path: Path, tmp_path: Path) -> 
     for text in (source, *(each.lexemes["source"] for each in files)):
         assert [each for each in FOREIGN if each in text] == []
     address = own_address()
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
 
     def here(text: str) -> str:
         text = text.replace("certificates papers", f"certificates --host {address} papers")
