@@ -57,15 +57,17 @@ def writes(name):
 
 
 class Functions:
+    _client = None  # pymodbus connects again after close(), a client of libmodbus-py does not
+
     def _open(self, url, timeout=3, retries=3, **_):
         self._make = lambda: self._kind(url, timeout=timeout, retries=retries)
-        self._client = self._make()
 
     @property
     def connected(self):
-        return self._client.state is State.CONNECTED
+        return self._client is not None and self._client.state is State.CONNECTED
 
     def unit(self, number):
+        self._client = self._client or self._make()
         return self._client.for_unit(number)
 
     read_coils = reads("read_coils")
@@ -95,8 +97,9 @@ class Blocking(Functions):
         return True
 
     def close(self):
-        self._client.close()
-        self._client = self._make()  # pymodbus connects again after close()
+        if self._client:
+            self._client.close()
+        self._client = None
 
     def __enter__(self):
         self.connect()
@@ -123,16 +126,18 @@ class Asyncio(Functions):
         return True
 
     def close(self):
-        self._closing = asyncio.ensure_future(self._client.close())
-        self._client = self._make()
+        if self._client:
+            self._closing = asyncio.ensure_future(self._client.close())
+        self._client = None
 
     async def __aenter__(self):
         await self.connect()
         return self
 
     async def __aexit__(self, *_):
-        self.close()
-        await self._closing
+        if self._client:
+            await self._client.close()
+        self._client = None
 
 
 class Network:
