@@ -2,7 +2,7 @@
 A modem with a meter behind it, for trying listen+tcp://: it connects to the client, says who it
 is, and answers reads of registers with their addresses.
 
-    python3 modem.py [PORT]        1502 unless given; Ctrl-C ends it
+    python3 modem.py [PORT [HOST]]        1502 and 127.0.0.1 unless given; Ctrl-C ends it
 """
 
 import contextlib
@@ -14,8 +14,8 @@ import time
 IMEI, HEARTBEAT, INTERVAL = b"865123456789012", b"ping", 5.0
 
 
-def serve(port: int) -> None:
-    with socket.create_connection(("127.0.0.1", port), INTERVAL) as client:
+def serve(port: int, host: str) -> None:
+    with socket.create_connection((host, port), INTERVAL) as client:
         client.sendall(IMEI)
         while True:
             try:
@@ -31,7 +31,8 @@ def serve(port: int) -> None:
             client.sendall(head + data)
 
 
+arguments = dict(enumerate(sys.argv))
 while True:
     with contextlib.suppress(OSError):  # nobody listens, or the client has hung up
-        serve(int(sys.argv[1]) if len(sys.argv) > 1 else 1502)
+        serve(int(arguments.get(1, 1502)), arguments.get(2, "127.0.0.1"))
     time.sleep(0.2)

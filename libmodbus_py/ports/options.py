@@ -1,6 +1,6 @@
 """
 The options of clients, each in one row. What clients take, check and list in help(), the options of
-URLs and those of the command line are made of these rows; docs/defaults.md is compared with them.
+URLs, those of the command line and docs/defaults.md are made of these rows.
 
 A row is the annotation of a key: its type, which editors and type checkers see, and an `Option`.
 The rows of what only clients know are in `client.options`.

@@ -52,7 +52,7 @@ def examples(home: Home) -> Iterator[Examples]:
         run_python(example, source, home.there)
 
     def file(example: Example) -> None:
-        path = home.folder / example.region.lexemes["title"]
+        path = home.folder / example.region.lexemes["file"]
         path.write_text(home.here(example.parsed))
 
     yield Examples(python, typed(of_console), typed(of_sh), file)

@@ -1,9 +1,9 @@
 """
 The documents of the repository, cut into what of them is run.
 
-Fences of Python and shell run, with no names but those of blocks before them; one with
-``title="NAME"`` is a file, which the rest of its document finds; ``<!-- not run: REASON -->`` above
-a fence says why it is neither. The other fences are pictures, for whoever reads.
+Fences of Python and shell run, with no names but those of blocks before them; one below "`NAME`:"
+is a file, which the rest of its document finds; ``<!-- not run: REASON -->`` above a fence says why
+it is neither. The other fences are pictures, for whoever reads.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from sybil import Document, Example, Region, Sybil
 from sybil.parsers.markdown.lexers import DirectiveInHTMLCommentLexer, RawFencedCodeBlockLexer
 
 ROOT = Path(__file__).parents[2]
-DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+DOCUMENTS = [path for path in PAGES if "Generated from" not in path.read_text()[:300]]
+"""The pages that people write."""
 
 RUN = {"python", "console", "sh"}
 
-_INFO = re.compile(r'(?P<language>\w*)(?:[^\n]*\btitle="(?P<title>[^"\n]+)")?[^\n]*\n')
+_INFO = re.compile(r"(?P<language>\w*)[^\n]*\n")
+_FILE = re.compile(r"(?m)^`([\w.]+)`:\n\n\Z")
 _NOT_RUN = re.compile(r"<!-- not run: (.+?) -->\s*\Z")
 
 Evaluate = Callable[[Example], None]
@@ -39,11 +42,11 @@ class Examples:
     def __call__(self, document: Document) -> Iterator[Region]:
         """Find them, as a parser of Sybil."""
         for region in blocks(document):
-            title, language = region.lexemes.get("title"), region.lexemes["language"]
-            if not_run(document, region) or not (title or language in RUN):
+            file, language = region.lexemes.get("file"), region.lexemes["language"]
+            if not_run(document, region) or not (file or language in RUN):
                 continue
             region.parsed = region.lexemes["source"]
-            region.evaluator = self.file if title else getattr(self, language)
+            region.evaluator = self.file if file else getattr(self, language)
             yield region
 
 
@@ -53,7 +56,10 @@ def read(path: Path, examples: Examples) -> Document:
 
 def blocks(document: Document) -> Iterator[Region]:
     """Every fence, and what readers do not see: ``<!--- invisible-code-block: python``."""
-    yield from RawFencedCodeBlockLexer(_INFO)(document)
+    for region in RawFencedCodeBlockLexer(_INFO)(document):
+        if name := _FILE.search(document.text, 0, region.start):
+            region.lexemes["file"] = name[1]
+        yield region
     hidden = {"arguments": "language", "source": "source"}
     yield from DirectiveInHTMLCommentLexer("invisible-code-block", "python", hidden)(document)
 

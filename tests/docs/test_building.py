@@ -187,9 +187,9 @@ def install_blocks(path: Path) -> list[str]:
 
 
 def test_there_is_one_block_that_installs() -> None:
-    pages = [ROOT / "README.md", ROOT / "docs" / "index.md", ROOT / "docs/how-to/install.md"]
+    pages = [ROOT / "README.md", ROOT / "docs/how-to/install.md"]
     blocks = [install_blocks(page) for page in pages]
-    assert blocks == [blocks[0]] * 3
+    assert blocks == [blocks[0]] * 2
     assert len(blocks[0]) == 1
 
 

@@ -7,13 +7,17 @@ That both sides run, and give what they say, is seen where all documents run.
 from __future__ import annotations
 
 import ast
+import asyncio
+import importlib.util
 import inspect
 import re
 import socket
 import struct
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import minimalmodbus
@@ -32,14 +36,21 @@ from libmodbus_py import Client, Device, Mapping, ModbusError, Server, errors, v
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.docs.documents import ROOT, blocks
 from tests.docs.home import Home
-from tests.docs.python_blocks import comments_of, is_value, matches
+from tests.docs.python_blocks import (
+    Comparing,
+    comments_of,
+    is_value,
+    matches,
+    must_equal,
+    must_print,
+)
 from tests.support.cases import each_case
 from tests.support.peers import FakeServer
 
 FOLDER = ROOT / "docs" / "coming-from"
 
 # The fewest pairs of each page; mbpoll.md has a session, and tables of options.
-PAIRS = {"pymodbus": 12, "others": 4}
+PAIRS = {"pymodbus": 6, "others": 4}
 
 PAIR = '<div class="grid" markdown>'
 LINES = re.compile(r"takes (\d+) lines with \w+ and (\d+) with libmodbus-py")
@@ -327,3 +338,72 @@ def test_bits_of_pymodbus_are_bits16_with_the_order_badc() -> None:
     assert ours.encode(switches) == ModbusClientMixin.convert_to_registers(
         switches, ModbusClientMixin.DATATYPE.BITS
     )
+
+
+# --- the names of pymodbus ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def named(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """Put examples/pymodbus_names.py in the place of pymodbus, as its docstring says."""
+    specification = importlib.util.spec_from_file_location(
+        "pymodbus_names", ROOT / "examples" / "pymodbus_names.py"
+    )
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    for name in ("pymodbus", "pymodbus.client", "pymodbus.exceptions"):
+        monkeypatch.setitem(sys.modules, name, module)
+    return module
+
+
+def test_programs_for_pymodbus_give_the_same_with_its_names(named: ModuleType, home: Home) -> None:
+    """Those of the page: with errors, on a serial line, and with asyncio."""
+    exec(home.here(next(blocks_that_readers_do_not_see("pymodbus"))), {"home": home})
+    for pair in [*pairs("pymodbus")][:3]:
+        program = home.here(pair.theirs)
+        tree = Comparing(program).visit(ast.parse(program))
+        checks = {"must_equal": must_equal, "must_print": must_print(home.there)}
+        exec(compile(tree, "program", "exec"), checks)
+
+
+def test_connected_is_what_pymodbus_says(named: ModuleType, served: int) -> None:
+    absent = named.ModbusTcpClient("127.0.0.1", port=1, retries=0)
+    assert (absent.connect(), absent.connected) == (False, False)
+    client = named.ModbusTcpClient("127.0.0.1", port=served)
+    assert (client.connected, client.connect(), client.connected) == (False, True, True)
+    client.close()
+    assert not client.connected
+    client.write_registers(1, [7, 8], slave=17)  # connects again
+    answer = client.read_holding_registers(1, count=2, slave=17)
+    assert (answer.isError(), answer.registers) == (False, [7, 8])
+    refused = client.read_holding_registers(100, count=1)
+    assert (refused.isError(), refused.exception_code, refused.registers) == (True, 2, [])
+    client.close()
+
+
+def test_asyncio_programs_close_without_await(named: ModuleType, served: int) -> None:
+    async def run() -> None:
+        client = named.AsyncModbusTcpClient("127.0.0.1", port=served)
+        assert await client.connect()
+        assert client.connected
+        client.close()
+        assert not client.connected
+        assert await client.connect()
+        assert (await client.read_holding_registers(0, count=1)).registers == [0]
+        client.close()
+        await asyncio.sleep(0.01)
+        absent = named.AsyncModbusTcpClient("127.0.0.1", port=1)
+        assert not await absent.connect()
+
+    asyncio.run(run())
+
+
+def test_what_does_not_answer_raises_the_errors_of_its_names(
+    named: ModuleType, silent: int
+) -> None:
+    client = named.ModbusTcpClient("127.0.0.1", port=silent, timeout=0.05, retries=0)
+    with pytest.raises(named.ModbusIOException):
+        client.read_coils(0)
+    client.close()

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from sybil import Document, Region
 
-from tests.docs.documents import DOCUMENTS, ROOT, blocks, not_run
+from tests.docs.documents import DOCUMENTS, PAGES, ROOT, blocks, not_run
 from tests.docs.python_blocks import Comparing
 from tests.support.cases import each_case
 
@@ -81,7 +81,7 @@ def in_nav(entry: object) -> Iterator[str]:
 def test_every_page_is_in_the_navigation() -> None:
     """A page that is not there is missing, too: Zensical says nothing of either."""
     project = tomllib.loads((ROOT / "zensical.toml").read_text())["project"]
-    pages = [str(path.relative_to(ROOT / "docs")) for path in DOCUMENTS[1:]]
+    pages = [str(path.relative_to(ROOT / "docs")) for path in PAGES[1:]]
     assert sorted(in_nav(project["nav"])) == pages
 
 
@@ -97,18 +97,20 @@ def test_extras_exist(path: Path) -> None:
 
 
 def test_the_first_screen_of_the_readme() -> None:
-    """What it is, two commands, fifteen lines, a table and a picture, in this order."""
-    parts = (ROOT / "README.md").read_text().split("\n\n")
-    assert parts[1].count(".") == 1
-    assert parts[2].startswith(
-        "<!-- not run: this repository's own commands -->\n```sh\n./run demo"
-    )
-    assert len(parts[2].splitlines()) == 2 + 3
-    text = "\n\n".join(parts[3:])
-    order = [text.index(each) for each in ("```python\n", "\n```\n\n| |", "\n\n![", "\n```sh")]
+    """What it is, how to install it, fifteen lines, the commands of a clone, a table, a picture."""
+    text = (ROOT / "README.md").read_text()
+    assert text.split("\n\n")[1].count(".") == 1
+    parts = ("pip install", "```python\n", "./run demo", "\n| |", "\n![", "\n* [Start here]")
+    order = [text.index(part) for part in parts]
     assert order == sorted(order)
     program = text.partition("```python\n")[2].partition("\n```")[0]
     assert len([line for line in program.splitlines() if line]) <= 15
+
+
+@each_case("path", DOCUMENTS, ids=NAMES)
+def test_names_of_files_stand_above_their_blocks(path: Path) -> None:
+    """A forge does not show the title of a fence."""
+    assert re.findall(r"(?m)^```\w* .+$", path.read_text()) == []
 
 
 def headings(path: Path) -> set[str]:
@@ -127,7 +129,7 @@ def links_of(text: str) -> list[str]:
     return ["".join(found) for found in LINK.findall(shown)]
 
 
-@each_case("path", DOCUMENTS, ids=NAMES)
+@each_case("path", PAGES)
 def test_links_lead_somewhere(path: Path) -> None:
     for link in links_of(path.read_text()):
         if re.match(r"\w+:", link):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.documents import ROOT, Examples, read
+from tests.docs.documents import Examples, read
 from tests.docs.python_blocks import matches
 from tests.docs.shell_blocks import of_console, of_sh
 from tests.support.cases import each_case
@@ -38,7 +38,9 @@ begun
 ^C
 ```
 
-```toml title="plant.toml"
+`plant.toml`:
+
+```toml
 url = "tcp://127.0.0.1:1502"
 ```
 
@@ -138,10 +140,5 @@ def test_commands_are_cut() -> None:
 
 def test_only_examples_are_read(tmp_path: Path, examples: Examples) -> None:
     path = tmp_path / "some.md"
-    path.write_text('```\nx\n```\n\n```text\ny\n```\n\n```json title="z.json"\n{}\n```\n')
+    path.write_text("```\nx\n```\n\n```text\ny\n```\n\n`z.json`:\n\n```json\n{}\n```\n")
     assert len(list(read(path, examples).examples())) == 1
-
-
-def test_the_modem_of_the_page_is_that_of_the_examples() -> None:
-    page = (ROOT / "docs" / "how-to" / "devices-that-connect.md").read_text()
-    assert f'```python title="modem.py"\n{(ROOT / "examples" / "modem.py").read_text()}```' in page

@@ -1,8 +1,8 @@
 """
 The first block of each page that shows how to do something runs as typed, in an empty folder.
 
-It gets no names, files or servers but its own, and those of the files with titles before it. Only
-the addresses of this machine are replaced, because two processes cannot have the same port.
+It gets no names, files or servers but its own, the files before it, and the examples. Only the
+addresses of this machine are replaced, because two processes cannot have the same port.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def first(path: Path) -> tuple[list[Region], Region]:
     for region in blocks(document):
         if not_run(document, region):
             continue
-        if region.lexemes.get("title"):
+        if region.lexemes.get("file"):
             files.append(region)
         elif region.lexemes["language"] in RUN:
             return files, region
@@ -52,6 +52,7 @@ def test_the_first_block_of_a_page_runs_as_typed(path: Path, tmp_path: Path) -> 
     for text in (source, *(each.lexemes["source"] for each in files)):
         assert [each for each in FOREIGN if each in text] == []
     address = own_address()
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
 
     def here(text: str) -> str:
         text = text.replace("certificates papers", f"certificates --host {address} papers")
@@ -61,7 +62,7 @@ def test_the_first_block_of_a_page_runs_as_typed(path: Path, tmp_path: Path) -> 
         return text.replace(address, "127.0.0.1").replace(str(tmp_path), ".")
 
     for each in files:
-        (tmp_path / each.lexemes["title"]).write_text(here(each.lexemes["source"]))
+        (tmp_path / each.lexemes["file"]).write_text(here(each.lexemes["source"]))
     if block.lexemes["language"] == "python":
         (tmp_path / "typed.py").write_text(here(source))
         done = subprocess.run(

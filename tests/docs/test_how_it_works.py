@@ -1,14 +1,12 @@
 """
-What the page about the code says is there: the table of states, files, and named exceptions.
+What the page about the code says is there: files, and named exceptions.
 """
 
 from __future__ import annotations
 
 import re
-import textwrap
 
 from fuzz.explore import EXCEPTIONS
-from libmodbus_py.client import line
 from tests.docs.documents import ROOT
 
 PAGE = (ROOT / "docs" / "how-it-works.md").read_text()
@@ -16,12 +14,6 @@ TIMING = (ROOT / "docs" / "protocol" / "timing.md").read_text()
 
 FOLDERS = ("", "libmodbus_py", "libmodbus_py/client", "libmodbus_py/server")
 """Where the page names files from."""
-
-
-def test_the_table_of_states_is_that_of_the_code() -> None:
-    text = line.__doc__ or ""
-    table = text[text.index("    state   event") : text.index("\n\nWhy:")]
-    assert f"```text\n{textwrap.dedent(table)}\n```" in PAGE
 
 
 def test_every_file_that_is_named_exists() -> None:

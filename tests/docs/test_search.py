@@ -11,7 +11,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from tests.docs.documents import DOCUMENTS, ROOT
+from tests.docs.documents import PAGES, ROOT
 
 SCRIPTS = ROOT / "packaging" / "docs"
 
@@ -35,7 +35,7 @@ def page_of(location: str) -> Path:
 def index() -> str:
     """Return an index as the build writes it: names of the API first, which is the worst case."""
     items: list[dict[str, Any]] = []
-    for path in DOCUMENTS:
+    for path in PAGES:
         if path.name == "README.md":
             continue
         page = f"{path.relative_to(ROOT / 'docs').with_suffix('')}/"
