@@ -136,7 +136,7 @@ class Transactions:
 
     def _let_go(self, call: Call, now: float) -> bool:
         """Stop waiting for a request whose caller is gone; return True if it was in flight."""
-        self.queue.remove(call)
+        self.queue.leave(call)
         was_in_flight = self.matching.withdraw(call, now)
         if was_in_flight:
             self.statistics.note(call.function, "cancelled")

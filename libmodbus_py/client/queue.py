@@ -33,6 +33,7 @@ class Queue:
         self.write: Call | None = None
         self.matching = matching
         self.limit = limit
+        self._left = 0  # at most so many in `waiting` are those of callers that are gone
         self._has_ids = matching.has_ids
 
     @property
@@ -123,8 +124,20 @@ class Queue:
         if self.again.pop(call, None) is None and call in self.waiting:
             self.waiting.remove(call)
 
+    def leave(self, call: Call) -> None:
+        """
+        Forget a request whose caller is gone. Many may leave at once, so those that wait are looked
+        through once half of them have left: they are never the only ones.
+        """
+        self.note_end(call)
+        self.again.pop(call, None)
+        self._left += 1
+        if 2 * self._left >= len(self.waiting):
+            self.remove_over()
+
     def remove_over(self) -> None:
         """Forget the requests whose callers are gone."""
+        self._left = 0
         self.waiting = deque(call for call in self.waiting if not call.is_done)
         self.again = {call: due for call, due in self.again.items() if not call.is_done}
 
