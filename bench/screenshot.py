@@ -21,7 +21,7 @@ from tests.tools.page.browsers import missing, person_at
 ROOT = Path(__file__).resolve().parents[1]
 
 WIDTH, HEIGHT = 1200, 700
-MOST_BYTES = 200_000
+MOST_BYTES = 120_000
 EXAMPLES = ROOT / "examples"
 # The meter of the examples has none.
 FAULTS = [

@@ -5,7 +5,8 @@ The registers of a device, by name, and the requests that read and write them. N
 
     register_map   the points of a device: RegisterMap, load_map; with a client: BoundMap
     map_file       the points of a file: TOML, or a list; MapError
-    lists          register lists as vendors publish them: columns, rows, arguments of points
+    lists          register lists as vendors publish them: rows, arguments of points
+    list_columns   which of their headings means what
     list_cells     the readers of their cells
     list_words     the words of their headings and cells, from list_words.toml: ListOptions
     point          one named value: Point

@@ -1,6 +1,6 @@
 """
-Register lists as vendors and programs write them: which column is what, which rows are read, and
-what each says of a point.
+Register lists as vendors and programs write them: which rows are read, and what each says of a
+point.
 
 Nothing is guessed: a heading or a word with two meanings, and a column that would change values but
 is not known, are mistakes, which name the option that says what is meant.
@@ -16,32 +16,25 @@ from typing import Any, NamedTuple
 
 from ..files.csv_text import CsvRow, CsvText, number_in
 from ..files.texts import FileError, FilePlace
-from ..protocol.mistakes import Path, WrongValue, close_to, inside
+from ..protocol.mistakes import Path, WrongValue, inside
 from ..protocol.values import value_type
 from ..protocol.words import plain
 from .list_cells import RAW, READERS, address_in, type_keys
+from .list_columns import (
+    HEADINGS_OF_KINDS,
+    KEYS,
+    MOST_NAMED,
+    SaidColumns,
+    find_columns,
+    without_base,
+)
 from .list_words import MODPOLL, REFERENCE, ListOptions, flat_rows, word_of, words
 from .meaning import Scaling
 
 __all__ = ["MapEntry", "MapError", "RegisterList"]
 
-NOTHING = "nothing"
-"""The kind of columns that are ignored."""
-
-CHANGE_VALUES = ("type", "order", "scale", "divisor", "units", "access")
-"""Kinds of which no second column is ignored."""
-
 LAST_OF_BYTE = {"int8": -128, "uint8": 255}
 """Type that SunSpec lacks -> what it would take for no value."""
-
-# How many of a list are named in a message.
-MOST_NAMED = 12
-
-
-HEADINGS_OF_KINDS = {word_of(kind): kind for kind in READERS}
-"""Headings that are kinds themselves."""
-
-_KEYS = HEADINGS_OF_KINDS.keys() - {"device"}
 
 
 class MapError(FileError):
@@ -54,14 +47,6 @@ class MapEntry(NamedTuple):
     path: Path  # of the point in the file; empty in a list, where a row is a point
     place: Callable[[Path], FilePlace]  # of a path in the file
     keys: Callable[[], Mapping[str, Any]]  # the arguments of `Point`, or a TypeError or ValueError
-
-
-class ListColumn(NamedTuple):
-    """A column that says something: where it is, its heading, and the base of its addresses."""
-
-    at: int
-    heading: str
-    base: int = 0  # 10 or 16, or 0 if the heading does not say it
 
 
 class RegisterList:
@@ -85,23 +70,13 @@ class RegisterList:
         self._options = options
         self._origin = options.of_origin
         self.notes: list[str] = []
-        columns = dict(options.columns)
-        self._ignored = {word_of(each) for each in _several(columns.pop(NOTHING, ()))}
-        self._headings = {
-            HEADINGS_OF_KINDS.get(word_of(kind), words().headings.get(word_of(kind), kind)): heading
-            for kind, heading in columns.items()
-        }
-        for kind in self._headings:
-            if kind not in READERS:
-                allowed = ", ".join((*READERS, NOTHING))
-                hint = close_to(kind, READERS)
-                raise ValueError(f"columns must name some of {allowed}, not {kind!r}{hint}")
+        self._said = SaidColumns.of(options.columns)
         headings = (
             HEADINGS_OF_KINDS.keys()
             | words().headings.keys()
             | words().ambiguous.keys()
             | self._origin.columns.keys()
-            | {word_of(heading) for heading in self._headings.values()}
+            | {word_of(heading) for heading in self._said.headings.values()}
         )
         is_modpoll = options.origin == "modpoll"
         self._text = CsvText(
@@ -115,7 +90,11 @@ class RegisterList:
         self._give_headings()
         if self._text.skipped:
             self.notes.append(f"rows above the headings that are skipped: {self._text.skipped}")
-        self._columns = self._find_columns()
+        self._columns, ignored = find_columns(
+            self._text.head, self._said, self._origin, self._error
+        )
+        if ignored:
+            self.notes.append(f"columns that mean nothing here: {', '.join(ignored)}")
         rows = [*(flat_rows(self._text.rows()) if is_modpoll else self._text.rows())]
         self._rows = list(self._selected(rows))
         self._tells_table = {"table", "function"} & self._columns.keys() or self._table
@@ -141,75 +120,6 @@ class RegisterList:
         if headings and not any(word_of(cell) in words().headings for cell in head.cells):
             self._text.head = CsvRow(0, headings)
             self._text.skipped = 0
-
-    def _find_columns(self) -> dict[str, ListColumn]:
-        head = self._text.head
-        cells = [" ".join(cell.split()) for cell in head.cells]
-        by_heading = {word_of(heading): kind for kind, heading in self._headings.items()}
-        for key, heading in self._headings.items():
-            if word_of(heading) not in map(word_of, cells):
-                raise self._error(f"no column {heading}, which is named for {key}")
-        columns: dict[str, ListColumn] = {}
-        ignored = []
-        kind: str | None
-        # Headings that are the names of keys come before other words.
-        headings = [(at, heading) for at, heading in enumerate(cells) if heading]
-        for at, heading in sorted(headings, key=lambda each: word_of(each[1]) not in _KEYS):
-            word, base = _without_base(word_of(heading))
-            kind = by_heading.get(word_of(heading)) or self._kind(heading, word)
-            if kind is None:
-                ignored.append(heading)
-                continue
-            if kind in ("address_hex", "address_dec"):
-                kind, base = "address", 16 if kind.endswith("hex") else 10
-            if kind not in columns:
-                columns[kind] = ListColumn(at, heading, base)
-            elif kind == "address" and base != columns[kind].base and base:
-                if base == 10:  # one in hexadecimal beside it says the same
-                    columns[kind] = ListColumn(at, heading, base)
-            elif kind == "description" or (
-                word_of(columns[kind].heading) in _KEYS and kind not in CHANGE_VALUES
-            ):
-                ignored.append(heading)
-            else:
-                both = f"columns {columns[kind].heading} and {heading} both hold the {kind}"
-                raise self._error(f"{both}: say which, as in {_column(kind, heading)}")
-        for key in ("name", "address"):
-            if key not in columns:
-                usual = [word for word, meaning in words().headings.items() if meaning == key]
-                some = ", ".join(usual[:MOST_NAMED])
-                raise self._error(f"no column {key}; it may be called {some} ...")
-        if ignored:
-            self.notes.append(f"columns that mean nothing here: {', '.join(ignored)}")
-        return columns
-
-    def _kind(self, heading: str, word: str) -> str | None:
-        """Return the kind of a heading that is not named in the options; None if it has none."""
-        if word_of(heading) in self._ignored:
-            return None
-        for text in (word_of(heading), word, word.removeprefix("modbus ")):
-            if text in self._origin.columns:
-                return self._origin.columns[text] or None
-            kind = HEADINGS_OF_KINDS.get(text, words().headings.get(text))
-            if kind in self._headings:
-                return None  # another column is said to hold it
-            if kind is not None:
-                return kind
-        if (key := words().ambiguous.get(word)) is not None:
-            choices = words().choices[key]
-            if not choices.keys().isdisjoint(self._headings):
-                return None
-            meanings = ", or ".join(
-                f"{_column(kind, heading)} if {text}" for kind, text in choices.items()
-            )
-            raise self._error(f"column {heading} has two meanings: say {meanings}")
-        alarming = words().alarming
-        parts = [*word.split(), *(each for each in alarming if not each.isascii() and each in word)]
-        kinds = [alarming[part] for part in parts if part in alarming]
-        if kinds and word not in words().harmless and kinds[0] not in self._headings:
-            advice = f"{_column(kinds[0], heading)}, or {_column(NOTHING, heading)} to ignore it"
-            raise self._error(f"column {heading} is not known: say {advice}")
-        return None
 
     def _error(self, reason: str) -> MapError:
         if self._options.origin is None:
@@ -274,8 +184,8 @@ class RegisterList:
                 also = "" if self._first_address is not None else _OR_REFERENCE
                 raise self._error(f"no column has the table: {reason}{also}")
             self.notes.append(f"{column.heading} has references: 40001 is holding register 0")
-        word = _without_base(word_of(column.heading))[0]
-        if self._first_address is not None or not self._tells_table or word in _KEYS:
+        word = without_base(word_of(column.heading))[0]
+        if self._first_address is not None or not self._tells_table or word in KEYS:
             return
         is_numbered = any(part in words().numbered for part in (word, *word.split()))
         if is_numbered and "addr" not in word:
@@ -426,36 +336,12 @@ def scaled(raw: float, scale: float, offset: float) -> float:
     return raw if (scale, offset) == (1, 0) else Scaling(scale, offset).to_value(raw)
 
 
-def _column(kind: str, heading: str) -> str:
-    """Return the option that says what a heading means."""
-    return f"--column {kind}={heading}" if " " not in heading else f"--column '{kind}={heading}'"
-
-
 # The first digits of references say the table; otherwise addresses count from 0.
 _OR_REFERENCE = ", whose addresses count from 0, or first_address=reference"
 
 
-def _several(value: Any) -> list[str]:
-    return [value] if isinstance(value, str) else list(value)
-
-
 def _cell(row: CsvRow, at: int) -> str:
     return row.cells[at] if at < len(row.cells) else ""
-
-
-def _without_base(word: str) -> tuple[str, int]:
-    """Return a heading without the base of its numbers, which is 0 if it does not say it."""
-    for ends, base in ((_HEX, 16), (_DEC, 10)):
-        for end in ends:
-            if word.endswith(end) and word != end.strip():
-                return word.removesuffix(end).strip(), base
-            if word.startswith(f"{end.strip()} "):
-                return word.removeprefix(f"{end.strip()} "), base
-    return word, 0
-
-
-_HEX = (" hex", " hexadecimal", " 0x", "十六进制", " hexadezimal")
-_DEC = (" dec", " decimal", "十进制", " dezimal", " décimal")
 
 
 def _is_reference(number: int) -> bool:

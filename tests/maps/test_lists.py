@@ -31,6 +31,7 @@ METER = IOBROKER + (
     "40004\tF\t\tHz\tfloatsw\t2\t1\t0\tx * 0.01\tlevel\t\ttrue\tfalse\t\t\n"
     "40006\tS\tSerial\t\tstring\t2\t1\t0\t\tstate\t\ttrue\tfalse\tfalse\tfalse\n"
     "40008\tU\tof L2\t\tuint8be\t1\t1\t0\t\tvalue\t\ttrue\tfalse\tfalse\tfalse\n"
+    "40020\tT\t\t\tstring16\t4\t1\t0\t\tstate\t\ttrue\tfalse\tfalse\tfalse\n"
     "40009\tI\t\tA\tint16be\t1\t1\t\tx * Math.pow(10, sf['40010'])\t\t\ttrue\tfalse\tfalse\tfalse\n"
     "40010\tI_SF\t\t\tint16be\t1\t1\t\t\t\t\ttrue\tfalse\tfalse\ttrue\n"
 )
@@ -134,11 +135,12 @@ LISTS: list[tuple[str, dict[str, Any], list[str], list[Registers]]] = [
             ("F", [0x4000, 0x459C], 50.0),
             ("S", [0x4142, 0x4300], "ABC"),
             ("U 40008", [0xFF07], 7),
+            ("T", [0x0041, 0x20AC, 0, 0x0042], "A\u20ac"),
         ],
     ),
     (
         COILS,
-        {"origin": "iobroker", "table": "coils"},
+        {"table": "coils"},
         ["table="],
         [("Überspannung", [1], True)],
     ),
@@ -329,7 +331,42 @@ TWO_MEANINGS = [
     ("name\ttable\taddress\tscale\na\tholding\t0\t1,000\n", "line 2, column scale", "thousand"),
     (f"{HEAD},Write\na,holding,0,u16,W\n", "line 1", "--column access=Write"),
     (f"{HEAD},slave\na,holding,0,u16,1\nb,holding,0,u16,2\n", "line 1", "--list 'only=slave=1'"),
+    (f"{HEAD},slaveId\na,holding,0,u16,1\nb,holding,0,u16,2\n", "line 1", "'only=slaveId=1'"),
+    (f"{HEAD},valueFormat\na,holding,0,u16,2\n", "line 1", "--column type=valueFormat"),
+    (f"{HEAD},Decimals\na,holding,0,u16,1\n", "line 1", "--column negative_exponent=Decimals"),
+    (f"{HEAD},decimal places\na,holding,0,u16,1\n", "line 1", "'negative_exponent=decimal places'"),
+    (f"{HEAD},Unit\na,holding,0,u16,0.1V\n", "line 2, column Unit", "--column scale_and_units="),
+    (f"{HEAD},Unit\na,holding,0,u16,W x 10\n", "line 2, column Unit", "--column scale_and_units="),
+    (f"{HEAD}\na,holding,0,U32 (MSW first)\n", "line 2, column type", "(MSW first)=TYPE'"),
+    (
+        f"{HEAD},offset\na,holding,7,u16,0\nb,holding,9,u16,2\nc,holding,10,u16,3\n",
+        *("line 1", "--column nothing=offset or offset=offset"),
+    ),
 ]
+
+# What would lose points, or give them another value, without a word.
+LOSSES = [
+    (f'{HEAD},c\na,holding,0,u16,"x\nb,holding,1,u16,y"\n', "line 2: a cell that begins with a q"),
+    (f'{HEAD},c,d,e,f\na,holding,0,u16,"x\nb,holding,1,u16,y"\n', "ends in line 3: write"),
+    (f'{HEAD}\tc\n"a\tholding\t0\tu16\tx\nb"\tholding\t1\n'.replace(",", "\t"), "line 2: a cell"),
+    (f"{HEAD}\na,holding,0,u16\nname,type,table,address\nb,u16,holding,1\n", "line 3: has other"),
+    (f"{HEAD},registers\na,holding,0,,2\n", "uint16 has 1, and the list says 2"),
+    (
+        "name;table;address;scale\na;coils;0;\nb;holding;0;0,5\nc;holding;1;1.000\n",
+        "line 4, column s",
+    ),
+    (f"{HEAD},states\na,holding,0,u16,0=off 1=on\n", "line 2, column states"),
+    (f"{IOBROKER}1\tA\t\t\trawhex\t4\t1\t0\n", "registers as hexadecimal text"),
+]
+
+
+@each_case(("text", "message"), LOSSES)
+def test_what_would_be_lost_is_refused_with_its_line(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    with pytest.raises(MapError) as caught:
+        load_map(written(tmp_path, text), **({"table": "holding"} if text[0] == "_" else {}))
+    assert message in str(caught.value)
 
 
 @each_case(("text", "place", "option"), TWO_MEANINGS)
@@ -374,6 +411,28 @@ MEANINGS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     (f"{HEAD}\na,holding,7,u16\n{HEAD}\n", {}, {"address": 7}),  # headings of two pages
     ("name,address,type\na,40001-40002,int32\n", {}, {"address": 0, "type": "int32"}),
     ("name,address,type\na,3x0012,u16\n", {}, {"table": "input_registers", "address": 11}),
+    (
+        "signalName,registerAddress,dataType\na,40008,INT32\n",
+        {},
+        {"type": "int32"},
+    ),
+    ("Data,Modbus,\nName,Address,Type\na,40008,s16\n", {}, {"type": "int16", "address": 7}),
+    (
+        f"{HEAD},Unit\na,holding,0,u16,1/10 V\n",
+        {"columns": {"scale_and_units": "Unit"}},
+        {"scale": 0.1, "units": "V"},
+    ),
+    (
+        f"{HEAD},Decimals\na,holding,0,u16,2\n",
+        {"columns": {"negative_exponent": "Decimals"}},
+        {"scale": 0.01},
+    ),
+    (f"{HEAD},power of ten\na,holding,0,u16,2\n", {}, {"scale": 100}),
+    (
+        f'{HEAD},states\na,holding,0,u16,"0 = off;\n1 = on, or so"\n',
+        {},
+        {"states": {0: "off", 1: "on, or so"}},
+    ),
 ]
 
 
@@ -485,10 +544,31 @@ def test_a_spreadsheet_is_a_list(tmp_path: Path) -> None:
     assert map["# of starts"].address == 1
     contents = contents_of(path, 1)
     assert contents.notes[0] == "read sheet Sheet, not More"
+    with pytest.raises(MapError, match="read sheet More, not Sheet: --list sheet=NAME"):
+        load_map(path, sheet="More")
     with pytest.raises(MapError, match="sheet must be one of Sheet, More, not 'x'"):
         load_map(path, sheet="x")
     with pytest.raises(MapError, match="no column name"):
         load_map(path, sheet="More")
+
+
+def test_merged_cells_stand_in_each_of_their_rows(tmp_path: Path) -> None:
+    rows = [
+        ["Name", "Register", None, "Type"],
+        [None, "Address", "Quantity", None],
+        ["a", 40001, 1, "S16"],
+        ["b", 40002, 1, None],
+    ]
+    path = spreadsheet(tmp_path / "list.xlsx", rows)
+    openpyxl = importlib.import_module("openpyxl")
+    book = openpyxl.load_workbook(path)
+    for cells in ("A1:A2", "B1:C1", "D1:D2", "D3:D4"):
+        book.active.merge_cells(cells)
+    book.save(path)
+    assert [(each.address, each.type) for each in load_map(path).values()] == [
+        (0, "int16"),
+        (1, "int16"),
+    ]
 
 
 def test_what_is_no_spreadsheet(tmp_path: Path) -> None:

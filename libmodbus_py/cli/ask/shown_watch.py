@@ -122,9 +122,14 @@ class WatchedUnit:
         if not reason:
             self.answered_at = now
 
-    def cells(self) -> list[Any]:
-        state = ["down" if self.is_down else "up", cell_text(self._reason or ""), self._since]
-        return [["", self.name], state, ["", ""], None, "", "", round(self.answered_at, 1)]
+    def cells(self) -> dict[str, Any]:
+        word, reason = "down" if self.is_down else "up", cell_text(self._reason or "")
+        return {
+            "name": {"group": "", "own": self.name},
+            "state": {"word": word, "reason": reason, "since": self._since},
+            "value": {"text": "", "units": ""},
+            "age": round(self.answered_at, 1),
+        }
 
 
 def _device(unit: int) -> str:

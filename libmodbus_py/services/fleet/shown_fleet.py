@@ -53,7 +53,7 @@ def problems(fleet: Fleet) -> list[str]:
         if row.word == "fails":
             texts.append(f"{row.words} fails")
         elif row.word == "behind":
-            texts.append(f"{row.words} is behind: {' '.join(row.amount)}")
+            texts.append(f"{row.words} is behind: {' '.join(row.amount.values())}")
     return texts
 
 
@@ -133,7 +133,7 @@ class DestinationRow(NamedTuple):
     kind: str
     name: str
     word: str
-    amount: list[str]
+    amount: dict[str, str]
     trouble: str
     since: float = 0
 
@@ -145,9 +145,13 @@ class DestinationRow(NamedTuple):
     def is_problem(self) -> bool:
         return self.word != "works"
 
-    def cells(self) -> list[Any]:
-        state = [self.word, cell_text(self.trouble), round(self.since, 1)]
-        return [[self.kind, cell_text(self.name)], state, self.amount, None, "", "", 0]
+    def cells(self) -> dict[str, Any]:
+        reason, since = cell_text(self.trouble), round(self.since, 1)
+        return {
+            "name": {"group": self.kind, "own": cell_text(self.name)},
+            "state": {"word": self.word, "reason": reason, "since": since},
+            "value": self.amount,
+        }
 
 
 def destinations(fleet: Fleet) -> list[DestinationRow]:
@@ -161,13 +165,13 @@ def destinations(fleet: Fleet) -> list[DestinationRow]:
 def _output_row(name: str, output: OutputStatistics) -> DestinationRow:
     word = "fails" if output.is_failing else "behind" if output.is_behind else "works"
     since = output.trouble_since if output.is_failing else 0
-    amount = [f"{output.waiting:,}", "waiting"]
+    amount = {"text": f"{output.waiting:,}", "units": "waiting"}
     return DestinationRow("output", name, word, amount, output.trouble, since)
 
 
 def _journal_row(journal: JournalStatistics) -> DestinationRow:
     word = "fails" if journal.is_failing else "works"
-    amount = [f"{journal.bytes / 1e6:.1f}", "MB"]
+    amount = {"text": f"{journal.bytes / 1e6:.1f}", "units": "MB"}
     return DestinationRow("", "journal", word, amount, journal.trouble)
 
 
@@ -193,18 +197,19 @@ class PollerRow:
     def is_problem(self) -> bool:
         return self._poller.error is not None
 
-    def cells(self) -> list[Any]:
+    def cells(self) -> dict[str, Any]:
         poller, config = self._poller, self._poller.config
         place = f"{config.endpoint}, unit {poller.unit}"
         # A device that answers, but refuses something, is "partly" there.
         word = "partly" if poller.is_refused else poller.state.value
         reason = "" if poller.error is None else problem_text(poller.error)
-        return [
-            ["", cell_text(poller.name), cell_text(place)],
-            [word, reason, round(poller.since, 1)],
-            [f"{len(poller.reads.names)} points", f"every {config.interval:g} s"],
-            *(None, "", "", round(poller.answered_at, 1)),
-        ]
+        points, every = f"{len(poller.reads.names)} points", f"every {config.interval:g} s"
+        return {
+            "name": {"group": "", "own": cell_text(poller.name), "place": cell_text(place)},
+            "state": {"word": word, "reason": reason, "since": round(poller.since, 1)},
+            "value": {"text": points, "units": every},
+            "age": round(poller.answered_at, 1),
+        }
 
 
 # --- on a terminal -----------------------------------------------------------------------------

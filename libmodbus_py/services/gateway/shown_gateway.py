@@ -41,20 +41,20 @@ COLUMNS = (
 
 
 class GatewayRow(NamedTuple):
-    """See `PageRow`; `make` makes all cells but the first one, when a page shows the row."""
+    """See `PageRow`; `make` makes all cells but the name, when a page shows the row."""
 
     name: Name
     is_problem: bool
     counts: Counts
-    make: Callable[[], list[Any]]
+    make: Callable[[], dict[str, Any]]
     more_words: str = ""
 
     @property
     def words(self) -> str:
         return " ".join([*self.name, self.more_words]).strip().lower()
 
-    def cells(self) -> list[Any]:
-        return [[*self.name], *self.make()]
+    def cells(self) -> dict[str, Any]:
+        return {"name": {"group": self.name[0], "own": self.name[1]}, **self.make()}
 
 
 class ShownGateway:
@@ -132,24 +132,28 @@ def _has_only_failed(unit: UnitStatistics) -> bool:
 
 
 def _line_row(name: Name, line: LineStatistics, spark: Spark) -> GatewayRow:
-    def cells() -> list[Any]:
+    def cells() -> dict[str, Any]:
         word = "down" if line.trouble else "open" if line.connection.connects else "new"
-        state = [word, problem_text(line.trouble) if line.trouble else "", round(line.since, 1)]
-        counts = line.connection.requests, line.connection.responses
-        details = _listed(waiting=line.waiting, in_flight=line.in_flight, refused=line.full)
-        return [state, *counts, spark(name, "rate"), None, spark(name, "queue"), details, 0]
+        reason = problem_text(line.trouble) if line.trouble else ""
+        return {
+            "state": {"word": word, "reason": reason, "since": round(line.since, 1)},
+            "requests": line.connection.requests,
+            "answers": line.connection.responses,
+            "rate": spark(name, "rate"),
+            "queue": spark(name, "queue"),
+            "details": _listed(waiting=line.waiting, in_flight=line.in_flight, refused=line.full),
+        }
 
     counts = Counts(line.connection.requests, waiting=line.waiting)
     return GatewayRow(name, line.is_down, counts, cells)
 
 
 def _unit_row(name: Name, unit: UnitStatistics, spark: Spark) -> GatewayRow:
-    def cells() -> list[Any]:
+    def cells() -> dict[str, Any]:
         word = "silent" if unit.is_silent else "answers" if unit.answers else "new"
         if _has_only_failed(unit):
             word = "no answer"
         reason = f"{unit.resting} requests refused meanwhile" if unit.is_silent else ""
-        counts = unit.requests, unit.answers
         mean = f"mean {unit.mean_us / 1000:.1f} ms" if unit.answers else ""
         numbers = _listed(
             exceptions=unit.exceptions,
@@ -158,9 +162,14 @@ def _unit_row(name: Name, unit: UnitStatistics, spark: Spark) -> GatewayRow:
             refused=unit.resting,
             cached=unit.cached,
         )
-        details = ", ".join(filter(None, [mean, numbers]))
-        sparks = spark(name, "rate"), spark(name, "time"), None
-        return [[word, reason, 0], *counts, *sparks, details, 0]
+        return {
+            "state": {"word": word, "reason": reason},
+            "requests": unit.requests,
+            "answers": unit.answers,
+            "rate": spark(name, "rate"),
+            "time": spark(name, "time"),
+            "details": ", ".join(filter(None, [mean, numbers])),
+        }
 
     counts = Counts(unit.requests, unit.answers, unit.seconds)
     return GatewayRow(name, unit.is_silent or _has_only_failed(unit), counts, cells)
@@ -204,8 +213,8 @@ def _client_row(key: tuple[str, int, int], counts: tuple[int, int, float]) -> Ga
     requests, exceptions, time = counts
     request = REQUESTS.get(function)
     title = f"{function} {'' if request is None else request_name(request)}".rstrip()
-    state = ["client", _listed(exceptions=exceptions), 0]
-    cells = [state, requests, "", None, None, None, "", round(time, 1)]
+    state = {"word": "client", "reason": _listed(exceptions=exceptions)}
+    cells = {"state": state, "requests": requests, "last": round(time, 1)}
     name = cell_text(host), f"unit {unit}, {title}"
     words = f"function {function}"
     return GatewayRow(name, exceptions > 0, Counts(requests), lambda: cells, words)

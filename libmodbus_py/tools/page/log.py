@@ -70,6 +70,18 @@ class LogRow(NamedTuple):
     writes: bool = False
 
 
+class LastWrite(NamedTuple):
+    """The last write to a range of addresses; `number` is counted since the page was opened."""
+
+    number: int
+    unit: int | None
+    table: str
+    start: int
+    stop: int
+    time: float
+    who: str
+
+
 class Log:
     """Collects the trace of a server, in the server's loop, and returns rows, in any thread."""
 
@@ -82,8 +94,8 @@ class Log:
         self._lock = threading.Lock()  # of the rows and what they are made from
         # Writes are paired at once, because pages that are opened later show them, too.
         self._writes = TracePairing()
-        # Unit, table, first address and end -> number, these, time, and who it was.
-        self._written: dict[tuple[int | None, str, int, int], tuple[Any, ...]] = {}
+        # Unit, table, first address and end -> the write.
+        self._written: dict[tuple[int | None, str, int, int], LastWrite] = {}
         self._write_numbers = count(1)
 
     def note(self, traced: Traced) -> None:
@@ -109,13 +121,13 @@ class Log:
         self._written.pop(key, None)  # the latest is the last
         while len(self._written) >= MOST_RANGES:
             self._written.pop(next(iter(self._written)), None)
-        self._written[key] = (next(self._write_numbers), *key, time.time(), who)
+        self._written[key] = LastWrite(next(self._write_numbers), *key, time.time(), who)
 
     def tables(self) -> Tables:
         """Return the remembered rows and writes for a page, by their numbers."""
         return {
-            "log": {each.number: each for each in self.rows()},
-            "written": {each[0]: each for each in self._written.copy().values()},
+            "log": {row.number: row._asdict() for row in self.rows()},
+            "written": {row.number: row._asdict() for row in self._written.copy().values()},
         }
 
     def rows(self) -> list[LogRow]:

@@ -85,20 +85,19 @@ def _check_set(unit: ShownUnit, point: Point, cells: list[Any]) -> None:
         raise ValueError("the device computes this value itself")
 
 
-def _readings_at(unit: ShownUnit, table: str, address: int) -> list[list[str]]:
-    """Return type, order and value for each way to decode the cells from an address on."""
-    found: list[list[str]] = []
+def _readings_at(unit: ShownUnit, table: str, address: int) -> list[dict[str, str]]:
+    """Return type, order and text for each way to decode the cells from an address on."""
+    texts: list[dict[str, str]] = []
     for registers in (1, 2, 4):
         with unit.device.mapping as mapping:
             place = getattr(mapping, table)
             if TABLES[table].is_bits or not place.has(address, registers):
                 break
             cells = place[address : address + registers]
-        found += [
-            [type, order, text_of(value, value_type(type, order=order))]
-            for type, order, value in readings(cells)
-        ]
-    return found
+        for type, order, value in readings(cells):
+            text = text_of(value, value_type(type, order=order))
+            texts.append({"type": type, "order": order, "text": text})
+    return texts
 
 
 def _settings(fault: Fault) -> str:
@@ -151,9 +150,14 @@ class ServerSource:
             "words": WORDS,
             "units": {_name(number): unit.row for number, unit in self._units().items()},
             "faults": {
-                each.number: [each.unit, each.fault.kind, _settings(each.fault), each.is_on]
-                for each in faults
-                if isinstance(each.fault, Fault)
+                state.number: {
+                    "unit": state.unit,
+                    "kind": state.fault.kind,
+                    "settings": _settings(state.fault),
+                    "is_on": state.is_on,
+                }
+                for state in faults
+                if isinstance(state.fault, Fault)
             },
             "counters": {name: each for name, each in counters.items() if isinstance(each, int)},
             **self.log.tables(),

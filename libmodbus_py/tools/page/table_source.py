@@ -53,7 +53,11 @@ class Column(NamedTuple):
 
 
 class PageRow(Protocol):
-    """A row of the table: the text that is searched, in lower case, and a cell for each column."""
+    """
+    A row of the table: the text that is searched, in lower case, and its cells by the titles of
+    their columns. Of each kind, a column has: a name with `group`, `own` and `place`; a state with
+    `word`, `reason` and `since`; a value with `text` and `units`; levels, numbers, texts or times.
+    """
 
     @property
     def words(self) -> str: ...
@@ -61,7 +65,7 @@ class PageRow(Protocol):
     @property
     def is_problem(self) -> bool: ...
 
-    def cells(self) -> list[Any]: ...
+    def cells(self) -> dict[str, Any]: ...
 
 
 class Shown(Protocol):
@@ -99,10 +103,10 @@ class TableSource:
         head = {
             "kind": shown.kind,
             "title": cell_text(shown.title),
-            "columns": [list(column) for column in shown.columns],
+            "columns": [column._asdict() for column in shown.columns],
             "has_log": log is not None,
             "has_journal": shown.older is not None,
-            "status": [cell_text(text), is_problem],
+            "status": {"text": cell_text(text), "is_problem": is_problem},
         }
         return {"head": head, "figures": dict(shown.figures()), **(log.tables() if log else {})}
 
@@ -201,23 +205,26 @@ class ValueRow:
         """True if there is no good value, although the device answers."""
         return self.reading is not None and self.reading[5] != "good" and not self.device.is_down
 
-    def cells(self) -> list[Any]:
+    def cells(self) -> dict[str, Any]:
         point, reading, samples = self.point, self.reading, self.samples
-        names, units = [cell_text(point.device), cell_text(point.name)], cell_text(point.units)
+        name = {"group": cell_text(point.device), "own": cell_text(point.name)}
+        units = cell_text(point.units)
         if reading is None:
-            return [names, ["new", "", 0], ["", units], [], "", "", 0]
+            empty = {"value": {"text": "", "units": units}, "last values": []}
+            return {"name": name, "state": {"word": "new"}, **empty}
         is_good = reading[5] == "good"
         age = max(reading[0], self.device.answered_at) if is_good else reading[0]
         reason = "" if self.device.is_down else re.sub("^Modbus|Error$", "", reading[6])
-        return [
-            names,
-            [reading[5], cell_text(in_words(reason)), 0],
-            ["-" if reading[3] is None else value_text(reading[3]), units],
-            samples.spark(),
-            "" if samples.low is None else value_text(samples.low),
-            "" if samples.high is None else value_text(samples.high),
-            round(age, 1),
-        ]
+        text = "-" if reading[3] is None else value_text(reading[3])
+        return {
+            "name": name,
+            "state": {"word": reading[5], "reason": cell_text(in_words(reason))},
+            "value": {"text": text, "units": units},
+            "last values": samples.spark(),
+            "lowest": "" if samples.low is None else value_text(samples.low),
+            "highest": "" if samples.high is None else value_text(samples.high),
+            "age": round(age, 1),
+        }
 
 
 class Values:

@@ -122,12 +122,12 @@ class ShownUnit:
         }
 
 
-def _point_row(point: Point) -> list[Any]:
+def _point_row(point: Point) -> dict[str, Any]:
     many = f" x {point.count}" if point.count > 1 else ""
     order = "" if point.order == "ABCD" else f" {point.order}"
-    kind = f"{point.type or 'bit'}{order}{many}"
-    where = point.table, point.address
-    return [point.name, *where, kind, point.units, point.access, point.description]
+    keys = ("name", "table", "address", "units", "access", "description")
+    row = {key: getattr(point, key) for key in keys}
+    return {**row, "type": f"{point.type or 'bit'}{order}{many}"}
 
 
 class ShownServer(NamedTuple):
@@ -164,7 +164,7 @@ def point_rows(unit: ShownUnit, first: int, stop: int) -> dict[int, Any]:
         samples = unit.samples.setdefault(point.name, Samples(SAMPLED, most))
         if not 0 <= now - samples.newest < SAMPLED:
             samples.add(now, value)
-        rows[at] = [text, unit.movement(point), samples.spark()]
+        rows[at] = {"text": text, "moves": unit.movement(point), "spark": samples.spark()}
     return rows
 
 

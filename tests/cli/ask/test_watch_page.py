@@ -12,6 +12,7 @@ from libmodbus_py.cli.ask.formatters import ReadResult, ValueText
 from libmodbus_py.cli.ask.items import Item
 from libmodbus_py.cli.ask.shown_watch import ShownWatch
 from tests.support.commands import PAGE_TOKEN, Started, page_url
+from tests.tools.page.tables import name_of, state_of
 from tests.tools.page.watching import Visitor
 
 
@@ -26,11 +27,11 @@ def test_values_are_shown_and_printed() -> None:
                 visitor.look_at()
                 visitor.receive(lambda: len(visitor.rows("rows")) == 4)
                 rows = visitor.seen["rows"]
-                visitor.receive(lambda: rows["3"][2] == ["0", ""])
-                assert rows["3"][0] == ["unit 1", "holding 2"]
+                visitor.receive(lambda: rows["3"]["value"]["text"] == "0")
+                assert name_of(rows["3"]) == ["unit 1", "holding 2"]
                 mapping.holding_registers[2] = 77
-                visitor.receive(lambda: rows["3"][2] == ["77", ""])
-                assert rows["3"][5] == "77"  # the highest
+                visitor.receive(lambda: rows["3"]["value"]["text"] == "77")
+                assert rows["3"]["highest"] == "77"
                 assert process.stdout.readline().endswith("  0 0 0\n")
             process.send_signal(signal.SIGINT)
             process.wait()
@@ -44,16 +45,16 @@ def test_what_fails_is_a_gap_with_its_reason() -> None:
     shown = ShownWatch("meter", 1.0)
     assert shown.status() == ("no answer yet", True)
     shown.print(3, [], "no answer")
-    assert cells(shown) == [[["", "unit 3"], "down", "no answer"]]
+    assert cells(shown) == [[["unit 3"], "down", "no answer"]]
     for unit in (1, 2):
         shown.print(unit, [GOOD], "")
     assert shown.status() == ("no answer from unit 3", True)
     shown.print(2, [], "no answer")
     shown.print(1, [GOOD._replace(rows=[], failure="illegal data address")], "")
     assert cells(shown) == [
-        [["", "unit 1"], "up", ""],
+        [["unit 1"], "up", ""],
         [["unit 1", "holding 7"], "bad", "illegal data address"],
-        [["", "unit 2"], "down", "no answer"],
+        [["unit 2"], "down", "no answer"],
         [["unit 2", "holding 7"], "down", ""],
     ]
     assert [row.is_problem for row in shown.rows()] == [False, True, True, False]
@@ -62,7 +63,7 @@ def test_what_fails_is_a_gap_with_its_reason() -> None:
     assert shown.figures() == {"polls": 5, "failed": 3}
     shown.print(1, [GOOD], "")
     assert shown.status() == ("no answer from unit 3, unit 2", True)
-    assert [row.cells()[2][0] for row in shown.rows()] == ["", "5", "", "-"]
+    assert [row.cells()["value"]["text"] for row in shown.rows()] == ["", "5", "", "-"]
     for unit in (2, 3):
         shown.print(unit, [GOOD], "")
     assert shown.status() == ("the device answers", False)
@@ -82,7 +83,7 @@ def test_an_item_that_was_refused_from_the_start_has_a_row_with_the_reason() -> 
 
 def cells(shown: ShownWatch) -> list[list[Any]]:
     """Return the name, state and reason of each row."""
-    return [[row.cells()[0], *row.cells()[1][:2]] for row in shown.rows()]
+    return [[name_of(row.cells()), *state_of(row.cells())[:2]] for row in shown.rows()]
 
 
 def test_a_total_that_fell_has_a_mark_for_one_poll() -> None:
@@ -90,7 +91,7 @@ def test_a_total_that_fell_has_a_mark_for_one_poll() -> None:
     found = []
     for result in (GOOD, GOOD._replace(has_fallen=True), GOOD):
         shown.print(1, [result], "")
-        found.append(shown.rows()[1].cells()[1])
+        found.append(state_of(shown.rows()[1].cells()))
     assert found == [["good", "", 0], ["good", "fell", 0], ["good", "", 0]]
 
 
@@ -99,4 +100,4 @@ def test_a_queue_may_become_empty_and_long() -> None:
     for texts in (["5", "6"], [], ["7"], ["8", "9", "10"]):
         rows = [ValueText(f"{at}", text, text) for at, text in enumerate(texts)]
         shown.print(1, [GOOD._replace(rows=rows)], "")
-        assert [row.cells()[2][0] for row in shown.rows()[1:]] == (texts or ["5", "6"])
+        assert [row.cells()["value"]["text"] for row in shown.rows()[1:]] == (texts or ["5", "6"])

@@ -95,11 +95,14 @@ def test_the_fleet_is_shown_and_follows_its_file(tank: Path) -> None:
             assert (head["kind"], head["title"]) == ("fleet", "plant.toml")
             visitor.look_at()
             visitor.receive(lambda: len(visitor.rows("rows")) == 3)
-            assert visitor.rows("rows")[0][0][1] == "one"
+            assert visitor.rows("rows")[0]["name"]["own"] == "one"
             visitor.receive(
                 lambda: (
-                    [[each[0], each[2]] for each in visitor.rows("rows")[1:]]
-                    == [[["one", "level"], ["17", "m"]], [["one", "pressure"], ["4", "bar"]]]
+                    [
+                        [*each["name"].values(), *each["value"].values()]
+                        for each in visitor.rows("rows")[1:]
+                    ]
+                    == [["one", "level", "17", "m"], ["one", "pressure", "4", "bar"]]
                 )
             )
             text = tank.read_text()
@@ -107,8 +110,10 @@ def test_the_fleet_is_shown_and_follows_its_file(tank: Path) -> None:
                 tank.write_text(text.replace("'one'", f"'d{number}'"))
                 for _ in range(2):  # the second perhaps before the first was answered
                     process.send_signal(signal.SIGHUP)
-            visitor.receive(lambda: visitor.rows("rows")[0][0][1] == "d19")
-            visitor.receive(lambda: visitor.rows("rows")[1][2] == ["17", "m"])
+            visitor.receive(lambda: visitor.rows("rows")[0]["name"]["own"] == "d19")
+            visitor.receive(
+                lambda: visitor.rows("rows")[1]["value"] == {"text": "17", "units": "m"}
+            )
             assert len(visitor.rows("rows")) == 3
         process.send_signal(signal.SIGINT)
         assert process.wait() == 0

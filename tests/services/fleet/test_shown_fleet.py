@@ -24,6 +24,7 @@ from libmodbus_py.services.fleet.statistics import JournalStatistics
 from libmodbus_py.services.integrations.prometheus import collect
 from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, until
 from tests.support.outputs import FakeOutput
+from tests.tools.page.tables import name_of, state_of
 
 
 def shown_fleet(
@@ -36,10 +37,11 @@ def shown_fleet(
 
 def rows(shown: ShownFleet) -> dict[str, Any]:
     """Return the rows by their names."""
-    return {" ".join(row.cells()[0][:2]).strip(): row for row in shown.rows()}
+    names = [(row.cells()["name"], row) for row in shown.rows()]
+    return {f"{name['group']} {name['own']}".strip(): row for name, row in names}
 
 
-def cells(shown: ShownFleet) -> dict[str, list[Any]]:
+def cells(shown: ShownFleet) -> dict[str, dict[str, Any]]:
     return {name: row.cells() for name, row in rows(shown).items()}
 
 
@@ -48,8 +50,8 @@ def problems(shown: ShownFleet) -> list[str]:
 
 
 def value(shown: ShownFleet, name: str) -> list[str]:
-    found: list[str] = cells(shown).get(name, [0, 0, ["", ""]])[2]
-    return found
+    value: dict[str, str] = cells(shown).get(name, {}).get("value", {})
+    return [*value.values()]
 
 
 PAIR = [(1, "a"), (2, "b")]
@@ -73,23 +75,24 @@ async def test_values_and_devices_also_of_one_that_is_down() -> None:
             place = peer.url.partition("?")[0]
             assert list(rows(shown))[:2] == ["a", "a voltage"]
             assert rows(shown)["b"].words == f"b {place}"
-            assert cells(shown)["b power"][1] == ["good", "", 0]
+            assert state_of(cells(shown)["b power"]) == ["good", "", 0]
             up, told = cells(shown)["b"], fleet.devices["b"]
-            assert up[0] == ["", "b", f"{place}, unit 2"]
-            assert up[1:3] == [["up", "", round(told.since, 1)], ["3 points", "every 0.1 s"]]
+            assert name_of(up) == ["b", f"{place}, unit 2"]
+            assert state_of(up) == ["up", "", round(told.since, 1)]
+            assert up["value"] == {"text": "3 points", "units": "every 0.1 s"}
             assert 0 < told.since <= told.answered_at
-            assert up[6] == round(told.answered_at, 1)
+            assert up["age"] == round(told.answered_at, 1)
             assert problems(shown) == []
 
             silent.add(2)
             await until(lambda: fleet.statistics.down == 1)
-            await until(lambda: cells(shown)["b power"][1][0] == "down")
+            await until(lambda: state_of(cells(shown)["b power"])[0] == "down")
             assert shown.status() == ("1 of 2 devices down (b)", True)
-            word, reason, since = cells(shown)["b"][1]
+            word, reason, since = state_of(cells(shown)["b"])
             assert word == "down"
             assert "no " in reason
             assert not any(text in reason for text in ("function", "ModbusTimeout"))
-            assert since >= up[1][2]
+            assert since >= state_of(up)[2]
             assert problems(shown) == ["b"]  # and not each of its points
             assert value(shown, "b power") == ["-", "W"]
 
@@ -163,7 +166,7 @@ async def test_an_output_is_behind_when_a_batch_has_not_been_all_that_waits_for_
             text, _ = shown.status()
             assert re.fullmatch(r"output database is behind: [23]\d\d waiting", text), text
             assert problems(shown) == ["output database"]
-            assert cells(shown)["output database"][1] == ["behind", "", 0]
+            assert state_of(cells(shown)["output database"]) == ["behind", "", 0]
             await until(lambda: slow.batches[1:])
             await until(lambda: not shown.status()[1])
 
@@ -178,18 +181,20 @@ async def test_an_output_shows_what_waits_since_when_and_why() -> None:
             assert next(iter(rows(shown))) == "output database"
             assert "page" not in rows(shown)
             first = cells(shown)["output database"]
-            assert first[1][:2] == ["fails", "Connection refused"]
-            assert int(first[2][0]) > 20
-            assert first[2][1] == "waiting"
+            assert state_of(first)[:2] == ["fails", "Connection refused"]
+            assert int(first["value"]["text"]) > 20
+            assert first["value"]["units"] == "waiting"
             failures = fleet.statistics.outputs["database"].failures
             await until(lambda: fleet.statistics.outputs["database"].failures > failures + 1)
-            assert cells(shown)["output database"][1] == first[1]  # since the first failure
-            assert first[1][2] > 0
+            assert state_of(cells(shown)["output database"]) == state_of(
+                first
+            )  # since the first failure
+            assert state_of(first)[2] > 0
             assert problems(shown) == ["output database"]
             assert shown.status() == ("output database fails", True)
             away.is_away = False
             await until(lambda: away.accepted)
-            await until(lambda: cells(shown)["output database"][1] == ["works", "", 0])
+            await until(lambda: state_of(cells(shown)["output database"]) == ["works", "", 0])
             assert problems(shown) == []
 
 
@@ -197,11 +202,12 @@ def test_a_journal_that_fails_is_a_problem() -> None:
     fleet, shown, _ = shown_fleet()
     fleet.statistics.journal = JournalStatistics()
     fleet.statistics.journal.bytes = 12_345_678
-    assert cells(shown)["journal"][1:3] == [["works", "", 0], ["12.3", "MB"]]
+    assert state_of(cells(shown)["journal"]) == ["works", "", 0]
+    assert cells(shown)["journal"]["value"] == {"text": "12.3", "units": "MB"}
     assert problems(shown) == []
     fleet.statistics.journal.trouble = "No space left on device"
     assert problems(shown) == ["journal"]
-    assert cells(shown)["journal"][1] == ["fails", "No space left on device", 0]
+    assert state_of(cells(shown)["journal"]) == ["fails", "No space left on device", 0]
     assert shown.status() == ("journal fails", True)
 
 
@@ -210,13 +216,13 @@ async def test_a_value_that_is_only_reported_when_it_changes_is_as_old_as_the_la
     async with Peer() as peer:
         fleet, shown, _ = shown_fleet(meter("a", peer.url, on_change=True))
         async with fleet:
-            await until(lambda: value(shown, "a power")[0] == "7")
+            await until(lambda: value(shown, "a power") == ["7", "W"])
             row = rows(shown)["a power"]
             polls = fleet.statistics.polls
             await until(lambda: fleet.statistics.polls > polls + 3)
             answered = fleet.devices["a"].answered_at
             assert answered > row.reading[0]
-            assert row.cells()[6] == round(answered, 1)
+            assert row.cells()["age"] == round(answered, 1)
             series = shown.series(("a", "power"), "last values")
             assert series is not None
             assert series.samples.every is None
@@ -227,7 +233,7 @@ async def test_devices_that_are_replaced_while_somebody_looks() -> None:
     async with Peer() as peer:
         fleet, shown, _ = shown_fleet(meter("a", peer.url), meter("b", peer.url, unit=2))
         async with fleet:
-            await until(lambda: value(shown, "b power")[0] == "7")
+            await until(lambda: value(shown, "b power") == ["7", "W"])
             row = rows(shown)["b power"]
             assert row.samples.every == 0.1
             fleet.replace([meter("b", peer.url, unit=2), meter("c", peer.url, unit=3)])
@@ -235,7 +241,7 @@ async def test_devices_that_are_replaced_while_somebody_looks() -> None:
             assert "a" not in rows(shown)
             assert "a power" not in rows(shown)
             assert rows(shown)["b power"] is row  # with all its samples
-            assert value(shown, "b power")[0] == "7"
+            assert value(shown, "b power") == ["7", "W"]
 
 
 @in_simulated_time

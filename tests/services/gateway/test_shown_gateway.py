@@ -26,6 +26,7 @@ from libmodbus_py.tools.page import samples
 from libmodbus_py.tools.page.page import table_page
 from libmodbus_py.tools.page.table_source import TableSource
 from tests.support.peers import until
+from tests.tools.page.tables import name_of, state_of
 from tests.tools.page.watching import Visitor
 
 FIRST, SECOND = "tcp://10.0.0.1", "rtu:///dev/line"
@@ -33,10 +34,10 @@ FIRST, SECOND = "tcp://10.0.0.1", "rtu:///dev/line"
 
 def rows(shown: Any) -> dict[str, Any]:
     """Return the rows by their names."""
-    return {" ".join(row.cells()[0][:2]).strip(): row for row in shown.rows()}
+    return {" ".join(name_of(row.cells())[:2]): row for row in shown.rows()}
 
 
-def cells(shown: Any) -> dict[str, list[Any]]:
+def cells(shown: Any) -> dict[str, dict[str, Any]]:
     return {name: row.cells() for name, row in rows(shown).items()}
 
 
@@ -66,15 +67,21 @@ def test_a_line_has_its_counters_and_its_state() -> None:
     line = counted.lines[0]
     line.since, line.waiting, line.in_flight, line.full = 12.34, 5, 2, 3
     line.connection.requests, line.connection.responses = 70, 60
-    details = "waiting 5, in flight 2, refused 3"
-    expected = [["", FIRST], ["new", "", 12.3], 70, 60, [], None, [], details, 0]
-    assert cells(counted.shown)[FIRST] == expected
+    assert cells(counted.shown)[FIRST] == {
+        "name": {"group": "", "own": FIRST},
+        "state": {"word": "new", "reason": "", "since": 12.3},
+        "requests": 70,
+        "answers": 60,
+        "rate": [],
+        "queue": [],
+        "details": "waiting 5, in flight 2, refused 3",
+    }
     line.connection.connects = 1
-    assert cells(counted.shown)[FIRST][1] == ["open", "", 12.3]
+    assert state_of(cells(counted.shown)[FIRST]) == ["open", "", 12.3]
     assert problems(counted.shown) == []
     assert counted.shown.status() == ("no line is down", False)
     line.trouble = f"{FIRST} (unit 1): it is gone"
-    assert cells(counted.shown)[FIRST][1] == ["down", "it is gone", 12.3]
+    assert state_of(cells(counted.shown)[FIRST]) == ["down", "it is gone", 12.3]
     assert problems(counted.shown) == [FIRST]
     assert counted.shown.status() == (f"1 of 2 lines down ({FIRST})", True)
     assert rows(counted.shown)[SECOND].words == SECOND
@@ -85,16 +92,23 @@ def test_a_unit_has_its_counters_and_its_state() -> None:
     name, unit = f"{FIRST} unit 3", counted.lines[0].unit(3)
     unit.requests, unit.timeouts, unit.invalid, unit.resting, unit.cached = 9, 2, 3, 4, 5
     details = "timeouts 2, invalid 3, refused 4, cached 5"
-    expected = [[FIRST, "unit 3"], ["no answer", "", 0], 9, 0, [], [], None, details, 0]
-    assert cells(counted.shown)[name] == expected
+    assert cells(counted.shown)[name] == {
+        "name": {"group": FIRST, "own": "unit 3"},
+        "state": {"word": "no answer", "reason": ""},
+        "requests": 9,
+        "answers": 0,
+        "rate": [],
+        "time": [],
+        "details": details,
+    }
     assert problems(counted.shown) == [name]
     assert counted.shown.status() == (f"units that have never answered: 1 ({name})", True)
     unit.answers, unit.exceptions, unit.seconds = 4, 1, 0.5
-    assert cells(counted.shown)[name][1:4] == [["answers", "", 0], 9, 4]
-    assert cells(counted.shown)[name][7] == f"mean 125.0 ms, exceptions 1, {details}"
+    assert state_of(cells(counted.shown)[name]) == ["answers", "", 0]
+    assert cells(counted.shown)[name]["details"] == f"mean 125.0 ms, exceptions 1, {details}"
     assert problems(counted.shown) == []
     unit.is_silent = True
-    assert cells(counted.shown)[name][1] == ["silent", "4 requests refused meanwhile", 0]
+    assert state_of(cells(counted.shown)[name]) == ["silent", "4 requests refused meanwhile", 0]
     assert problems(counted.shown) == [name]
     assert counted.shown.status() == (f"silent units: 1 ({name})", True)
     assert rows(counted.shown)[name].words == name
@@ -120,7 +134,7 @@ def test_samples_are_taken_although_nobody_looks() -> None:
         counted.lines[0].waiting = 2
         counted.shown.note(traced("received", 3))
         now[0] += 2.0
-    assert cells(counted.shown)[FIRST][4] != []
+    assert cells(counted.shown)[FIRST]["rate"] != []
     assert counted.shown.series(("", FIRST), "rate").samples.pairs()[-1][1] == 3.0
     assert counted.shown.series((FIRST, "unit 1"), "time") is not None
     assert counted.shown.series((FIRST, "unit 2"), "time") is None
@@ -141,14 +155,14 @@ def test_who_asks_what_is_counted() -> None:
     clients.note(traced("received", 3)._replace(unit=None, function=None))
     read, write = "unit 3, 3 read holding registers", "unit 3, 16 write registers"
     found = [row.cells() for row in clients.rows()]
-    assert [each[:3] for each in found] == [
-        [["/dev/ttyUSB0", read], ["client", "", 0], 1],
-        [["192.0.2.7", read], ["client", "", 0], 2],
-        [["192.0.2.7", write], ["client", "exceptions 1", 0], 1],
-        [["192.0.2.7", "unit 3, 65"], ["client", "", 0], 1],
-        [["2001:db8::1", read], ["client", "", 0], 1],
+    assert [(name_of(row), *state_of(row)[:2], row["requests"]) for row in found] == [
+        (["/dev/ttyUSB0", read], "client", "", 1),
+        (["192.0.2.7", read], "client", "", 2),
+        (["192.0.2.7", write], "client", "exceptions 1", 1),
+        (["192.0.2.7", "unit 3, 65"], "client", "", 1),
+        (["2001:db8::1", read], "client", "", 1),
     ]
-    assert found[0][-1] == 100.0
+    assert found[0]["last"] == 100.0
     assert [row.is_problem for row in clients.rows()] == [False, False, True, False, False]
     assert clients.rows()[1].words == "192.0.2.7 unit 3, 3 read holding registers function 3"
 
@@ -177,21 +191,21 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.Monk
                 with pytest.raises(GatewayTargetFailedToRespond):
                     plc.for_unit(unit).read_holding_registers(0, 1)
             found = cells(shown)
-            assert found[there][1][:2] == ["open", ""]
-            assert found[there][2:4] == [2, 1]
-            down = until(lambda: (now := cells(shown)[gone])[1][0] == "down" and now)
-            assert "Connection refused" in down[1][1]
-            assert down[1][2] > 0
-            assert found[f"{there} unit 1"][1:4] == [["answers", "", 0], 1, 1]
-            assert found[f"{there} unit 2"][1][0] == "silent"
+            assert state_of(found[there])[:2] == ["open", ""]
+            assert (found[there]["requests"], found[there]["answers"]) == (2, 1)
+            down = until(lambda: (now := state_of(cells(shown)[gone]))[0] == "down" and now)
+            assert "Connection refused" in down[1]
+            assert down[2] > 0
+            assert state_of(found[f"{there} unit 1"]) == ["answers", "", 0]
+            assert state_of(found[f"{there} unit 2"])[0] == "silent"
             with Visitor(page.url).watching() as visitor:
                 visitor.receive(lambda: visitor.seen["figures"]["requests"] == 3)
                 visitor.receive(lambda: len(visitor.rows("log")) == 3)
-                assert visitor.rows("log")[0][5] == "read holding registers 3..4"
+                assert visitor.rows("log")[0]["asked"] == "read holding registers 3..4"
                 visitor.look_at(problems=True)
                 read = "3 read holding registers"
                 visitor.receive(lambda: len(visitor.rows("rows")) == 4)
-                assert [each[0][-1] for each in visitor.rows("rows")] == [
+                assert [name_of(each)[-1] for each in visitor.rows("rows")] == [
                     *("unit 2", gone, f"unit 2, {read}", f"unit 9, {read}"),
                 ]
                 rate = visitor.history(["", there], 60, "rate")

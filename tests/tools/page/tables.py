@@ -26,6 +26,17 @@ HOSTILE = (
 )
 
 
+def name_of(cells: dict[str, Any]) -> list[str]:
+    """Return the parts of the name of a row that are not empty."""
+    return [part for part in cells["name"].values() if part]
+
+
+def state_of(cells: dict[str, Any]) -> list[Any]:
+    """Return the word, the reason and the time of the state of a row."""
+    state = cells["state"]
+    return [state["word"], state.get("reason", ""), state.get("since", 0)]
+
+
 class Meter:
     """See `GroupRow`: a device that is up unless a test says why it is not."""
 
@@ -41,9 +52,13 @@ class Meter:
 
     is_problem = is_down
 
-    def cells(self) -> list[Any]:
-        state = ["down" if self.reason else "up", self.reason, 1000.0]
-        return [["", cell_text(self.name)], state, ["", ""], None, "", "", 0]
+    def cells(self) -> dict[str, Any]:
+        word = "down" if self.reason else "up"
+        return {
+            "name": {"group": "", "own": cell_text(self.name)},
+            "state": {"word": word, "reason": self.reason, "since": 1000.0},
+            "value": {"text": "", "units": ""},
+        }
 
 
 class Plant:

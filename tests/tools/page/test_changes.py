@@ -84,7 +84,7 @@ def test_a_value_that_the_device_computes_is_told() -> None:
 def test_what_registers_may_mean() -> None:
     with shown() as (_, _, visitor):
         found = visitor.post("/readings", unit=1, table="holding_registers", address=0)
-        assert ["float32", "CDAB", "21.5"] in found["readings"]
+        assert {"type": "float32", "order": "CDAB", "text": "21.5"} in found["readings"]
         for place in ({"table": "coils", "address": 0}, {"table": H, "address": 60}):
             assert visitor.post("/readings", unit=1, **place) == {"readings": []}
 
@@ -115,8 +115,9 @@ def test_a_held_value_stays_can_be_set_and_goes_on(visitor: Visitor) -> None:
     level = {"unit": 1, "point": 0, "name": "level"}
 
     def row() -> tuple[str, bool | None, list[int]]:
-        text, moves, spark = visitor.seen.get("1/points", {"0": ["", None, []]})["0"]
-        return text, moves, spark
+        empty = {"text": "", "moves": None, "spark": []}
+        found = visitor.seen.get("1/points", {"0": empty})["0"]
+        return found["text"], found["moves"], found["spark"]
 
     visitor.receive(lambda: row()[1])
     before = row()[0]
@@ -174,14 +175,14 @@ def test_faults_are_switched_off_and_on() -> None:
         Client(url, unit=1, timeout=5) as plc,
     ):
         assert visitor.rows("faults") == [
-            [1, "exception", "function 3, code 6", True],
-            [None, "no_answer", "function 1", True],
+            {"unit": 1, "kind": "exception", "settings": "function 3, code 6", "is_on": True},
+            {"unit": None, "kind": "no_answer", "settings": "function 1", "is_on": True},
         ]
         number = min(map(int, visitor.seen["faults"]))
         reads = partial(is_served, lambda: plc.read_holding_registers(0, 1))
         assert not reads()
         assert visitor.post("/fault", number=number, on=False) == {}
-        visitor.receive(lambda: not visitor.rows("faults")[0][3])
+        visitor.receive(lambda: not visitor.rows("faults")[0]["is_on"])
         until(reads)
         visitor.post("/fault", number=number, on=True)
         until(lambda: not reads())
@@ -219,7 +220,7 @@ def test_others_may_change_devices_and_faults() -> None:
 def test_there_may_be_so_many_and_no_more() -> None:
     given = [Fault("delay", seconds=1.5), *[Fault("no_answer")] * 198]
     with shown(faults={1: given}) as (server, _, visitor), visitor.watching():
-        assert visitor.rows("faults")[0] == [1, "delay", "seconds 1.5", True]
+        assert visitor.rows("faults")[0]["settings"] == "seconds 1.5"
         number = max(map(int, visitor.seen["faults"]))  # equal ones are switched one by one
         assert visitor.post("/fault", number=number, on=False) == {}
         assert [each.is_on for each in server.fault_switch.states()] == [True] * 198 + [False]

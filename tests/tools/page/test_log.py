@@ -35,7 +35,10 @@ def test_who_wrote_what_last() -> None:
         visitor.post("/value", unit=2, table="holding_registers", address=3, text="9", type="int16",
                      order="ABCD")  # fmt: skip
         visitor.receive(lambda: len(visitor.rows("written")) == 5)
-    found = [(each[1], each[2], each[3], each[4]) for each in visitor.rows("written")]
+    found = [
+        (each["unit"], each["table"], each["start"], each["stop"])
+        for each in visitor.rows("written")
+    ]
     assert found == [
         (1, "holding_registers", 100, 103),
         (1, "coils", 5, 6),
@@ -43,8 +46,8 @@ def test_who_wrote_what_last() -> None:
         (1, "holding_registers", 8, 10),
         (2, "holding_registers", 3, 4),
     ]
-    assert visitor.rows("written")[0][6].startswith("127.0.0.1:")
-    assert visitor.rows("written")[4][6] == "this page"
+    assert visitor.rows("written")[0]["who"].startswith("127.0.0.1:")
+    assert visitor.rows("written")[4]["who"] == "this page"
 
 
 def test_the_log_is_text() -> None:
@@ -61,7 +64,7 @@ def test_the_log_is_text() -> None:
         counters = visitor.receive(
             lambda: visitor.seen["counters"]["requests"] and visitor.seen["counters"]
         )
-    texts = [(each[3], each[5], each[7]) for each in visitor.rows("log")]
+    texts = [(each["unit"], each["asked"], each["kind"]) for each in visitor.rows("log")]
     assert texts == [
         (1, "read holding registers 100..102", "answered"),
         (1, "write coils 3..4: 1, 0", "answered"),
@@ -69,8 +72,8 @@ def test_the_log_is_text() -> None:
         (1, "read coils 60..69", "exception"),
         (None, "", "damaged"),
     ]
-    assert visitor.rows("log")[0][6] == "0, 0, 0"
-    assert "illegal data address" in visitor.rows("log")[3][6].lower()
+    assert visitor.rows("log")[0]["outcome"] == "0, 0, 0"
+    assert "illegal data address" in visitor.rows("log")[3]["outcome"].lower()
     assert (counters["requests"], counters["refused"]) == (4, 1)
 
 
@@ -130,7 +133,7 @@ def test_what_is_chosen_is_saved() -> None:
             ("?nonsense=%00&unit=", [0, 1, 2, 3]),
         ):
             assert saved(visitor, query) == [every[0], *(every[1 + at] for at in rows)], query
-        named = [(each[9], each[10]) for each in visitor.rows("log")]
+        named = [(each["named"], each["writes"]) for each in visitor.rows("log")]
         assert named[:2] == [("level 12.5 m", True), ("level 12.5 m", False)]
 
 

@@ -55,8 +55,10 @@ def test_everything_there_is_comes_first() -> None:
         "holding_registers": [[0, 20], [100, 110]],
         "input_registers": [[0, 8]],
     }
-    assert [each[0] for each in first["points"]] == NAMES
-    assert first["points"][0][1:5] == ["holding_registers", 0, "float32 CDAB", "°C"]
+    assert [each["name"] for each in first["points"]] == NAMES
+    keys = ("table", "address", "type", "units")
+    shown_keys = [first["points"][0][key] for key in keys]
+    assert shown_keys == ["holding_registers", 0, "float32 CDAB", "°C"]
     assert second["points"] == []
     assert visitor.seen["counters"]["requests"] == 0
     assert all(isinstance(each, int) for each in visitor.rows("counters"))
@@ -72,7 +74,7 @@ def test_points_are_shown_with_their_values_and_only_what_changes_is_sent() -> N
             plc.write_registers(2, [123])
             visitor.receive(lambda: visitor.points("1/points")[1] == "12.3")
         sent = [each["1/points"] for each in visitor.messages[before:] if "1/points" in each]
-        assert {key for each in sent for key, row in each.items() if row[0] != "abc"} == {"1"}
+        assert {key for each in sent for key, row in each.items() if row["text"] != "abc"} == {"1"}
 
 
 def test_cells_are_shown_as_far_as_they_are_looked_at() -> None:
@@ -99,7 +101,7 @@ def test_the_server_itself_is_its_only_device() -> None:
         with visitor.watching(), Client(running.urls[0], unit=255) as plc:
             plc.write_register(1, 1)
             visitor.receive(lambda: visitor.seen["written"])
-    assert visitor.rows("written")[0][1:3] == [7, "holding_registers"]
+    assert visitor.rows("written")[0]["unit"] == 7
 
 
 def test_two_pages_of_a_server_on_one_token_follow_it_and_end_alone() -> None:

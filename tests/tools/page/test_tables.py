@@ -18,7 +18,7 @@ from tests.tools.page.watching import Visitor
 
 
 def names(visitor: Visitor) -> list[str]:
-    return [cells[0][1] for cells in visitor.rows("rows")]
+    return [cells["name"]["own"] for cells in visitor.rows("rows")]
 
 
 def count(visitor: Visitor) -> Any:
@@ -30,7 +30,8 @@ def test_rows_come_when_they_are_looked_at_and_change_when_their_values_do() -> 
     plant.describe(*(("meter", f"p{at}") for at in range(500)))
     with visited(plant) as visitor:
         assert visitor.seen["head"]["title"] == "plant.toml"
-        assert visitor.seen["head"]["columns"][0][:2] == ["name", "row"]
+        column = {"title": "name", "kind": "row", "is_wide": False}
+        assert visitor.seen["head"]["columns"][0] == column
         visitor.look_at(101, 131)
         visitor.receive(lambda: len(visitor.rows("rows")) == 30)
         assert count(visitor) == 501
@@ -38,7 +39,7 @@ def test_rows_come_when_they_are_looked_at_and_change_when_their_values_do() -> 
         visitor.messages.clear()
         plant.put("meter", "p7", 1.0)  # out of sight
         plant.put("meter", "p101", 21.5)
-        visitor.receive(lambda: visitor.seen["rows"]["102"][2] == ["21.5", "V"])
+        visitor.receive(lambda: visitor.seen["rows"]["102"]["value"]["text"] == "21.5")
         assert [list(each["rows"]) for each in visitor.messages] == [["102"]]
 
 
@@ -65,9 +66,15 @@ def test_a_device_that_is_down_is_one_problem_with_its_reason_in_words() -> None
     with visited(plant) as visitor:
         visitor.look_at(problems=True)
         visitor.receive(lambda: count(visitor) == 2)
-        assert [cells[:2] for cells in visitor.rows("rows")] == [
-            [["meter 2", "I"], ["bad", "illegal data address", 0]],
-            [["", "meter 4"], ["down", "no answer within 0.5 s", 1000.0]],
+        assert [(cells["name"], cells["state"]) for cells in visitor.rows("rows")] == [
+            (
+                {"group": "meter 2", "own": "I"},
+                {"word": "bad", "reason": "illegal data address"},
+            ),
+            (
+                {"group": "", "own": "meter 4"},
+                {"word": "down", "reason": "no answer within 0.5 s", "since": 1000.0},
+            ),
         ]
         plant.put("meter 2", "I", 3)
         plant.meters["meter 4"].reason = ""
@@ -87,7 +94,7 @@ def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_tha
         plant.describe(("b", "x"), ("c", "x"))
         plant.put("a", "x", 5)  # a reading that was under way
         visitor.receive(lambda: names(visitor) == ["b", "x", "c", "x"])
-        assert visitor.seen["rows"]["1"][2] == ["2", "V"]
+        assert visitor.seen["rows"]["1"]["value"] == {"text": "2", "units": "V"}
         assert visitor.history(row=["b", "x"], seconds=60)["values"] == [2]
         gone = visitor.history(row=["a", "x"], seconds=60)
         assert gone == "this value no longer exists"

@@ -86,7 +86,7 @@ class Visitor:
 
     def points(self, table: str) -> list[str]:
         """Return the texts of points of a unit."""
-        return [row[0] for row in self.rows(table)]
+        return [row["text"] for row in self.rows(table)]
 
     def ask(
         self, method: str, path: str, body: Any = None, **headers: str | None

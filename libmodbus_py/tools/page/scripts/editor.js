@@ -12,7 +12,7 @@ export const isBits = (table) => table === "coils" || table === "discrete_inputs
 
 // A bit changes at once; the editor opens only if it cannot.
 export function edit(what) {
-  if (what.kind !== "bit" && !isBits(what.table)) { openEditor(what); return; }
+  if (what.type !== "bit" && !isBits(what.table)) { openEditor(what); return; }
   const text = ["on", "1"].includes(what.text) ? "off" : "on";
   send({ ...what, text }, "", "ABCD").catch((error) => {
     openEditor({ ...what, text });
@@ -44,7 +44,7 @@ function choose(type, order, text) {
 }
 
 // A moving value of a simulator can be held, and then set.
-const moves = () => (now?.point === undefined ? null : rowsOf(`${now.unit ?? "every"}/points`).get(String(now.point))?.[1] ?? null);
+const moves = () => (now?.point === undefined ? null : rowsOf(`${now.unit ?? "every"}/points`).get(String(now.point))?.moves ?? null);
 
 export function showHold() {
   $("hold").hidden = moves() === null;
@@ -91,7 +91,7 @@ $("close").addEventListener("click", () => closeEditor(true));
 $("meanings").addEventListener("toggle", () => {
   if (!$("meanings").open || !now) return;
   post("/readings", { unit: now.unit, table: now.table, address: now.address }).then(({ readings }) => {
-    $("readings").replaceChildren(...readings.map(([type, order, text]) => {
+    $("readings").replaceChildren(...readings.map(({ type, order, text }) => {
       const button = madeButton("", () => {
         if (![...$("type").options].some((each) => each.value === type)) return;
         choose(type, order, text);

@@ -11,15 +11,15 @@ function change(path, body) {
 }
 
 export function showFaults() {
-  const rows = [...rowsOf("faults")].map(([number, [unit, kind, words, isOn]]) => {
+  const rows = [...rowsOf("faults")].map(([number, { unit, kind, settings, is_on: isOn }]) => {
     const row = made("li", undefined, isOn ? "" : "off");
     const what = made("span");
-    what.append(made("span", kind.replaceAll("_", " "), "kind"), " ", made("span", words, "what"));
+    what.append(made("span", kind.replaceAll("_", " "), "kind"), " ", made("span", settings, "what"));
     const button = madeButton(isOn ? "on" : "off", () => change("/fault", { number: Number(number), on: !isOn }), "value");
     const where = unit === null ? "every" : `unit ${unit}`;
     button.setAttribute("role", "switch");
     button.setAttribute("aria-checked", String(isOn));
-    button.setAttribute("aria-label", `${kind} ${words}, ${where}`);
+    button.setAttribute("aria-label", `${kind} ${settings}, ${where}`);
     row.append(made("span", where, "where"), what, button);
     return row;
   });

@@ -5,14 +5,14 @@ import { rowsOf } from "./rows.js";
 
 const EXTRA = 6;  // rows above and below the window
 
-// `cells` returns the cells of a row by its index, one for each column.
+// `columns` have a title, a kind, and `is_wide`; `cells` returns the cells of a row by its index, by their titles.
 export const grid = { columns: [], count: 0, cells: () => undefined };
 
 const rows = new Map();
 const above = spacer();
 const below = spacer();
 let look = () => {};
-let chosen = "";  // the first cell of the row whose chart is shown, as JSON
+let chosen = "";  // the name of the row whose chart is shown, as JSON
 
 export function onView(call) { look = call; }
 
@@ -25,13 +25,14 @@ function spacer() {
   return row;
 }
 
+const classOf = (column) => `${column.kind}${column.is_wide ? " wide" : ""}`;
+
 export function setColumns(columns, name) {
   grid.columns = columns;
   $("grid").className = name;
-  const kind = ([, kind, isWide]) => `${kind}${isWide ? " wide" : ""}`;
-  $("cols").replaceChildren(...columns.map((each) => made("col", undefined, `col col-${kind(each)}`)));
+  $("cols").replaceChildren(...columns.map((each) => made("col", undefined, `col col-${classOf(each)}`)));
   $("heads").replaceChildren(...columns.map((each) => {
-    const head = made("th", each[0], kind(each));
+    const head = made("th", each.title, classOf(each));
     head.scope = "col";
     return head;
   }));
@@ -79,10 +80,10 @@ function newRow(index) {
   const row = made("tr");
   row.dataset.at = index;
   row.setAttribute("aria-rowindex", index + 2);
-  for (const [, kind, isWide] of grid.columns) {
-    const cell = made(HEADS.has(kind) ? "th" : "td", undefined, `${kind}${isWide ? " wide" : ""}`);
-    if (HEADS.has(kind)) cell.scope = "row";
-    KINDS[kind].make?.(cell);
+  for (const column of grid.columns) {
+    const cell = made(HEADS.has(column.kind) ? "th" : "td", undefined, classOf(column));
+    if (HEADS.has(column.kind)) cell.scope = "row";
+    KINDS[column.kind].make?.(cell);
     row.append(cell);
   }
   fillRow(row, index, false);
@@ -99,8 +100,8 @@ export function choose(key) {
 
 function fillRow(row, index, glows) {
   const cells = grid.cells(index);
-  row.classList.toggle("chosen", chosen !== "" && !!cells && JSON.stringify(cells[0]) === chosen);
-  grid.columns.forEach(([, kind], at) => KINDS[kind].fill(row.children[at], cells?.[at], glows, row));
+  row.classList.toggle("chosen", chosen !== "" && !!cells && JSON.stringify(cells[grid.columns[0].title]) === chosen);
+  grid.columns.forEach(({ kind, title }, at) => KINDS[kind].fill(row.children[at], cells?.[title], glows, row));
 }
 
 export function reveal(index) {
@@ -151,6 +152,7 @@ const GOOD = { good: "good", up: "good", open: "good", answers: "good", works: "
   down: "down", silent: "down", offline: "down", fails: "down" };
 
 const HEADS = new Set(["row", "at"]);
+const NAME = ["group", "own", "place"];
 
 // How the cells of each kind of column are made and filled.
 export const KINDS = {
@@ -160,19 +162,20 @@ export const KINDS = {
   row: {
     make(cell) {
       const button = madeButton();
-      button.append(made("span", "", "group"), made("span", "", "own"), made("span", "", "place"));
+      button.append(...NAME.map((part) => made("span", "", part)));
       cell.append(button);
     },
-    fill(cell, names) {
-      const given = names || ["", "…"];
-      [...cell.firstChild.children].forEach((each, at) => { setText(each, given[at] || ""); each.hidden = !given[at]; });
-      cell.title = given.filter(Boolean).join("  ");
+    fill(cell, name = { own: "…" }) {
+      for (const part of cell.firstChild.children) {
+        setText(part, name[part.className] || "");
+        part.hidden = !name[part.className];
+      }
+      cell.title = [...NAME, "description"].map((part) => name[part]).filter(Boolean).join("  ");
     },
   },
   value: {
     make(cell) { cell.append(made("span"), made("span", "", "units")); },
-    fill(cell, value, glows) {
-      const [text, units] = value || ["…", ""];
+    fill(cell, { text, units } = { text: "…", units: "" }, glows) {
       setValue(cell.firstChild, text, glows);
       setText(cell.lastChild, units);
       cell.title = `${text} ${units}`;
@@ -185,8 +188,7 @@ export const KINDS = {
   // A word, the reason, and since when.
   state: {
     make(cell) { cell.append(made("b"), " ", made("span")); },
-    fill(cell, state, glows, row) {
-      const [word, reason, since] = state || ["", "", 0];
+    fill(cell, { word = "", reason = "", since = 0 } = {}, glows, row) {
       const kind = GOOD[word] || (word ? "bad" : "");
       const isProblem = kind === "bad" || kind === "down";
       setText(cell.firstChild, word);

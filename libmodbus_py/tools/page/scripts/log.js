@@ -9,20 +9,20 @@ const shown = new Map();  // number of a row -> its element
 let paused = false;
 let cleared = 0;
 
-function logRow([, time, peer, unitNumber, , asked, outcome, kind, seconds, named]) {
+function logRow({ time, peer, unit, asked, outcome, kind, seconds, named }) {
   const row = made("li", undefined, GOOD.has(kind) ? "" : "bad");
   const said = made("span", asked || "bytes", "said");
   said.append(" ", made("span", `→ ${outcome}`, "outcome"));
   if (named) said.append(made("span", named, "named"));
   row.title = peer;
   const took = seconds === null ? "" : `${(seconds * 1000).toFixed(seconds < 0.01 ? 1 : 0)} ms`;
-  row.append(made("time", clock(time)), made("span", unitNumber ?? "", "unit"), said, made("span", took, "took"));
+  row.append(made("time", clock(time)), made("span", unit ?? "", "unit"), said, made("span", took, "took"));
   return row;
 }
 
-function wanted([number, , , unitNumber, , , , kind, , , isWrite]) {
+function wanted({ number, unit, kind, writes: isWrite }) {
   const filter = $("filter").value;
-  if (number <= cleared || (filter !== "" && filter !== "null" && JSON.stringify(unitNumber) !== filter)) return false;
+  if (number <= cleared || (filter !== "" && filter !== "null" && JSON.stringify(unit) !== filter)) return false;
   const [writes, errors] = [$("only-writes").checked, $("only-errors").checked];
   return !(writes || errors) || (writes && isWrite) || (errors && !GOOD.has(kind));
 }
@@ -63,7 +63,7 @@ function showLog() {
 }
 
 onRows(({ page, log }) => {
-  if (log) addUnits(Object.values(log).filter(Boolean).map(([, , , unit]) => unit));
+  if (log) addUnits(Object.values(log).filter(Boolean).map(({ unit }) => unit));
   if (paused) return;
   if (page) showLog();
   else for (const [number, entry] of Object.entries(log || {})) take(number, entry);

@@ -17,7 +17,8 @@ const TABLES = {
 };
 const SHORT = { coils: "coil", discrete_inputs: "discrete", holding_registers: "holding", input_registers: "input" };
 const POINTS = [["Name", "row"], ["Value", "point"], ["", "text"], ["Last values", "spark", true],
-  ["Address", "text", true], ["Type", "text", true], ["Last written", "text", true]];
+  ["Address", "text", true], ["Type", "text", true], ["Last written", "text", true],
+].map(([title, kind, isWide]) => ({ title, kind, is_wide: isWide }));
 const CHUNK = 64;  // cells of a row of the server
 
 // The unit by its name, the table or "points", the cells of each row, and the cell that has the focus.
@@ -123,8 +124,8 @@ function rebuild() {
       count += Math.max(0, last - first + 1);
     }
     const numbers = Array.from({ length: view.each }, (_, at) => at);
-    grid.cells = (index) => [addressOf(index), ...numbers.map((at) => addressOf(index) + at)];
-    setColumns([["", "at"], ...numbers.map((at) => [`+${at}`, "cell"])], `cells${isBits(view.what) ? " bits" : ""}`);
+    grid.cells = (index) => Object.fromEntries([["", addressOf(index)], ...numbers.map((at) => [`+${at}`, addressOf(index) + at])]);
+    setColumns([{ title: "", kind: "at" }, ...numbers.map((at) => ({ title: `+${at}`, kind: "cell" }))], `cells${isBits(view.what) ? " bits" : ""}`);
     setCount(count);
   }
   $("going").hidden = view.what === "points" || grid.count < 40;
@@ -146,35 +147,42 @@ function has(address) {
 
 function lastWrite(table, address) {
   return (written.get(`${view.unit}/${table}`) || [])
-    .findLast(([, , , start, stop]) => start <= address && address < stop);
+    .findLast(({ start, stop }) => start <= address && address < stop);
 }
 
 function takeWritten() {
   written = new Map();
   for (const each of rowsOf("written").values()) {
-    const key = `${nameOf(each[1])}/${each[2]}`;
+    const key = `${nameOf(each.unit)}/${each.table}`;
     written.set(key, [...(written.get(key) || []), each]);
   }
 }
 
 function pointCells(index) {
-  const [name, table, address, kind, measure, , description] = unit().points[index];
-  const [text, moves, spark] = values().get(String(index)) || ["…", null, []];
+  const { name, table, address, type, units, description } = unit().points[index];
+  const { text, moves, spark } = values().get(String(index)) || { text: "…", moves: null, spark: [] };
   const last = lastWrite(table, address);
-  const who = last ? `${clock(last[5])} ${last[6].replace(/:[0-9]+$/, "")}` : "";
-  return [["", name, "", description], { index, text, kind, moves, name }, measure, spark, `${SHORT[table]} ${address}`, kind, who];
+  return {
+    Name: { own: name, description },
+    Value: { index, text, type, moves, name },
+    "": units,
+    "Last values": spark,
+    Address: `${SHORT[table]} ${address}`,
+    Type: type,
+    "Last written": last ? `${clock(last.time)} ${last.who.replace(/:[0-9]+$/, "")}` : "",
+  };
 }
 
 KINDS.point = {
   make(cell) { cell.append(madeButton("", undefined, "value")); },
-  fill(cell, { index, text, kind, moves, name }, glows, row) {
+  fill(cell, { index, text, type, moves, name }, glows, row) {
     const button = cell.firstChild;
     button.dataset.point = index;
     setValue(button, text, glows);
     button.title = text;
     button.classList.toggle("wrong", text.startsWith("? ") || text === "no such cells");
-    button.setAttribute("aria-label", `${name}: ${text}${kind === "bit" ? "" : ", change"}`);
-    if (kind === "bit") {
+    button.setAttribute("aria-label", `${name}: ${text}${type === "bit" ? "" : ", change"}`);
+    if (type === "bit") {
       button.setAttribute("role", "switch");
       button.setAttribute("aria-checked", String(text === "on"));
     }
@@ -193,7 +201,7 @@ KINDS.cell = {
     if (button.hidden) return;
     const value = values().get(String(address - address % CHUNK))?.[address % CHUNK];
     const last = lastWrite(view.what, address);
-    const who = last ? `, written at ${clock(last[5])} by ${last[6]}` : "";
+    const who = last ? `, written at ${clock(last.time)} by ${last.who}` : "";
     button.dataset.cell = address;
     setValue(button, String(value ?? "…"), glows);
     button.className = `value${value === 0 ? " zero" : ""}${isBits(view.what) && value ? " on" : ""}`;
@@ -213,17 +221,17 @@ $("rows").addEventListener("click", (event) => {
     view.chosen = Number(cell);
     const last = lastWrite(view.what, view.chosen);
     edit({ unit: unit().number, table: view.what, address: view.chosen, text: event.target.textContent,
-      title: `${SHORT[view.what]} ${cell}`, note: last ? `written at ${clock(last[5])} by ${last[6]}` : "" });
+      title: `${SHORT[view.what]} ${cell}`, note: last ? `written at ${clock(last.time)} by ${last.who}` : "" });
   } else if (row && view.what === "points") {
     const index = Number(row.dataset.at);
-    const [name, table, address, kind, measure, access, description] = unit().points[index];
+    const { name, table, address, type, units, access, description } = unit().points[index];
     if (point === undefined) {
-      if (event.target.closest("th, .spark")) openChart({ row: [unit().number, name] }, name, pointCells(index)[0]);
+      if (event.target.closest("th, .spark")) openChart({ row: [unit().number, name] }, name, pointCells(index).Name);
       return;
     }
-    const note = [`${SHORT[table]} ${address}`, kind, measure, access === "read" ? "read-only for clients" : "",
+    const note = [`${SHORT[table]} ${address}`, type, units, access === "read" ? "read-only for clients" : "",
       description].filter(Boolean).join(" · ");
-    edit({ unit: unit().number, point: index, name, kind, text: values().get(point)?.[0] ?? "", title: name, note });
+    edit({ unit: unit().number, point: index, name, type, text: values().get(point)?.text ?? "", title: name, note });
   }
 });
 

@@ -7,7 +7,7 @@ import { lookAt, onRows, rowsOf } from "./rows.js";
 
 const finding = () => $("find").value.trim();
 const head = (name) => rowsOf("head").get(name);
-const isSpark = ([, kind]) => kind === "spark";
+const isSpark = ({ kind }) => kind === "spark";
 
 let timer = null;
 
@@ -42,20 +42,20 @@ $("rows").addEventListener("click", (event) => {
   if (!cells) return;
   const { columns } = grid;
   const at = [...row.children].indexOf(event.target.closest("td, th"));
-  const drawn = [...columns.keys()].filter((index) => isSpark(columns[index]) && cells[index]);
-  if (!drawn.length) { if (!cells[0][0]) search(cells[0][1]); return; }
-  const column = columns[drawn.includes(at) ? at : drawn[0]][0];
+  const drawn = columns.filter((column) => isSpark(column) && cells[column.title]);
+  const { group, own } = cells.name;
+  if (!drawn.length) { if (!group) search(own); return; }
+  const column = (drawn.includes(columns[at]) ? columns[at] : drawn[0]).title;
   const isOne = columns.filter(isSpark).length === 1;
-  const name = cells[0].slice(0, 2);
-  openChart({ row: name, column }, [...name, isOne ? "" : column].filter(Boolean).join("  "), cells[0]);
+  openChart({ row: [group, own], column }, [group, own, isOne ? "" : column].filter(Boolean).join("  "), cells.name);
 });
 
 function showHead() {
   $("title").textContent = head("title");
   $("kind").textContent = head("kind");
-  const [text, isProblem] = head("status");
-  $("status").textContent = text;
-  $("status").classList.toggle("problem", isProblem);
+  const status = head("status");
+  $("status").textContent = status.text;
+  $("status").classList.toggle("problem", status.is_problem);
   const figures = [...rowsOf("figures")];
   $("figures").replaceChildren(...figures.map(([name, value]) => figure(name, value, name === "down" && value ? "problem" : "")));
   const down = rowsOf("figures").get("down");

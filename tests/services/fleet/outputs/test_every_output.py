@@ -5,6 +5,7 @@ What each output promises of readings: their labels, which are those of their ti
 import asyncio
 import csv
 import json
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,11 +15,14 @@ import pytest
 
 from libmodbus_py import Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig, Reading
+from libmodbus_py.protocol.plain import text_of
+from libmodbus_py.protocol.values import value_type
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.output import Output, OutputError
 from libmodbus_py.services.workers.messages import _messages
+from libmodbus_py.tools.page.text import value_text
 from tests.support.cases import each_case
 from tests.support.outputs import reading, write
 
@@ -177,3 +181,33 @@ def test_without_its_package_one_line_says_what_to_install(
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(OutputError, match=told):
         asyncio.run(output.open_output())
+
+
+NUMBERS = [
+    ("uint16", 0.1, [2301], "230.1"),
+    ("int16", 0.01, [0xFFFF], "-0.01"),
+    ("uint32", 0.001, [1, 0], "65.536"),
+    ("int32", 1, [0xFFFF, 0xFFFE], "-2"),
+    ("uint64", 1, [0x7FFF, 0xFFFF, 0xFFFF, 0xFFFF], "9223372036854775807"),
+    ("int48", 0.1, [0, 0, 3], "0.3"),
+    ("bcd32", 0.01, [0x0012, 0x3456], "1234.56"),
+    ("float16", 1, [0x5B31], "230.1"),
+    ("float32", 1, [0x4366, 0x199A], "230.1"),
+    ("float32", 0.1, [0x4366, 0x199A], "23.01"),
+    ("float64", 1, [0x406C, 0xC333, 0x3333, 0x3333], "230.1"),
+]
+
+
+@each_case(("type", "scale", "cells", "text"), NUMBERS)
+def test_a_number_has_the_same_digits_in_each_output_on_the_page_and_in_read(
+    tmp_path: Path, type: Any, scale: float, cells: list[int], text: str
+) -> None:
+    point = Point("level", "holding_registers", 0, type=type, scale=scale)
+    value = point.decode(cells)
+    assert text_of(value, value_type(type)) == text
+    assert value_text(value) == text
+    one = reading("north", "level", value)
+    for name, written in EVERY.items():
+        *_, line = written(tmp_path / name.replace(" ", ""), [one])
+        found = re.findall(r"(?<![\w.-])-?[0-9]+(?:\.[0-9]+)?", line)
+        assert text in found, (name, line)
