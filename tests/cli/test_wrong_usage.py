@@ -42,7 +42,10 @@ OPTIONS = [
     ("read h hr 0 --ordr CDAB", "; did you mean --order?"),
     ("read h hr 0 --format hex", "--format hex: type --hex, --json or --csv"),
     ("read h hr 0:float32 --swap", "--swap: type --order CDAB for the low word first"),
-    ("scan h --registers", "--registers: type hr N COUNT to read them, or scan --deep to find them"),
+    (
+        "scan h --registers",
+        "--registers: type hr N COUNT to read them, or scan --deep to find them",
+    ),
     ("serve h --log-level info", "--log-level info: type --log info"),
     ("listen /dev/x --for 2s", "--for 2s: type timeout 2s before libmodbus-py"),
     ("poll h:502 hr 0", "libmodbus-py read h:502 hr 0 --watch polls without a fleet file"),
