@@ -189,7 +189,9 @@ def check_output(output: str | None, suffixes: Collection[str], mark: str | None
     if not os.path.lexists(path):
         return
     if mark is None or mark not in path.read_text(encoding="utf-8", errors="replace"):
-        raise ValueError(f"{output} exists, and would be overwritten; name another file, or delete it")
+        raise ValueError(
+            f"{output} exists, and would be overwritten; name another file, or delete it"
+        )
 
 
 # --- maps of devices -----------------------------------------------------------------
