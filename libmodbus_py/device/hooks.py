@@ -153,7 +153,7 @@ def _hook(name: str, hook: HookLike | None) -> Hook | None:
         return None
     if not isinstance(hook, Hook) and not callable(hook):
         raise TypeError(f"{name} must be a function or a Hook, not {reprlib.repr(hook)}")
-    found = copy(hook) if isinstance(hook, Hook) else Hook(hook)
+    found = copy(hook) if isinstance(hook, Hook) else Hook(checked_callback(name, hook))
     found._call = timed(name, found.call)
     return found
 

@@ -158,7 +158,8 @@ class Table(ABC, Generic[Cell]):
             stop = end if key.stop is None else self._address(key.stop)
             step = 1 if key.step is None else self._address(key.step)
             if not (first <= start <= stop <= end and step >= 1):
-                raise IndexError(f"no addresses {start}:{stop}:{step} in {self!r}")
+                steps = "" if step == 1 else f":{step}"
+                raise IndexError(f"no addresses {start}:{stop}{steps} in {self!r}")
             if len(self.ranges) > 1 and start < stop and not self.has(start, stop - start):
                 (hole, *_) = without([range(start, stop)], self.ranges)
                 raise IndexError(f"no address {hole.start} in {self!r}")

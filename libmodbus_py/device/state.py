@@ -305,7 +305,10 @@ def replace_file(path: str | os.PathLike[str], text: str) -> None:
         mode = os.stat(target).st_mode
         if not stat.S_ISREG(mode):  # such as /dev/null
             raise OSError(errno.EINVAL, "not a regular file", os.fspath(path))
-    descriptor, temporary = tempfile.mkstemp(TEMPORARY, f"{name}.", folder)
+    try:
+        descriptor, temporary = tempfile.mkstemp(TEMPORARY, f"{name}.", folder)
+    except OSError as error:  # which names the temporary file
+        raise OSError(error.errno, error.strerror, os.fspath(path)) from None
     try:
         with open(descriptor, "w", encoding="utf-8", newline="") as file:
             os.fchmod(descriptor, stat.S_IMODE(mode))

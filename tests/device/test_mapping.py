@@ -100,7 +100,7 @@ class TestHoles:
             (slice(115, 121), 115),
             (slice(120, 122), 121),
             (slice(None), 112),
-            (slice(305, 311), "305:311:1"),
+            (slice(305, 311), "305:311"),
         ],
     )
     def test_a_slice_names_the_hole_in_it(self, name: str, key: slice, missing: object) -> None:

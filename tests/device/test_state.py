@@ -236,7 +236,7 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
             plant().load(path)
     with pytest.raises(FileNotFoundError):
         plant().load(tmp_path / "missing")
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(FileNotFoundError, match=r"missing/values'$"):
         plant().save(tmp_path / "missing" / "values")
 
 
