@@ -11,6 +11,7 @@ that are named. No file of the work tree changes: all is done in `build/mutants`
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import random
 import shutil
@@ -36,6 +37,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--tests", nargs="+")
     arguments = parser.parse_args()
+    if importlib.util.find_spec("mutmut") is None:
+        parser.error("mutmut is missing: ./run python -m pip install -e '.[mutants]'")
     shutil.rmtree(BUILD, ignore_errors=True)
     BUILD.mkdir(parents=True)
     tracked = subprocess.run(["git", "ls-files"], capture_output=True, text=True, check=True).stdout
