@@ -263,14 +263,10 @@ class Device(NamedValues, PythonFunctions):
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """
-        Write all values to a file, so that they survive a restart of the program.
-
-        These are the values of the tables and the records of files. The file is replaced
-        atomically: if this fails, the previous file is unchanged. A new file is readable by its
-        owner only.
+        Write the values of all tables and files to a file, readable by its owner only if it is new.
 
         Raises:
-            OSError: the file cannot be written, or is no regular file.
+            OSError: it cannot be written, or is no regular file; a file there is unchanged.
         """
         from .state import replace_file, state_text  # which few programs need
 
@@ -284,9 +280,8 @@ class Device(NamedValues, PythonFunctions):
 
         Raises:
             OSError: the file cannot be read.
-            ValueError: the file is cut off or damaged, was written by a newer version, or contains
-                values for addresses, records or points that do not exist here; the message names
-                the file and the key.
+            ValueError: the file is damaged, of a newer version, or has values for what does not
+                exist here; the message names the file and the key.
         """
         from .state import load_state, read_text
 
@@ -336,15 +331,8 @@ class Device(NamedValues, PythonFunctions):
 
     def answer_chunk(self, data: bytes, start: int, unit: int) -> Answered:
         """
-        Execute requests of Modbus/TCP with the functions `in_c`, all in one call of C.
-
-        It stops at the first frame that `answer` must handle: other functions, other units, and
-        accesses for which hooks or handlers are called.
-
-        Args:
-            data: frames as received.
-            start: the index of the first one in `data`, 0..len(data).
-            unit: the unit whose requests are executed, 0..255.
+        Execute requests of Modbus/TCP to a unit with the functions `in_c`, from ``data[start]`` on,
+        up to the first that `answer` must handle, as one with a hook or of another unit.
 
         Returns:
             The index of the first byte that was not used; the responses; the number of requests
@@ -374,19 +362,10 @@ class Device(NamedValues, PythonFunctions):
 
     def refresh(self, table: str, address: int, count: int) -> None:
         """
-        Call `before_read`, for a program that reads values without a request.
+        Call `before_read`, if there is one, for a program that reads values without a request.
 
-        It is called in this thread, with an `Access` without unit, peer and role. Nothing happens
-        if the device has no `before_read`.
-
-        Args:
-            table: "coils", "discrete_inputs", "holding_registers" or "input_registers".
-            address: the address of the first item, 0-based.
-            count: the number of items.
-
-        Raises:
-            Exception: whatever `before_read` raises, such as an ExceptionResponse if clients may
-                not read there.
+        It is called in this thread, with an `Access` to `count` items of a table such as "coils",
+        from a 0-based address on, without unit, peer and role. Its exceptions are raised.
         """
         with self.mapping.lock:
             self._hooks.before(Touched(reads=(Access(table, address, count, device=self),)))

@@ -30,7 +30,7 @@ from .packets import (
     pairs,
 )
 from .separator import Candidate, Damage
-from .streams import LINKS
+from .streams import LINKS, MODBUS_PORT
 from .transaction import Heard
 
 __all__ = ["CaptureError", "CaptureReader", "CaptureWriter"]
@@ -38,8 +38,7 @@ __all__ = ["CaptureError", "CaptureReader", "CaptureWriter"]
 # The type of link of exported PDUs: LINKTYPE_WIRESHARK_UPPER_PDU.
 UPPER_PDU = 252
 
-# Ports that are written for devices, by which Wireshark knows Modbus, and for clients.
-MODBUS_PORT = 502
+# The first port that is written for clients.
 FIRST_CLIENT_PORT = 49152  # the dynamic ports (RFC 6335)
 
 # Numbers of the format: an option of interfaces, and the tags and values of exported PDUs.

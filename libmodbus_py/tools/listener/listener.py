@@ -26,7 +26,7 @@ from .capture import CaptureReader, CaptureWriter
 from .packets import Packet
 from .separator import LineFraming, Separator
 from .sources import SerialSource, Tap, TimedBytes
-from .streams import Streams
+from .streams import TcpStreams
 from .transaction import Heard, Summary, Transaction
 
 __all__ = ["CAPTURES", "Listener", "listen"]
@@ -80,7 +80,7 @@ class Listener:
         self._writer = writer
         self._clock = clock
         self._separators: dict[int, Separator] = {}
-        self._streams = Streams(self._record)
+        self._streams = TcpStreams(self._record)
         self._ready: deque[Transaction] = deque()
         self._lock = threading.RLock()  # reentrant, because a signal handler may close it
         self._is_busy = False

@@ -26,7 +26,7 @@ from ...protocol.pdu import Request
 from .listener import CAPTURES, listen
 from .transaction import Transaction
 
-__all__ = ["Difference", "differences", "replayed_devices"]
+__all__ = ["differences", "replayed_devices"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

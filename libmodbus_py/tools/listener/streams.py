@@ -15,10 +15,15 @@ from ...protocol.framing import Frame
 from .packets import Packet
 from .transaction import Ending, Heard, Part, Transaction, answered, decoded, misused, unasked
 
-__all__ = ["LINKS", "Streams"]
+__all__ = ["LINKS", "MODBUS_PORT", "TcpStreams"]
 
+# The number of TCP among the protocols of IP.
 TCP = 6
+
 MODBUS_PORT = 502
+"""The port by which Wireshark knows Modbus, and which a server has usually."""
+
+# Flags of segments.
 FIN_SYN, SYN, RST, ACK = 0x03, 0x02, 0x04, 0x10
 
 # Headers of IPv6 before that of TCP: hop by hop, routing, destination.
@@ -104,12 +109,12 @@ def _of_tcp(source: bytes, target: bytes, data: bytes) -> Segment:
 # --- from segments to transactions ------------------------------------------------------------
 
 
-class Streams:
+class TcpStreams:
     """All connections of a capture; `on_heard` is called with each request and response."""
 
     def __init__(self, on_heard: OnHeard) -> None:
         self._on_heard = on_heard
-        self._connections: dict[frozenset[Address], Connection] = {}
+        self._connections: dict[frozenset[Address], TcpConnection] = {}
         self._count = 0
 
     def take(self, packet: Packet) -> list[Transaction]:
@@ -126,7 +131,7 @@ class Streams:
             done = self._connections.pop(key).end()
         if key not in self._connections:
             self._count += 1
-            self._connections[key] = Connection(self._count, self._on_heard, segment)
+            self._connections[key] = TcpConnection(self._count, self._on_heard, segment)
         done += self._connections[key].take(segment, packet.at)
         if segment.flags & RST:
             done += self._connections.pop(key).end()
@@ -138,7 +143,7 @@ class Streams:
         return [each for connection in connections.values() for each in connection.end()]
 
 
-class Connection:
+class TcpConnection:
     """One connection of TCP: two directions, and the requests without a response yet."""
 
     def __init__(self, number: int, on_heard: OnHeard, first: Segment) -> None:

@@ -90,7 +90,7 @@ def _checked(names: dict[str, Any], path: str) -> dict[str, HookLike]:
         except TypeError as error:
             reason = getattr(error, "reason", "must take one argument, an Access")
             raise FileError(name, reason, place=_place(path, call)) from None
-        except ValueError:  # a function of C, whose arguments nobody knows
+        except ValueError:  # a function of C without a signature
             pass
     return hooks
 
