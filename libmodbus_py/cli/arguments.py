@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import re
-from functools import partial
 
 from ..ports.options import (
     ASCII_DEFAULTS,
@@ -117,7 +116,7 @@ def declare(
         if usual is not None:
             action.usual = usual
         if words is not None:
-            action.completer = words if callable(words) else partial(_words, words)
+            action.completer = words if callable(words) else lambda words=words, **_: words
 
 
 def _shape(head: str) -> tuple[list[str], dict[str, Any]]:
@@ -147,10 +146,6 @@ TYPES: dict[str, Callable[[str], Any]] = {"URL": place, "N": int, "S": float}
 """Placeholder of a value in --help -> the function that converts the value."""
 
 _HEAD = re.compile(r"(?P<flags>(?:-[-\w]+(?: |$))*)(?P<value>.*?)(?P<many> \.\.\.)?")
-
-
-def _words(words: Iterable[str], **_: Any) -> Iterable[str]:
-    return words
 
 
 def flag(name: str) -> str:
@@ -226,13 +221,10 @@ def add_columns(group: Any, rare: str = "rare ", *, encoding: bool = False) -> N
         "column": {"dest": "columns", "type": column, "default": []},
         "from": {"dest": "origin", "choices": ORIGINS},
         "list": {"dest": "list", "type": _of_list, "default": [], "complete": LIST_KEYS},
+        "encoding": {"dest": "list_encoding"},
     }
-    declare(group, rare + COLUMN, **kinds)
-    declare(group, rare + FROM, **kinds)
-    declare(group, rare + OF_LIST, **kinds)
-    if encoding:
-        text = "--encoding NAME\n  the encoding of the list, such as cp1252 or gbk (UTF-8)"
-        declare(group, rare + text, encoding={"dest": "list_encoding"})
+    for text in OF_LISTS[: 4 if encoding else 3]:
+        declare(group, rare + text, **kinds)
 
 
 # As in list_words.toml, which takes longer to read.
@@ -243,16 +235,17 @@ LIST_KEYS = (
     "types",
 )
 
-COLUMN = """--column KEY=HEADING ...
+OF_LISTS = (
+    """--column KEY=HEADING ...
     the heading of a column of the map that is not recognised, such as name=Bezeichnung; may be
-    repeated"""
-
-FROM = """--from ORIGIN
-    whose list the map is, and what it means by its words: iobroker, modpoll, nibe or victron"""
-
-OF_LIST = """--list KEY=VALUE ...
+    repeated""",
+    """--from ORIGIN
+    whose list the map is, and what it means by its words: iobroker, modpoll, nibe or victron""",
+    """--list KEY=VALUE ...
     what a list does not say: encoding, first_address, table, access, order, lengths, sheet,
-    only=HEADING=CELL, types=WORD=TYPE; may be repeated"""
+    only=HEADING=CELL, types=WORD=TYPE; may be repeated""",
+    "--encoding NAME\n  the encoding of the list, such as cp1252 or gbk (UTF-8)",
+)
 
 
 def _of_list(text: str) -> tuple[str, Any]:

@@ -205,13 +205,15 @@ def watch(options: argparse.Namespace) -> int:
         units = ",".join(str(reader.unit) for reader in readers)
         title = f"{context.url}, unit {units}, every {interval:g} s"
         printers = _printers(options, readers, title)
-        over_http.check_page(options)
-        if options.page is not None:
+
+        def make() -> Any:
             from .shown_watch import ShownWatch
 
             shown = ShownWatch(title, interval)
             printers.append(shown.print)
-            stack.enter_context(over_http.tables_shown(lambda: shown, options))
+            return shown
+
+        stack.enter_context(over_http.tables_shown(make, options))
         try:
             for due in _times(interval, options.count, options.lasts or float("inf")):
                 for reader in readers:

@@ -124,12 +124,9 @@ class WatchedUnit:
 
     def cells(self) -> dict[str, Any]:
         word, reason = "down" if self.is_down else "up", cell_text(self._reason or "")
-        return {
-            "name": {"group": "", "own": self.name},
-            "state": {"word": word, "reason": reason, "since": self._since},
-            "value": {"text": "", "units": ""},
-            "age": round(self.answered_at, 1),
-        }
+        state = {"word": word, "reason": reason, "since": self._since}
+        shown = {"name": {"group": "", "own": self.name}, "state": state}
+        return {**shown, "value": {"text": "", "units": ""}, "age": round(self.answered_at, 1)}
 
 
 def _device(unit: int) -> str:

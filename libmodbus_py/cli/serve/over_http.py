@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any, TextIO
 
-from ..arguments import declare
+from ..arguments import declare, refuse_given
 from ..output import complain, inform
 
 if TYPE_CHECKING:
@@ -80,13 +80,6 @@ def exposed(
         yield
 
 
-def check_page(options: argparse.Namespace) -> None:
-    """Raise ValueError if there are options of a page without one."""
-    for name in ("page_token", "page_url"):
-        if getattr(options, name) is not None and options.page is None:
-            raise ValueError(f"--{name.replace('_', '-')} needs --page")
-
-
 @contextlib.contextmanager
 def shown(
     make: Callable[[], Server | Shown], options: argparse.Namespace, to: TextIO | None = None
@@ -99,7 +92,7 @@ def shown(
     """
     address: Address | None = options.page
     if address is None:
-        check_page(options)
+        refuse_given(options, ("page_token", "page_url"), "needs --page")
         yield lambda: None
         return
     from ...ports.hosts import is_loopback

@@ -147,11 +147,9 @@ class DestinationRow(NamedTuple):
 
     def cells(self) -> dict[str, Any]:
         reason, since = cell_text(self.trouble), round(self.since, 1)
-        return {
-            "name": {"group": self.kind, "own": cell_text(self.name)},
-            "state": {"word": self.word, "reason": reason, "since": since},
-            "value": self.amount,
-        }
+        state = {"word": self.word, "reason": reason, "since": since}
+        name = {"group": self.kind, "own": cell_text(self.name)}
+        return {"name": name, "state": state, "value": self.amount}
 
 
 def destinations(fleet: Fleet) -> list[DestinationRow]:
@@ -204,12 +202,10 @@ class PollerRow:
         word = "partly" if poller.is_refused else poller.state.value
         reason = "" if poller.error is None else problem_text(poller.error)
         points, every = f"{len(poller.reads.names)} points", f"every {config.interval:g} s"
-        return {
-            "name": {"group": "", "own": cell_text(poller.name), "place": cell_text(place)},
-            "state": {"word": word, "reason": reason, "since": round(poller.since, 1)},
-            "value": {"text": points, "units": every},
-            "age": round(poller.answered_at, 1),
-        }
+        name = {"group": "", "own": cell_text(poller.name), "place": cell_text(place)}
+        state = {"word": word, "reason": reason, "since": round(poller.since, 1)}
+        shown = {"name": name, "state": state, "value": {"text": points, "units": every}}
+        return {**shown, "age": round(poller.answered_at, 1)}
 
 
 # --- on a terminal -----------------------------------------------------------------------------

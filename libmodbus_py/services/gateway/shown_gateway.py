@@ -135,14 +135,11 @@ def _line_row(name: Name, line: LineStatistics, spark: Spark) -> GatewayRow:
     def cells() -> dict[str, Any]:
         word = "down" if line.trouble else "open" if line.connection.connects else "new"
         reason = problem_text(line.trouble) if line.trouble else ""
-        return {
-            "state": {"word": word, "reason": reason, "since": round(line.since, 1)},
-            "requests": line.connection.requests,
-            "answers": line.connection.responses,
-            "rate": spark(name, "rate"),
-            "queue": spark(name, "queue"),
-            "details": _listed(waiting=line.waiting, in_flight=line.in_flight, refused=line.full),
-        }
+        state = {"word": word, "reason": reason, "since": round(line.since, 1)}
+        counted = {"requests": line.connection.requests, "answers": line.connection.responses}
+        details = _listed(waiting=line.waiting, in_flight=line.in_flight, refused=line.full)
+        sparks = {key: spark(name, key) for key in ("rate", "queue")}
+        return {"state": state, **counted, **sparks, "details": details}
 
     counts = Counts(line.connection.requests, waiting=line.waiting)
     return GatewayRow(name, line.is_down, counts, cells)
@@ -162,14 +159,10 @@ def _unit_row(name: Name, unit: UnitStatistics, spark: Spark) -> GatewayRow:
             refused=unit.resting,
             cached=unit.cached,
         )
-        return {
-            "state": {"word": word, "reason": reason},
-            "requests": unit.requests,
-            "answers": unit.answers,
-            "rate": spark(name, "rate"),
-            "time": spark(name, "time"),
-            "details": ", ".join(filter(None, [mean, numbers])),
-        }
+        counted = {"requests": unit.requests, "answers": unit.answers}
+        details = ", ".join(filter(None, [mean, numbers]))
+        sparks = {key: spark(name, key) for key in ("rate", "time")}
+        return {"state": {"word": word, "reason": reason}, **counted, **sparks, "details": details}
 
     counts = Counts(unit.requests, unit.answers, unit.seconds)
     return GatewayRow(name, unit.is_silent or _has_only_failed(unit), counts, cells)

@@ -70,18 +70,6 @@ class LogRow(NamedTuple):
     writes: bool = False
 
 
-class LastWrite(NamedTuple):
-    """The last write to a range of addresses; `number` is counted since the page was opened."""
-
-    number: int
-    unit: int | None
-    table: str
-    start: int
-    stop: int
-    time: float
-    who: str
-
-
 class Log:
     """Collects the trace of a server, in the server's loop, and returns rows, in any thread."""
 
@@ -94,8 +82,8 @@ class Log:
         self._lock = threading.Lock()  # of the rows and what they are made from
         # Writes are paired at once, because pages that are opened later show them, too.
         self._writes = TracePairing()
-        # Unit, table, first address and end -> the write.
-        self._written: dict[tuple[int | None, str, int, int], LastWrite] = {}
+        # Unit, table, first address and end -> the row of the last write.
+        self._written: dict[tuple[int | None, str, int, int], dict[str, Any]] = {}
         self._write_numbers = count(1)
 
     def note(self, traced: Traced) -> None:
@@ -118,16 +106,18 @@ class Log:
     def wrote(self, unit: int | None, table: str, cells: range, who: str) -> None:
         """Remember that a client, or the page itself, wrote these addresses."""
         key = unit, table, cells.start, cells.stop
+        names = ("number", "unit", "table", "start", "stop", "time", "who")
         self._written.pop(key, None)  # the latest is the last
         while len(self._written) >= MOST_RANGES:
             self._written.pop(next(iter(self._written)), None)
-        self._written[key] = LastWrite(next(self._write_numbers), *key, time.time(), who)
+        row = (next(self._write_numbers), *key, time.time(), who)
+        self._written[key] = dict(zip(names, row, strict=True))
 
     def tables(self) -> Tables:
         """Return the remembered rows and writes for a page, by their numbers."""
         return {
             "log": {row.number: row._asdict() for row in self.rows()},
-            "written": {row.number: row._asdict() for row in self._written.copy().values()},
+            "written": {row["number"]: row for row in self._written.copy().values()},
         }
 
     def rows(self) -> list[LogRow]:

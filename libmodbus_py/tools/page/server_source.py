@@ -100,14 +100,15 @@ def _readings_at(unit: ShownUnit, table: str, address: int) -> list[dict[str, st
     return texts
 
 
-def _settings(fault: Fault) -> str:
-    """Return all settings except the kind, such as ``seconds 1.5, function 3``."""
+def _row(fault: Fault) -> dict[str, str]:
+    """Return the kind, and all other settings, such as ``seconds 1.5, function 3``."""
     given = {each.name: getattr(fault, each.name) for each in fields(fault) if each.name != "kind"}
-    return ", ".join(
+    settings = ", ".join(
         f"{name} {value.hex(' ') if isinstance(value, bytes) else value}"
         for name, value in given.items()
         if value is not None
     )
+    return {"kind": fault.kind, "settings": settings}
 
 
 class ServerSource:
@@ -150,12 +151,7 @@ class ServerSource:
             "words": WORDS,
             "units": {_name(number): unit.row for number, unit in self._units().items()},
             "faults": {
-                state.number: {
-                    "unit": state.unit,
-                    "kind": state.fault.kind,
-                    "settings": _settings(state.fault),
-                    "is_on": state.is_on,
-                }
+                state.number: {"unit": state.unit, "is_on": state.is_on} | _row(state.fault)
                 for state in faults
                 if isinstance(state.fault, Fault)
             },

@@ -53,11 +53,7 @@ class Column(NamedTuple):
 
 
 class PageRow(Protocol):
-    """
-    A row of the table: the text that is searched, in lower case, and its cells by the titles of
-    their columns. Of each kind, a column has: a name with `group`, `own` and `place`; a state with
-    `word`, `reason` and `since`; a value with `text` and `units`; levels, numbers, texts or times.
-    """
+    """A row: the text that is searched, in lower case, and its cells by the titles of columns."""
 
     @property
     def words(self) -> str: ...
@@ -216,15 +212,12 @@ class ValueRow:
         age = max(reading[0], self.device.answered_at) if is_good else reading[0]
         reason = "" if self.device.is_down else re.sub("^Modbus|Error$", "", reading[6])
         text = "-" if reading[3] is None else value_text(reading[3])
-        return {
-            "name": name,
-            "state": {"word": reading[5], "reason": cell_text(in_words(reason))},
-            "value": {"text": text, "units": units},
-            "last values": samples.spark(),
-            "lowest": "" if samples.low is None else value_text(samples.low),
-            "highest": "" if samples.high is None else value_text(samples.high),
-            "age": round(age, 1),
-        }
+        value, spark = {"text": text, "units": units}, samples.spark()
+        state = {"word": reading[5], "reason": cell_text(in_words(reason))}
+        bounds = {"lowest": samples.low, "highest": samples.high}
+        texts = {key: "" if bound is None else value_text(bound) for key, bound in bounds.items()}
+        shown = {"name": name, "state": state, "value": value, "last values": spark}
+        return {**shown, **texts, "age": round(age, 1)}
 
 
 class Values:
