@@ -274,7 +274,8 @@ class World:
 
     def ask_in_order(self, letters: str) -> list[Call]:
         """Make requests of one caller, which end at the first failure."""
-        batch = Batch(1, [self.request(letter)[1] for letter in letters], self.timeouts, limit=4)
+        requests = [self.request(letter)[1] for letter in letters]
+        batch = Batch(1, requests, self.timeouts, one_by_one=not self.has_ids)
         for letter, call in zip(letters, batch.calls, strict=True):
             self.note_asked(letter, call)
         self.connection.submit(batch, self.now)
@@ -309,8 +310,8 @@ class World:
         if arrival <= at:
             data = heapq.heappop(self.arrivals)[2]
             self.note_heard(data)
-            connection.take([data], self.now)
-            self.send()  # as drivers do, before answers are decoded
+            if connection.take([data], self.now):
+                self.send()  # as drivers do, before answers are decoded
         else:
             connection.tick(self.now)
         connection.settle(self.now)

@@ -60,8 +60,8 @@ class AsyncioDriver:
         self._is_due = False
         self._is_inside = False
         self._is_telling = False
-        # The functions to call, when the state is consistent.
-        self._ended: deque[Callable[[], object]] = deque()
+        # What is over, and of which no caller is told yet.
+        self._ended: deque[Call | Batch] = deque()
         self._closed = asyncio.Event()
 
     def now(self) -> float:
@@ -97,7 +97,7 @@ class AsyncioDriver:
 
     def _submit(self, job: Call | Batch, caller: Callable[[], object]) -> None:
         self._callers[job] = caller
-        job.on_end(self._note_end)
+        job.on_end(self._ended.append)
         try:
             self._enter(self._add, job)
         except BaseException:
@@ -123,12 +123,6 @@ class AsyncioDriver:
         self._callers.pop(job, None)
         if not job.is_done:
             self._enter(self._abandon, job)
-
-    def _note_end(self, job: Call | Batch) -> None:
-        """Note the caller of requests that are over, for `_tell`."""
-        caller = self._callers.pop(job, None)
-        if caller is not None:
-            self._ended.append(caller)
 
     def _abandon(self, job: Call | Batch) -> None:
         self._connection.withdraw(job, self._now())
@@ -239,7 +233,7 @@ class AsyncioDriver:
         self._connection.interrupted(error, self._now())
         for job in list(self._callers):
             job.settle(error)
-            self._note_end(job)  # if it was over, and the exception came before this
+        self._ended.extend(self._callers)  # also what was over when the exception came
 
     def _tell(self) -> None:
         """Call user functions, and let tasks go on, now that the state is consistent."""
@@ -251,7 +245,9 @@ class AsyncioDriver:
                 if self._notices.waiting:
                     self._notices.give()
                     continue
-                caller = self._ended.popleft()
+                caller = self._callers.pop(self._ended.popleft(), None)
+                if caller is None:  # it is gone, or was told
+                    continue
                 try:
                     if (result := caller()) is not None:
                         finished("on_done", result)

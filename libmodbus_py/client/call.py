@@ -227,7 +227,8 @@ class Call:
 
 class Batch:
     """
-    Requests of one caller to one unit, which are sent in their order, `limit` at a time.
+    Requests of one caller to one unit, which are sent in their order; if `one_by_one`, each when
+    the one before has its outcome.
 
     It is over as soon as its first failure and all requests before that have an outcome; with
     `go_on`, when every request has one. With `is_poll`, a request without an answer still ends it,
@@ -240,8 +241,7 @@ class Batch:
 
     # fmt: off
     __slots__ = (
-        "_go_on", "_is_poll", "_open", "calls", "is_done", "limit", "on_done", "under_way",
-        "waiting",
+        "_go_on", "_is_poll", "_open", "calls", "is_done", "on_done", "one_by_one", "waiting",
     )
     # fmt: on
 
@@ -253,7 +253,7 @@ class Batch:
         *,
         name: str = "request",
         is_broadcast: bool = False,
-        limit: int = 1,
+        one_by_one: bool = True,
         go_on: bool = False,
         is_poll: bool = False,
     ) -> None:
@@ -263,11 +263,10 @@ class Batch:
         ]
         self.waiting: list[Call] = self.calls[::-1]  # to be submitted, the next one last
         # Without an answer, it is unknown whether a request was carried out before the next one.
-        self.limit: int = 1 if any(each.is_silent for each in self.calls) else limit
+        self.one_by_one: bool = one_by_one or any(call.is_silent for call in self.calls)
         self._go_on = go_on
         self._is_poll = is_poll
         self._open = len(self.calls)
-        self.under_way: set[Call] = set()  # submitted, and others do not go on beside them
         self.is_done: bool = not self.calls
         self.on_done: Callable[[Batch], object] | None = None
 
@@ -280,18 +279,9 @@ class Batch:
         """Call a function once it is over."""
         self.on_done = callback
 
-    def next(self) -> Call | None:
-        """Remove and return the next call to submit; None if there is none now."""
-        if not self.waiting or len(self.under_way) >= self.limit:
-            return None
-        call = self.waiting.pop()
-        self.under_way.add(call)
-        return call
-
-    def next_after(self, call: Call) -> Call | None:
-        """As `next`, in place of a call that is under way."""
-        self.under_way.discard(call)
-        return self.next() if self.waiting else None
+    def next(self) -> Call:
+        """Remove and return the next call to submit, of those that are `waiting`."""
+        return self.waiting.pop()
 
     def count(self, call: Call) -> None:
         """Note that a call has its outcome; the calls behind one that failed are forgotten."""

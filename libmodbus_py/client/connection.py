@@ -110,9 +110,12 @@ class Transactions:
 
     def submit(self, job: Call | Batch, now: float) -> None:
         """Take a request, or several of one caller; outcomes may be set at once."""
-        call = job.next() if isinstance(job, Batch) else job
-        if call is None:
-            return
+        if isinstance(job, Batch):
+            if not job.waiting:
+                return
+            call = job.next()
+        else:
+            call = job
         if not self.life.is_open:
             call.await_connection(now)
             refusal = self.life.refusal(now, call.deadline)
@@ -184,7 +187,7 @@ class Transactions:
             return False
         adus: list[bytes] = []
         traced: list[Call] = []
-        unsettled, most, spacing = self._answered, queue.limit, self._settings["request_spacing"]
+        unsettled, spacing = self._answered, self._settings["request_spacing"]
         if (is_traced := self._trace.is_on()) is not matching.is_traced:
             matching.trace_frames(is_on=is_traced)
         while (call := queue.next(now, self.in_flight, unsettled)) is not None:
@@ -203,16 +206,10 @@ class Transactions:
                 queue.note_write(call)
             if call.is_silent:
                 self._note_silent(call, now)
-            batch = call.batch
-            if batch is not None:
-                if len(batch.under_way) < batch.limit and (follower := batch.next()) is not None:
-                    queue.waiting.append(follower)
-                if 1 < batch.limit < most:
-                    most = batch.limit
             if spacing:
                 self._next_start = now + spacing
                 break
-            if most <= 2 * len(adus) or not (queue.waiting or queue.again):
+            if queue.limit <= 2 * len(adus) or not (queue.waiting or queue.again):
                 break
         if not adus:
             return False
@@ -366,33 +363,26 @@ class Transactions:
 
     def take(self, chunks: Iterable[bytes], now: float) -> bool:
         """
-        Take received bytes; return True if requests wait to be sent. `settle` decodes the answers.
+        Take received bytes; return True if requests wait to be sent. `settle` decodes the answers:
+        first, if it is known that one is an error, because that may end the others of its caller.
         """
-        matching, waiting = self.matching, self.queue.waiting
+        matching, queue = self.matching, self.queue
         for data in chunks:
             answered = matching.take(data, now)
             self.in_flight -= len(answered)
             self._answered += answered
-            for call in answered:
-                batch, reply = call.batch, call.reply
-                if batch is None or batch.limit == 1:
-                    continue
-                # After a good answer, a batch goes on before that is decoded.
-                is_good = isinstance(reply, bytes) and reply[0] < 0x80
-                if is_good and (follower := batch.next_after(call)) is not None:
-                    waiting.append(follower)
         if matching.unasked > MAX_UNASKED_BYTES or not matching.is_in_step:
             self.is_flooded = matching.unasked > MAX_UNASKED_BYTES
             if not matching.is_in_step:
                 self._break("closed, because the received bytes cannot be understood")
             elif self._is_socket:
                 self._break("flooded with frames that answer no request")
-        return bool(waiting or self.queue.again)
-
-    def _go_on_after(self, call: Call) -> None:
-        """Submit the next request of the batch of a request, if it is one of a batch."""
-        if call.batch is not None and (follower := call.batch.next_after(call)) is not None:
-            self.queue.waiting.append(follower)
+        if not (queue.waiting or queue.again):
+            return False
+        for call in self._answered:
+            if not isinstance(call.reply, bytes) or call.reply[0] & 0x80:
+                return False
+        return True
 
     def settle(self, now: float) -> None:
         """Decode the answers and set the outcomes."""
@@ -420,17 +410,11 @@ class Transactions:
                 self._outcomes.fail(reply, call, now)
             batch = call.batch
             if batch is not None:
-                if call.is_done and call in batch.under_way:
-                    self._go_on_after(call)
-                if isinstance(call.outcome, BaseException):
-                    self._leave_rest(batch, now)
-
-    def _leave_rest(self, batch: Batch, now: float) -> None:
-        """Forget the requests behind one that failed."""
-        self.queue.remove_over()
-        if batch.is_done and batch.under_way:
-            for call in batch.calls:
-                self._let_go(call, now)
+                if batch.one_by_one and call.is_done and batch.waiting:
+                    self.queue.waiting.append(batch.next())
+                if batch.is_done and isinstance(call.outcome, BaseException):
+                    for behind in batch.calls:
+                        self._let_go(behind, now)
 
     # --- time ---------------------------------------------------------------------------------
 
@@ -469,7 +453,8 @@ class Transactions:
             self.queue.note_end(call)
             self.statistics.note(call.function, "silent")
             call.settle(None)
-            self._go_on_after(call)
+            if call.batch is not None and call.batch.waiting:
+                self.queue.waiting.append(call.batch.next())
         for due, _ in self._silent:
             self.matching.wake(due)
 

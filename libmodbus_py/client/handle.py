@@ -214,7 +214,7 @@ class Handle:
             self._timeouts,
             name="requests[{}]",
             is_broadcast=self._unit == 0 and self._has_broadcast,
-            limit=self.max_in_flight,
+            one_by_one=self.max_in_flight == 1,
             go_on=bool(return_exceptions),
             is_poll=is_poll,
         )

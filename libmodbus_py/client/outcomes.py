@@ -79,7 +79,7 @@ class Outcomes:
         while follower is not None:
             self.fail_unsent(follower, error)
             batch = follower.batch
-            follower = None if batch is None else batch.next_after(follower)
+            follower = batch.next() if batch is not None and batch.waiting else None
 
     def _outcome(self, error: ModbusError, call: Call) -> BaseException:
         """Return an error with its request, or the exception that the request's class raised."""

@@ -10,7 +10,8 @@ be repeated. Must come before it:
                              the two is a broadcast
 
 So with ids a write is alone from its sending to its outcome, and reads may share the connection, as
-many as `max_in_flight` allows. On a line one request is in flight at a time.
+many as `max_in_flight` allows, those that a busy device is to be sent again among them. On a line
+one request is in flight at a time.
 """
 
 from __future__ import annotations
@@ -51,8 +52,11 @@ class Queue:
             return None if in_flight or unsettled else self._next_on_line(now)
         if self.write is None and in_flight >= self.limit:
             return None
-        if self.again and (call := self._next_again(now)) is not None:
-            return call
+        if self.again:
+            if (call := self._next_again(now)) is not None:
+                return call
+            if in_flight + len(self.again) >= self.limit > 1:
+                return None
         if self.write is not None:
             return None
         waiting = self.waiting
@@ -63,6 +67,9 @@ class Queue:
             if call.changes and (in_flight or unsettled or self.again):
                 waiting.appendleft(call)
                 return None
+            batch = call.batch
+            if batch is not None and not batch.one_by_one and batch.waiting:
+                waiting.append(batch.next())
             return call
         return None
 
@@ -133,13 +140,8 @@ class Queue:
         self.again.pop(call, None)
         self._left += 1
         if 2 * self._left >= len(self.waiting):
-            self.remove_over()
-
-    def remove_over(self) -> None:
-        """Forget the requests whose callers are gone."""
-        self._left = 0
-        self.waiting = deque(call for call in self.waiting if not call.is_done)
-        self.again = {call: due for call, due in self.again.items() if not call.is_done}
+            self._left = 0
+            self.waiting = deque(call for call in self.waiting if not call.is_done)
 
     def drain(self, later: Collection[Call] = ()) -> list[Call]:
         """Remove and return all requests, except some."""

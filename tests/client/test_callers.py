@@ -101,7 +101,7 @@ def test_what_a_request_class_raises_reaches_its_own_caller_only(
     for go_on in (True, False):
         before, batch, after = (
             talk.ask(1),
-            talk.ask(2, kind(3, 1), 4, limit=16, go_on=go_on),
+            talk.ask(2, kind(3, 1), 4, one_by_one=False, go_on=go_on),
             talk.ask(5),
         )
         while not (after.is_done and batch.is_done):
@@ -129,7 +129,7 @@ def test_an_outcome_that_cannot_be_compared_harms_nobody() -> None:
             return Stubborn()
 
     talk = Talk()
-    batch = talk.ask(1, Array(2, 1), Array(3, 1), limit=16)
+    batch = talk.ask(1, Array(2, 1), Array(3, 1), one_by_one=False)
     talk.come(answer(talk, 1), answer(talk, 2), refusal(talk, 2, 0))
     assert kinds(batch)[0] is IllegalDataAddress
     assert batch.is_done
@@ -178,7 +178,7 @@ def test_requests_go_out_before_answers_are_decoded() -> None:
 
 def test_a_batch_that_failed_while_it_waited_can_be_left() -> None:
     talk = Talk(max_in_flight=4)
-    batch = talk.ask(*range(9), limit=16)
+    batch = talk.ask(*range(9), one_by_one=False)
     assert len(talk.sent) == 4
     talk.come(tcp(talk.sent[3], "83 02"))
     talk.come(tcp(talk.sent[0]))

@@ -192,7 +192,7 @@ def test_what_is_in_flight_fails_and_the_queue_waits_for_the_next_connection(url
 
 def test_every_request_has_an_error_of_its_own() -> None:
     talk = Talk()
-    batch = talk.ask(1, 2, 3, limit=16, go_on=True)
+    batch = talk.ask(1, 2, 3, one_by_one=False, go_on=True)
     talk.lose()
     assert len({id(each) for each in batch.outcomes}) == 3
     assert [each.sent for each in batch.outcomes] == talk.sent
@@ -317,7 +317,7 @@ def test_a_broadcast_that_was_cancelled_still_has_the_line() -> None:
 def test_a_request_that_nobody_answers_makes_a_batch_go_one_by_one() -> None:
     silent = pdu.Diagnostics(pdu.SubFunction.FORCE_LISTEN_ONLY, b"\0\0")
     talk = Talk(turnaround=0.1)
-    batch = talk.ask(1, silent, 2, limit=16)
+    batch = talk.ask(1, silent, 2, one_by_one=False)
     assert len(talk.sent) == 1
     talk.come(answer(talk))
     assert len(talk.sent) == 2
@@ -337,14 +337,17 @@ def test_a_batch_without_requests_is_over_at_once_on_a_connection_that_stands() 
 # --- halves -------------------------------------------------------------------------------
 
 
-@each_case(("limits", "halves"), [([16], [8, 8, 0]), ([2], [1, 1, 0]), ([1] * 20, [8, 8, 0])])
+@each_case(
+    ("most", "batches", "halves"), [(16, 1, [8, 8, 0]), (2, 1, [1, 1, 0]), (16, 20, [8, 8, 0])]
+)
 def test_up_to_half_of_what_may_be_in_flight_is_sent_at_once(
-    limits: list[int], halves: list[int]
+    most: int, batches: int, halves: list[int]
 ) -> None:
     """The server works on one half while the answers to the other one are decoded."""
-    talk = Talk()
-    for limit in limits:
-        talk.connection.submit(talk.batch(*range(20), limit=limit), talk.now)
+    talk = Talk(max_in_flight=most)
+    for _ in range(batches):
+        batch = talk.batch(*range(20), one_by_one=batches > 1)
+        talk.connection.submit(batch, talk.now)
     sent = []
     for _ in halves:
         talk.forget()

@@ -34,7 +34,7 @@ def test_answers_find_their_requests_in_any_order(order: list[int]) -> None:
 def test_answers_may_come_in_any_pieces(seed: int) -> None:
     chance = random.Random(seed)
     talk = Talk()
-    batch = talk.ask(*range(10), limit=16)
+    batch = talk.ask(*range(10), one_by_one=False)
     data = b"".join(tcp(each) for each in talk.sent)
     while data:
         size = chance.randrange(1, 20)
@@ -44,23 +44,23 @@ def test_answers_may_come_in_any_pieces(seed: int) -> None:
 
 
 @pytest.mark.parametrize("limit", [1, 3, 16, 99])
-def test_a_batch_has_as_many_in_flight_as_it_and_the_client_may(limit: int) -> None:
-    talk = Talk()
-    batch, most = talk.ask(*range(40), limit=limit), min(limit, 16)
+def test_a_batch_has_as_many_in_flight_as_the_client_may(limit: int) -> None:
+    talk = Talk(max_in_flight=limit)
+    batch, most = talk.ask(*range(40), one_by_one=limit == 1), min(limit, 40)
     assert len(talk.sent) == most
     talk.come(tcp(talk.sent[most // 2]))
-    assert len(talk.sent) == most + 1
+    assert len(talk.sent) == min(most + 1, 40)
     while not batch.is_done:
         talk.come(tcp(talk.sent[-1]), *(tcp(each) for each in talk.sent[:-1]))
     assert batch.outcomes == [[address] for address in range(40)]
     others = [talk.ask(address) for address in range(40)]
-    assert len(talk.sent) == 40 + 16
+    assert len(talk.sent) == 40 + most
     assert not any(each.is_done for each in others)
 
 
 def test_callers_take_turns() -> None:
     talk = Talk(max_in_flight=2)
-    talk.ask(*range(10), limit=16)
+    talk.ask(*range(10), one_by_one=False)
     talk.ask(100)
     talk.ask(200)
     for at in range(4):
@@ -187,7 +187,7 @@ def test_an_id_in_flight_or_owed_is_skipped() -> None:
 
 def test_requests_are_spaced() -> None:
     talk = Talk(request_spacing=0.25)
-    talk.ask(*range(3), limit=16)
+    talk.ask(*range(3), one_by_one=False)
     talk.ask(9)
     talk.wait(1)
     assert talk.times == pytest.approx([0, 0.25, 0.5, 0.75])

@@ -226,8 +226,8 @@ def test_nothing_overtakes_a_repetition_with_one_in_flight(url: str) -> None:
 
 
 def test_a_repetition_keeps_its_place_among_those_in_flight() -> None:
-    talk = Talk(busy_retries=1)
-    batch = talk.ask(*range(4), limit=2)
+    talk = Talk(busy_retries=1, max_in_flight=2)
+    batch = talk.ask(*range(4), one_by_one=False)
     talk.come(refusal(talk, 6, 0))
     assert addresses(talk) == [0, 1]
     talk.come(answer(talk, 1))
@@ -239,9 +239,18 @@ def test_a_repetition_keeps_its_place_among_those_in_flight() -> None:
     assert batch.outcomes == [[0], [1], [2], [3]]
 
 
+def test_nothing_more_of_a_batch_is_sent_once_a_refusal_was_received() -> None:
+    talk = Talk(max_in_flight=2)
+    batch = talk.ask(*range(9), one_by_one=False)
+    talk.come(refusal(talk, 2, 0))
+    assert addresses(talk) == [0, 1]
+    assert kinds(batch)[0] is IllegalDataAddress
+    assert talk.is_at_rest
+
+
 def test_what_comes_behind_a_failure_is_not_repeated() -> None:
     talk = Talk(retries=5, busy_retries=5)
-    batch = talk.ask(0, 1, 2, limit=16)
+    batch = talk.ask(0, 1, 2, one_by_one=False)
     talk.come(refusal(talk, 6, 2), refusal(talk, 2, 1))
     talk.wait(0.5)
     assert addresses(talk) == [0, 1, 2]

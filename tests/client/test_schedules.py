@@ -43,7 +43,7 @@ def test_no_schedule_gives_a_wrong_value_leaves_anybody_waiting_or_leaks_a_slot(
             numbers = list(range(number, number + count))
             number += count
             batch = talk.ask(
-                *numbers, unit=choice % 2 + 1, limit=choice % 4 + 1, go_on=choice > 127
+                *numbers, unit=choice % 2 + 1, one_by_one=choice % 2 == 0, go_on=choice > 127
             )
             asked.append((batch, numbers))
         elif event == "cancel" and asked:

@@ -109,9 +109,9 @@ class Talk:
         self.sent.clear()
         self.times.clear()
 
-    def ask(self, *requests: Any, unit: int = 1, limit: int = 1, **options: Any) -> Batch:
+    def ask(self, *requests: Any, unit: int = 1, one_by_one: bool = True, **options: Any) -> Batch:
         """Send requests; a number stands for a read of the register at this address."""
-        batch = self.batch(*requests, unit=unit, limit=limit, **options)
+        batch = self.batch(*requests, unit=unit, one_by_one=one_by_one, **options)
         self.connection.submit(batch, self.now)
         self.start()
         return batch
@@ -127,7 +127,7 @@ class Talk:
         self,
         *requests: Any,
         unit: int = 1,
-        limit: int = 1,
+        one_by_one: bool = True,
         go_on: bool = False,
         is_broadcast: bool = False,
         **timeouts: Any,
@@ -142,7 +142,7 @@ class Talk:
             unit,
             [read(each) if isinstance(each, int) else each for each in requests],
             Timeouts(**{**usual, **timeouts}) if timeouts else self.timeouts,
-            limit=limit,
+            one_by_one=one_by_one or settings["max_in_flight"] == 1,
             go_on=go_on,
             is_broadcast=is_broadcast,
         )
@@ -162,8 +162,8 @@ class Talk:
 
     def come(self, *pieces: bytes) -> None:
         for piece in pieces:
-            self.connection.take([piece], self.now)
-            self.start()
+            if self.connection.take([piece], self.now):
+                self.start()
             self.connection.settle(self.now)
             self.start()
 
