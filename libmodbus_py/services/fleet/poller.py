@@ -196,7 +196,7 @@ class Poller(LineRequest):
         self._requests: Sequence[Any] = self._search() if self._holes else self._plan.requests
         self._advance()
 
-    def take(self, outcome: Any, now: float) -> None:
+    def take_outcome(self, outcome: Any, now: float) -> None:
         """Take the outcome of the request; with the last one, the state of the device changes."""
         is_error = isinstance(outcome, ModbusError)
         if is_error and self._first_error is None:
@@ -404,7 +404,7 @@ class FleetLine(SharedLine[Poller]):
             self._on_polled(each, None)
             return
         before = each.state
-        each.take(outcome, now)
+        each.take_outcome(outcome, now)
         if each.request is None:
             self._on_polled(each, before)
         else:

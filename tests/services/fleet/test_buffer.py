@@ -42,9 +42,9 @@ async def test_polls_are_taken_whole() -> None:
 async def test_readings_that_are_put_back_come_first_and_in_their_order() -> None:
     buffer = Buffer()
     buffer.put_readings([*poll(1.0, 2), *poll(2.0, 2)])
-    first = await buffer.take(3)
+    first = await buffer.take_readings(3)
     buffer.put_back(first)
-    assert told(await buffer.take(9)) == told([*poll(1.0, 2), *poll(2.0, 2)])
+    assert told(await buffer.take_readings(9)) == told([*poll(1.0, 2), *poll(2.0, 2)])
     assert buffer.dropped == 0
 
 
@@ -52,14 +52,14 @@ async def test_readings_that_are_put_back_come_first_and_in_their_order() -> Non
 async def test_of_what_is_put_back_the_newest_have_room() -> None:
     buffer = Buffer(3)
     buffer.put_readings(poll(1.0, 3))
-    first = await buffer.take(3)
+    first = await buffer.take_readings(3)
     buffer.put_readings(poll(2.0, 3))
     buffer.put_back(first)
     assert (len(buffer), buffer.dropped) == (3, 3)
-    assert told(await buffer.take(2)) == told(poll(2.0, 2))
+    assert told(await buffer.take_readings(2)) == told(poll(2.0, 2))
     buffer.put_back(first)
     assert buffer.dropped == 4
-    assert told(await buffer.take(9)) == [(1.0, "p1"), (1.0, "p2"), (2.0, "p2")]
+    assert told(await buffer.take_readings(9)) == [(1.0, "p1"), (1.0, "p2"), (2.0, "p2")]
 
 
 @in_simulated_time
@@ -79,20 +79,20 @@ async def test_a_closed_buffer_takes_nothing_and_gives_what_it_has() -> None:
     buffer = Buffer()
     buffer.put_readings(poll(1.0, 2))
     assert not buffer.is_over
-    buffer.close()
+    buffer.close_buffer()
     assert not buffer.is_over
     buffer.put_readings(poll(2.0))
     assert (len(buffer), buffer.dropped) == (2, 0)
-    assert told(await buffer.take(9)) == told(poll(1.0, 2))
+    assert told(await buffer.take_readings(9)) == told(poll(1.0, 2))
     assert buffer.is_over
-    assert await buffer.take(9) == []
+    assert await buffer.take_readings(9) == []
 
 
 @in_simulated_time
 async def test_a_buffer_that_is_given_up_has_lost_the_rest() -> None:
     buffer = Buffer()
     buffer.put_readings(poll(1.0, 2))
-    buffer.drop(poll(0.0, 3))
+    buffer.drop_readings(poll(0.0, 3))
     buffer.give_up()
     assert (len(buffer), buffer.dropped) == (0, 5)
     assert buffer.is_over
@@ -101,13 +101,13 @@ async def test_a_buffer_that_is_given_up_has_lost_the_rest() -> None:
 @in_simulated_time
 async def test_who_waits_is_woken() -> None:
     buffer = Buffer(3)
-    assert await buffer.take(1, 0.01) == []
+    assert await buffer.take_readings(1, 0.01) == []
     for wake, found in (
         (lambda: buffer.put_readings(poll(1.0)), poll(1.0)),
         (lambda: buffer.put_back(poll(2.0)), poll(2.0)),
-        (buffer.close, []),
+        (buffer.close_buffer, []),
     ):
-        waiting = asyncio.create_task(buffer.take(5))
+        waiting = asyncio.create_task(buffer.take_readings(5))
         await asyncio.sleep(0)
         wake()
         assert await asyncio.wait_for(waiting, 1) == found

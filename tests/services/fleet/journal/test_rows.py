@@ -93,8 +93,8 @@ def test_polls_are_taken_whole_and_once(monkeypatch: pytest.MonkeyPatch) -> None
     made, every = filled(10, 5), polls(10, 5)
     assert (made.before, made.last) == (9, 19)  # the file lacks them all
     assert made.after(9, 100) == every
-    assert made.take(3) == every[:1]
-    assert made.take(1) == every[1:2]  # one at least
+    assert made.take_unwritten(3) == every[:1]
+    assert made.take_unwritten(1) == every[1:2]  # one at least
     made.add(polls(20, 1)[0])
     assert (made.before, made.taken, made.dropped) == (13, 13, 0)
     assert made.after(12, 100) is None
@@ -106,13 +106,13 @@ def test_what_no_disk_takes_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recent, "MOST_IN_MEMORY", 4)
     monkeypatch.setattr(recent, "MOST_WAITING", 8)
     made = filled(1, 3)
-    assert made.take(4) == polls(1, 2)
+    assert made.take_unwritten(4) == polls(1, 2)
     for each in polls(7, 100):
         made.add(each)
     # Those that were taken before are on their way to the disk, and not lost.
     assert (made.last, made.dropped) == (206, 206 - 8 - 4)
-    assert made.take(1000) == made.after(198, 1000) == polls(199, 4, time=196.0)
-    assert made.take(1) == []
+    assert made.take_unwritten(1000) == made.after(198, 1000) == polls(199, 4, time=196.0)
+    assert made.take_unwritten(1) == []
 
 
 class Shelf:
@@ -124,7 +124,7 @@ class Shelf:
         self.noted = 0
         self.is_stuck = False
 
-    def note(self) -> asyncio.Future[None]:
+    def note_places(self) -> asyncio.Future[None]:
         self.noted += 1
         noted = asyncio.get_running_loop().create_future()
         if not self.is_stuck:
@@ -150,12 +150,12 @@ async def test_an_output_goes_on_where_it_confirmed() -> None:
     assert len(place) == 6  # taken, but not confirmed
     place.put_back(batch)
     assert await place.take_polls(1) == batch
-    await place.confirm(batch)
+    await place.confirm_readings(batch)
     assert (place.confirmed, len(place), shelf.noted) == (4, 4, 1)
     for ids in ([5, 6], [7, 8], []):
         batch = await place.take_polls(100, 0.5)
         assert [each.id for each in batch] == ids
-        await place.confirm(batch)
+        await place.confirm_readings(batch)
     assert await place.take_polls(100, 0.5) == []
     assert place.dropped == 0
 
@@ -165,10 +165,10 @@ async def test_a_place_never_falls() -> None:
     shelf = Shelf(*polls(1, 4))
     place = place_in(shelf, 0, 8)
     first, second = await place.take_polls(2), await place.take_polls(2)
-    await place.confirm(second)
+    await place.confirm_readings(second)
     for old in (second, first, []):  # an output that confirms twice, or late
-        await place.confirm(old)
-        place.drop(old)
+        await place.confirm_readings(old)
+        place.drop_readings(old)
     assert (place.confirmed, place.dropped, shelf.noted) == (4, 0, 1)
     place.put_back(first)
     assert [each.id for each in await place.take_polls(2)] == [5, 6]
@@ -181,7 +181,7 @@ async def test_a_disk_that_notes_nothing_delays_an_output_by_a_second() -> None:
     place = place_in(shelf, 0, 8)
     loop = asyncio.get_running_loop()
     begun = loop.time()
-    await place.confirm(await place.take_polls(2))
+    await place.confirm_readings(await place.take_polls(2))
     assert loop.time() - begun == pytest.approx(1.0)
 
 
@@ -198,7 +198,7 @@ async def test_what_was_deleted_unconfirmed_is_counted_and_told_once(
     assert (place.dropped, place.confirmed, len(place)) == (6, 6, 14)
     batch = await place.take_polls(4)
     assert [each.id for each in batch] == [7, 8, 9, 10]
-    await place.confirm(batch)
+    await place.confirm_readings(batch)
     shelf.polls = shelf.polls[8:]  # rows that were damaged
     assert [each.id for each in await place.take_polls(2)] == [17, 18]
     assert place.dropped == 6 + 6
@@ -220,7 +220,7 @@ async def test_other_polls_are_looked_at_without_being_taken() -> None:
 @in_simulated_time
 async def test_a_closed_place_is_over_when_all_was_taken() -> None:
     place = place_in(Shelf(*polls(1, 2)), 0, 4)
-    place.close()
+    place.close_buffer()
     assert not place.is_over
     await place.take_polls(100)
     assert place.is_over
@@ -237,5 +237,5 @@ async def test_a_closed_place_ends_the_wait_of_an_output() -> None:
     waiting = asyncio.create_task(place.take_polls(100))
     await asyncio.sleep(0)
     assert not waiting.done()
-    place.close()
+    place.close_buffer()
     assert await asyncio.wait_for(waiting, 1) == []
