@@ -43,7 +43,7 @@ async def test_an_output_that_loses_cancellations_ends_with_the_fleet() -> None:
     pump.buffer.put_readings([reading("a", "one")])
     pump.start()
     await asyncio.sleep(1)
-    pump.close()
+    pump.close_pump()
     before = asyncio.get_running_loop().time()
     with pytest.raises(asyncio.CancelledError):
         await pump.task
@@ -110,7 +110,7 @@ async def test_a_cancellation_is_not_lost_while_a_pump_rests() -> None:
     pump.buffer.put_readings([reading("a", "one")])
     pump.start()
     await asyncio.sleep(0.1)
-    pump.close(is_patient=True)
+    pump.close_pump(is_patient=True)
     pump.task.cancel()
     await asyncio.wait([pump.task])
     assert pump.task.cancelled()

@@ -148,7 +148,7 @@ def test_a_journal_is_forced_onto_the_disk_once_after_a_poll_if_timers_end_early
 ) -> None:
     monkeypatch.setattr(journal, "WriterThread", Inline)
     calls: list[str] = []
-    for name in ("write", "force"):
+    for name in ("write_polls", "force"):
         patch_with_note(monkeypatch, name, calls)
 
     async def poll() -> None:
@@ -156,7 +156,7 @@ def test_a_journal_is_forced_onto_the_disk_once_after_a_poll_if_timers_end_early
             device = meter("a", peer.url, interval=10)
             async with Fleet([device], outputs=[], journal=Journal(tmp_path / "fleet.db")):
                 await asyncio.sleep(95)
-                writes, forces = calls.count("write"), calls.count("force")
+                writes, forces = calls.count("write_polls"), calls.count("force")
         # A poll is written, forced, and what that was is noted.
         assert 9 <= forces <= 10
         assert writes <= 2 * forces + 1

@@ -89,7 +89,7 @@ async def pumping(output: Output) -> AsyncIterator[Pump]:
     pump = Pump(output)
     pump.start()
     yield pump
-    pump.close()
+    pump.close_pump()
     await pump.task
 
 

@@ -197,7 +197,7 @@ class Poller(LineRequest):
         self._requests: Sequence[Any] = self._search() if self._holes else self._plan.requests
         self._advance()
 
-    def take(self, outcome: Any, now: float) -> None:
+    def take_outcome(self, outcome: Any, now: float) -> None:
         """Take the outcome of the request; with the last one, the state of the device changes."""
         is_error = isinstance(outcome, ModbusError)
         if is_error and self._first_error is None:
@@ -406,7 +406,7 @@ class FleetLine(SharedLine[Poller]):
             self._on_polled(job, None)
             return
         before = job.state
-        job.take(outcome, now)
+        job.take_outcome(outcome, now)
         if job.request is None:
             self._on_polled(job, before)
         else:

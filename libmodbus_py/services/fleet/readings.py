@@ -204,12 +204,12 @@ class Buffer(AsyncIterator[Reading]):
         return len(self._kept)
 
     async def __anext__(self) -> Reading:
-        if found := await self.take(1):
+        if found := await self.take_readings(1):
             return found[0]
         raise StopAsyncIteration
 
     def put_readings(self, readings: Sequence[Reading]) -> None:
-        """Add readings; they are ignored after `close`."""
+        """Add readings; they are ignored after `close_buffer`."""
         if self._is_closed:
             return
         self._kept.extend(readings)
@@ -226,21 +226,21 @@ class Buffer(AsyncIterator[Reading]):
         if self._kept:
             self._filled.set()
 
-    def drop(self, readings: Sequence[Reading]) -> None:
+    def drop_readings(self, readings: Sequence[Reading]) -> None:
         """Count readings that were taken, and can never be written."""
         self.dropped += len(readings)
 
-    async def confirm(self, readings: Sequence[Reading]) -> None:
+    async def confirm_readings(self, readings: Sequence[Reading]) -> None:
         """Do nothing: readings that were taken are not kept."""
 
-    def close(self) -> None:
+    def close_buffer(self) -> None:
         """Accept no more readings; those that wait can still be taken."""
         self._is_closed = True
         self._filled.set()
 
     def give_up(self) -> None:
         """Close the buffer and drop the readings that are left."""
-        self.close()
+        self.close_buffer()
         self.dropped += len(self._kept)
         self._kept.clear()
 
@@ -254,7 +254,7 @@ class Buffer(AsyncIterator[Reading]):
         """True if no readings will be added."""
         return self._is_closed
 
-    async def take(self, most: int, timeout: float | None = None) -> list[Reading]:
+    async def take_readings(self, most: int, timeout: float | None = None) -> list[Reading]:
         """Wait for readings; return up to `most`, none after the time or when closed."""
         while not self._kept and not await self._fetch(most) and not self._is_at_end:
             try:
@@ -265,8 +265,8 @@ class Buffer(AsyncIterator[Reading]):
         return [self._kept.popleft() for _ in range(min(most, len(self._kept)))]
 
     async def take_polls(self, most: int, timeout: float | None = None) -> list[Reading]:
-        """As `take`, but the readings of the last poll are complete, even if these are more."""
-        taken = await self.take(most, timeout)
+        """As `take_readings`, with all readings of the last poll, even if these are more."""
+        taken = await self.take_readings(most, timeout)
         while taken and self._kept and self._kept[0].poll == taken[-1].poll:
             taken.append(self._kept.popleft())
         return taken

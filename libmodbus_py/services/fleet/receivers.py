@@ -112,9 +112,9 @@ class Receivers:
     async def stop(self, closing: Collection[asyncio.Task[None]], *, is_patient: bool) -> None:
         """Let the outputs write what waits, until a failure if patient, and close the journal."""
         for buffer in self._iterated:
-            buffer.close()
+            buffer.close_buffer()
         for pump in self._pumps:
-            pump.close(is_patient=is_patient)
+            pump.close_pump(is_patient=is_patient)
         try:
             # A second cancellation ends the outputs at once.
             with contextlib.suppress(asyncio.InvalidStateError):

@@ -115,9 +115,9 @@ async def _try(client: AsyncClient, device: DeviceConfig) -> Tried:
     poller.begin()
     while poller.request is not None:
         try:
-            poller.take(await unit.execute(poller.request), now())
+            poller.take_outcome(await unit.execute(poller.request), now())
         except ModbusError as error:
-            poller.take(error, now())
+            poller.take_outcome(error, now())
     problem = _problem_of(poller, poller.values())
     return Tried(device, len(poller.reads.plan.requests), now() - start, problem)
 

@@ -24,14 +24,14 @@ def told(readings: Sequence[Reading]) -> list[tuple[float, str]]:
 async def test_of_what_is_put_back_the_newest_have_room() -> None:
     buffer = Buffer(3)
     buffer.put_readings(poll(1.0, 3))
-    first = await buffer.take(3)
+    first = await buffer.take_readings(3)
     buffer.put_readings(poll(2.0, 3))
     buffer.put_back(first)
     assert (len(buffer), buffer.dropped) == (3, 3)
-    assert told(await buffer.take(2)) == told(poll(2.0, 2))
+    assert told(await buffer.take_readings(2)) == told(poll(2.0, 2))
     buffer.put_back(first)
     assert buffer.dropped == 4
-    assert told(await buffer.take(9)) == [(1.0, "p1"), (1.0, "p2"), (2.0, "p2")]
+    assert told(await buffer.take_readings(9)) == [(1.0, "p1"), (1.0, "p2"), (2.0, "p2")]
 
 
 def test_a_buffer_has_a_size_that_is_promised() -> None:

@@ -51,7 +51,7 @@ class Polled:
             self.asked.append(request.address)
             failed = error if at in (None, request.address) else None
             cells = [self.cells[request.address + each] for each in range(request.count)]
-            self.poller.take(failed or cells, self.now)
+            self.poller.take_outcome(failed or cells, self.now)
         self.now += self.poller.interval
         return {each.name: (each.value, each.reason) for each in self.poller.readings(self.now, 0)}
 

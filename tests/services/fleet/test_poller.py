@@ -39,7 +39,7 @@ def poll(poller: Poller, *outcomes: Any, now: float = 0.0) -> list[int]:
     asked = []
     for outcome in outcomes:
         asked.append(poller.request.address)
-        poller.take(outcome, now)
+        poller.take_outcome(outcome, now)
     assert poller.request is None
     return asked
 
@@ -84,12 +84,12 @@ def test_after_each_silence_another_request_comes_first(poller: Poller) -> None:
 
 def test_a_refusal_is_an_answer(poller: Poller) -> None:
     poller.begin()
-    poller.take(REFUSED, 1.0)
+    poller.take_outcome(REFUSED, 1.0)
     assert poller.request.address == 500
     for _ in range(2):
-        poller.take(REFUSED, 1.0)
+        poller.take_outcome(REFUSED, 1.0)
     while poller.request is not None:  # it looks for what exactly is refused
-        poller.take(REFUSED, 1.0)
+        poller.take_outcome(REFUSED, 1.0)
     assert poller.state is DeviceState.UP
     assert poller.is_refused
     assert poller.misses == 0

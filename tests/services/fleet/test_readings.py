@@ -105,7 +105,7 @@ def test_a_point_is_reported_at_least_so_often(
     for number, value in enumerate(values):
         at = 1000.1 + 20 * number
         poller.begin(at)
-        poller.take(value if isinstance(value, Exception) else [value], at)
+        poller.take_outcome(value if isinstance(value, Exception) else [value], at)
         reported += [number] * len(poller.readings(at, 0))
     assert reported == polls
 
@@ -120,7 +120,7 @@ def test_a_point_of_its_own_interval_is_reported_at_least_so_often() -> None:
     for at in range(0, 220, 20):
         poller.begin(at)
         assert poller.request is not None
-        poller.take([7] * poller.request.count, at)
+        poller.take_outcome([7] * poller.request.count, at)
         for reading in poller.readings(at, 0):
             reported[reading.name].append(at)
     assert reported == {"x": [0, 80, 160], "y": [0, 100, 200]}
@@ -228,7 +228,7 @@ class Polls:
     def readings(self, *cells: int) -> list[Reading]:
         self._poller.begin()
         while self._poller.request is not None:
-            self._poller.take(list(cells), 0.0)
+            self._poller.take_outcome(list(cells), 0.0)
         return self._poller.readings(0.0, 0)
 
 

@@ -214,7 +214,7 @@ class Journal:
         self._wake.set()
         return added
 
-    def note(self) -> asyncio.Future[None]:
+    def note_places(self) -> asyncio.Future[None]:
         """Begin to write the places; return a future that ends when they are, or cannot be."""
         if self._noting is None:
             self._noting = asyncio.get_running_loop().create_future()
@@ -229,7 +229,7 @@ class Journal:
             return polls, number
         before = min(self._recent.before, self._written)
         try:
-            polls = await self._thread.call(self._file.read, number, most)
+            polls = await self._thread.call(self._file.read_polls, number, most)
         except JournalError as error:
             self._note_trouble(error)
             self._wake.set()
@@ -283,12 +283,14 @@ class Journal:
 
     async def _write(self) -> None:
         """Write polls and places in one transaction; polls that cannot be, come the next time."""
-        self._batch = self._batch or self._recent.take(MOST_AT_ONCE)
+        self._batch = self._batch or self._recent.take_unwritten(MOST_AT_ONCE)
         noting, self._noting = self._noting, None
         places = {each.name: each.confirmed for each in self._places}
         confirmed = min(places.values(), default=self.last)
         try:
-            written = await self._thread.call(self._file.write, self._batch, places, confirmed)
+            written = await self._thread.call(
+                self._file.write_polls, self._batch, places, confirmed
+            )
         finally:
             if noting is not None and not noting.done():
                 noting.set_result(None)  # outputs do not wait for a disk that takes nothing

@@ -257,7 +257,7 @@ class JournalFile:
 
     # --- writing ----------------------------------------------------------------------------
 
-    def write(
+    def write_polls(
         self, polls: Sequence[JournalPoll], places: Mapping[str, int], confirmed: int
     ) -> JournalState:
         """
@@ -323,7 +323,7 @@ class JournalFile:
 
     # --- reading ----------------------------------------------------------------------------
 
-    def read(self, after: int, most: int) -> list[JournalPoll]:
+    def read_polls(self, after: int, most: int) -> list[JournalPoll]:
         """Return the polls behind an id, at least one if there is one, without damaged rows."""
         found: list[JournalPoll] = []
         count = 0

@@ -31,7 +31,7 @@ class _Journal(Protocol):
 
     async def after(self, number: int, most: int) -> tuple[list[JournalPoll], int]: ...
 
-    def note(self) -> asyncio.Future[None]: ...
+    def note_places(self) -> asyncio.Future[None]: ...
 
 
 class JournalPlace(Buffer):
@@ -62,16 +62,16 @@ class JournalPlace(Buffer):
         """Return readings that could not be written, unless they were deleted meanwhile."""
         self._kept.extendleft(each for each in reversed(readings) if each.id > self.confirmed)
 
-    def drop(self, readings: Sequence[Reading]) -> None:
+    def drop_readings(self, readings: Sequence[Reading]) -> None:
         """Count readings that were taken, and can never be written."""
         if (passed := self._pass(readings)) > 0:
             self.dropped += passed
-            self._journal.note()
+            self._journal.note_places()
 
-    async def confirm(self, readings: Sequence[Reading]) -> None:
+    async def confirm_readings(self, readings: Sequence[Reading]) -> None:
         """Store that the output has accepted readings; return when this is in the file."""
         if self._pass(readings) > 0:
-            await asyncio.wait([self._journal.note()], timeout=NOTING_S)
+            await asyncio.wait([self._journal.note_places()], timeout=NOTING_S)
 
     def _pass(self, readings: Sequence[Reading]) -> int:
         """Move behind readings, and return the number of those that were not passed before."""
@@ -82,7 +82,7 @@ class JournalPlace(Buffer):
 
     def give_up(self) -> None:
         """Close the place; the readings that wait are for the next run."""
-        self.close()
+        self.close_buffer()
         self._kept.clear()
 
     def deleted(self, polls: Sequence[tuple[int, int]]) -> None:
@@ -175,7 +175,7 @@ class RecentPolls:
             number = poll.last
         return found
 
-    def take(self, most: int) -> list[JournalPoll]:
+    def take_unwritten(self, most: int) -> list[JournalPoll]:
         """Return polls for the file, with about so many readings, which were not taken before."""
         taken = self.after(self.taken, most) or []
         if taken:

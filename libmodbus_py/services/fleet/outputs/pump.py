@@ -75,11 +75,11 @@ class Pump:
         """Start the task."""
         self.task: asyncio.Task[None] = asyncio.create_task(self._run(), name=self.name)
 
-    def close(self, *, is_patient: bool = False) -> None:
+    def close_pump(self, *, is_patient: bool = False) -> None:
         """
         Write the readings that wait, and end after a failure, or two seconds unless it is patient.
         """
-        self.buffer.close()
+        self.buffer.close_buffer()
         self._closing.set()
         if not is_patient:
             self._end_after(tasks.FINISHING_S)
@@ -94,7 +94,7 @@ class Pump:
 
     async def _run(self) -> None:
         try:
-            while not await self._give():
+            while not await self._give_readings():
                 if not self._may_open_at_once:
                     with contextlib.suppress(TimeoutError):
                         async with asyncio.timeout(self._pauses.next()):
@@ -103,7 +103,7 @@ class Pump:
         finally:
             self.buffer.give_up()
 
-    async def _give(self) -> bool:
+    async def _give_readings(self) -> bool:
         """Write readings until the output fails; return True if the pump is to end."""
         try:
             await self._output.open_output()
@@ -117,7 +117,7 @@ class Pump:
                     self.buffer.put_back(batch)
                     self._single = _polls(batch)
                 else:
-                    await self._write(batch)
+                    await self._write_readings(batch)
             return True
         except OutputError as error:
             self.statistics.trouble, self.statistics.trouble_since = _message(error), time.time()
@@ -151,7 +151,7 @@ class Pump:
             self._has_accepted = True
             self._pauses.reset()
 
-    async def _write(self, batch: list[Reading]) -> None:
+    async def _write_readings(self, batch: list[Reading]) -> None:
         begun = asyncio.get_running_loop().time()
         most, self._most = self._most, MOST_AT_ONCE
         try:
@@ -162,7 +162,7 @@ class Pump:
         is_quick = asyncio.get_running_loop().time() - begun < QUICK_S
         if is_quick and len(batch) > most // 2:
             self._most = min(2 * most, self._most_ever)
-        await self.buffer.confirm(batch)
+        await self.buffer.confirm_readings(batch)
         if batch:
             self._losses = 0
             self._has_accepted = True
@@ -180,11 +180,13 @@ class Pump:
         is_loss = isinstance(error, ConnectionError)
         is_odd = isinstance(error, Exception) and not isinstance(error, OSError | OutputError)
         if is_odd and self._single and batch:
-            self._drop(batch, str(error))
+            self._drop_readings(batch, str(error))
         elif is_loss and polls == 1 and self._is_refused(batch[0]):
             self._refused.add(batch[0].device)
             self._may_open_at_once = True
-            self._drop(batch, f"others were accepted and these were not, several times: {error}")
+            self._drop_readings(
+                batch, f"others were accepted and these were not, several times: {error}"
+            )
         else:
             self.buffer.put_back(batch)
             self._losses += is_loss and bool(batch)
@@ -200,9 +202,9 @@ class Pump:
         most = 0 if reading.device in self._refused else MOST_LOSSES
         return self._has_accepted and self._ends >= most
 
-    def _drop(self, batch: list[Reading], reason: str) -> None:
+    def _drop_readings(self, batch: list[Reading], reason: str) -> None:
         self._single = max(0, self._single - 1)
-        self.buffer.drop(batch)
+        self.buffer.drop_readings(batch)
         device, count = batch[0].device, len(batch)
         logger.error("%s: %d readings of %s are dropped: %s", self.name, count, device, reason)
 

@@ -25,11 +25,11 @@ def inline(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Failing:
     """Transactions may fail."""
-    return Failing(monkeypatch, JournalFile, "write")
+    return Failing(monkeypatch, JournalFile, "write_polls")
 
 
 @pytest.fixture
 def reader(monkeypatch: pytest.MonkeyPatch) -> Failing:
     """Outputs may fail to read what is only on the disk, which are all readings but the last."""
     monkeypatch.setattr(place, "MOST_IN_MEMORY", 3)
-    return Failing(monkeypatch, JournalFile, "read")
+    return Failing(monkeypatch, JournalFile, "read_polls")

@@ -69,7 +69,7 @@ def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_pa
     file = opened(path)
     file._used.set_trace_callback(copy)
     for at in range(3):
-        file.write(polls(1 + 20 * at, 10), {"a": 20 * at}, 20 * at)
+        file.write_polls(polls(1 + 20 * at, 10), {"a": 20 * at}, 20 * at)
         file.force()
     file._used.set_trace_callback(None)
     file.close()
@@ -79,7 +79,7 @@ def test_a_program_may_be_killed_at_each_step_of_a_transaction(path: str, tmp_pa
         again = JournalFile(str(each), 1e10, 10**9)
         begun = again.open(["a"])
         confirmed, _ = begun.places["a"]
-        again.write([], {"a": confirmed}, 0)
+        again.write_polls([], {"a": confirmed}, 0)
         again.close()
         ids = in_journal(str(each))
         assert ids == [*range(1, len(ids) + 1)]
@@ -188,7 +188,14 @@ async def test_what_waits_is_counted_whatever_happens(
             await asyncio.sleep(chance.choice([0, 0.01, 0.3]))
             if chance.random() < 0.6:
                 batch = await place.take_polls(chance.choice([1, 20, 200]), 0.1)
-                way = chance.choice([place.confirm, place.confirm, place.put_back, place.drop])
+                way = chance.choice(
+                    [
+                        place.confirm_readings,
+                        place.confirm_readings,
+                        place.put_back,
+                        place.drop_readings,
+                    ]
+                )
                 before = place.confirmed
                 if (confirming := way(batch)) is not None:
                     await confirming
@@ -205,7 +212,7 @@ async def test_what_waits_is_counted_whatever_happens(
     [place] = await journal.open(["a"])
     while batch := await place.take_polls(100, 0.1):
         accepted += len(batch)
-        await place.confirm(batch)
+        await place.confirm_readings(batch)
     assert (put, len(place)) == (accepted + dropped + place.dropped, 0)
     await journal.close()
 
@@ -316,14 +323,14 @@ def test_the_journal_of_another_program_in_its_place_is_left_alone(path: str) ->
     first, second = JournalFile(path, 1e9, 10**9), JournalFile(path, 1e9, 10**9)
     with contextlib.closing(first), contextlib.closing(second):
         first.open([])
-        first.write(polls(10**9, 3), {}, 0)
+        first.write_polls(polls(10**9, 3), {}, 0)
         delete(path, "", "-wal", "-shm", "-lock")
         second.open([])
-        second.write(polls(10**9, 3), {}, 0)
+        second.write_polls(polls(10**9, 3), {}, 0)
         for _ in range(2):
             with pytest.raises(JournalError, match="was deleted or replaced"):
-                first.write(polls(2 * 10**9, 3), {}, 0)
+                first.write_polls(polls(2 * 10**9, 3), {}, 0)
         with pytest.raises(JournalError, match="is used by another program"):
             first.replace(JournalDamaged("was deleted"), [])
-        second.write(polls(3 * 10**9, 3), {}, 0)
+        second.write_polls(polls(3 * 10**9, 3), {}, 0)
         assert len(in_journal(path)) == 12

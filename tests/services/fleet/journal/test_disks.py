@@ -41,8 +41,8 @@ BROKEN = OSError(errno.EIO, "Input/output error")
 @pytest.mark.parametrize(
     ("kind", "name", "error", "told"),
     [
-        (JournalFile, "write", FULL, "fleet.db: the disk is full"),
-        (JournalFile, "write", DEFECT, "a defect"),
+        (JournalFile, "write_polls", FULL, "fleet.db: the disk is full"),
+        (JournalFile, "write_polls", DEFECT, "a defect"),
         (JournalFile, "force", DEFECT, "a defect"),
         (os, "fsync", BROKEN, "fleet.db: Input/output error"),
     ],
@@ -223,7 +223,7 @@ async def test_each_poll_is_forced_onto_the_disk_although_none_follows(
         await asyncio.sleep(0.45)
     await asyncio.sleep(5)
     await journal.close()
-    written = [at for name, at in calls if name == "write"]
+    written = [at for name, at in calls if name == "write_polls"]
     assert len(written) == 4
     for each in written:
         forced = min(at for name, at in calls if name == "force" and at > each)

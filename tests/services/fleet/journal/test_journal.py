@@ -112,7 +112,7 @@ async def test_an_output_that_is_slower_than_the_readings_is_bounded_by_the_jour
     taken = []
     while batch := await place.take_polls(500, 0.1):
         taken += batch
-        await place.confirm(batch)
+        await place.confirm_readings(batch)
     assert [each.id for each in taken] == left
     assert place.dropped == 10_000 - len(left)
     await journal.close()
@@ -214,14 +214,14 @@ async def test_a_cancelled_opening_leaves_the_file_to_others(
 @in_real_time
 async def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     hangs, goes_on = threading.Event(), threading.Event()
-    write = JournalFile.write
+    write = JournalFile.write_polls
 
     def slow(this: Any, *arguments: Any) -> Any:
         if hangs.is_set():
             goes_on.wait()
         return write(this, *arguments)
 
-    monkeypatch.setattr(JournalFile, "write", slow)
+    monkeypatch.setattr(JournalFile, "write_polls", slow)
     monkeypatch.setattr("libmodbus_py.services.fleet.journal.place.NOTING_S", 0.01)
     ids: list[int] = []
 
@@ -232,7 +232,7 @@ async def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.M
         journal.put_readings(readings("a", time.time() + at))
         batch = await place.take_polls(100)
         ids.extend(each.id for each in batch)
-        await place.confirm(batch)
+        await place.confirm_readings(batch)
     goes_on.set()
     await journal.close()
     assert ids == in_journal(path)
@@ -264,7 +264,7 @@ async def test_an_output_that_is_fast_and_behind_gets_larger_batches(
     pump = pumps.Pump(output, waiting=place)
     pump.start()
     await until(lambda: len(output.ids) == 30_000)
-    pump.close()
+    pump.close_pump()
     await pump.task
     await journal.close()
     assert sizes[:4] == [480, 990, 1980, 3990]

@@ -46,21 +46,21 @@ def file(path: str) -> Iterator[JournalFile]:
 
 def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
     every = polls(1000, 10)
-    file.write(every[:7], {}, 0)
-    file.write(every[7:], {}, 0)
+    file.write_polls(every[:7], {}, 0)
+    file.write_polls(every[7:], {}, 0)
     single = list(numbered(readings("a", 2000.0)[:1], 1020))
-    file.write(single, {}, 0)
+    file.write_polls(single, {}, 0)
     for _ in range(2):
-        assert file.read(999, 1000) == every + single
-        assert file.read(1003, 5) == every[2:4]
-        assert file.read(1020, 1000) == []
+        assert file.read_polls(999, 1000) == every + single
+        assert file.read_polls(1003, 5) == every[2:4]
+        assert file.read_polls(1020, 1000) == []
         file.close()
         file.open([])
 
 
 def test_a_poll_that_is_written_again_is_there_once(file: JournalFile) -> None:
-    file.write(polls(1, 2), {}, 0)
-    file.write(polls(1, 3), {}, 0)
+    file.write_polls(polls(1, 2), {}, 0)
+    file.write_polls(polls(1, 3), {}, 0)
     assert asked(file.path, "SELECT id FROM poll") == [(1,), (3,), (5,)]
 
 
@@ -75,7 +75,7 @@ def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
         Reading(0.5, hostile, "list", [1, 2], "", "good", labels={"site": "north"}),
     ]
     later = [told[2]._replace(time=1.5, value=False), told[0]._replace(time=1.5, value="x")]
-    file.write([*numbered(told, 10), *numbered(later, 20)], {}, 0)
+    file.write_polls([*numbered(told, 10), *numbered(later, 20)], {}, 0)
     columns = "id, time, device, name, value, unit, quality, reason, labels, seconds"
     at, labels = "1970-01-01T00:00:00.500Z", '{"site":"north"}'
     assert asked(file.path, f"SELECT {columns} FROM reading ORDER BY id") == [
@@ -99,11 +99,11 @@ def test_a_question_about_one_device_uses_the_index(file: JournalFile) -> None:
 def test_points_keep_their_rows_in_other_runs(path: str) -> None:
     for first in (1, 100):
         file = opened(path)
-        file.write(polls(first, 1), {}, 0)
+        file.write_polls(polls(first, 1), {}, 0)
         file.close()
     file = opened(path)
     changed = [each._replace(unit="mV") for each in readings()]
-    file.write(list(numbered(changed, 200)), {}, 0)
+    file.write_polls(list(numbered(changed, 200)), {}, 0)
     file.close()
     assert asked(path, "SELECT points, unit FROM point ORDER BY id") == [
         *[(1, "V"), (1, "V")],
@@ -130,17 +130,17 @@ def test_polls_of_the_points_that_have_changed_add_no_lists_of_points(
         nonlocal number
         for at in range(100):
             chosen = [name for bit, name in enumerate(names) if (at * 41) >> bit & 1] or names[:1]
-            file.write(some(number, *chosen, site=site), {}, 0)
+            file.write_polls(some(number, *chosen, site=site), {}, 0)
             number += len(chosen)
 
-    file.write(some(number, *names), {}, 0)
+    file.write_polls(some(number, *names), {}, 0)
     number += len(names)
     write_changes("north")
     assert asked(file.path, "SELECT count(*) FROM point") == [(12,)]
     with monkeypatch.context() as failing:
         failing.setattr(journal_file, "SET_PLACE", "no SQL")
         with pytest.raises(JournalError):
-            file.write(some(number, "p3"), {"a": 1}, 0)
+            file.write_polls(some(number, "p3"), {"a": 1}, 0)
     write_changes("north")
     file.close()
     file.open([])
@@ -152,22 +152,22 @@ def test_polls_of_the_points_that_have_changed_add_no_lists_of_points(
     assert len(history(file.path, "a", "p11", 0, 1e9)) == sum(
         1 for (name,) in asked(file.path, "SELECT name FROM reading") if name == "p11"
     )
-    read = [one for poll in file.read(0, 10_000) for one in poll.readings]
+    read = [one for poll in file.read_polls(0, 10_000) for one in poll.readings]
     assert len(read) == number - 1
     assert all(each.value in range(each.id - 11, each.id + 1) for each in read)
 
 
 def test_readings_keep_the_labels_of_their_time(file: JournalFile) -> None:
     for at, site in enumerate(["x", "y", "x"]):
-        file.write(some(1 + at, "p0", site=site), {}, 0)
-    read = [each.readings[0].labels["site"] for each in file.read(0, 99)]
+        file.write_polls(some(1 + at, "p0", site=site), {}, 0)
+    read = [each.readings[0].labels["site"] for each in file.read_polls(0, 99)]
     assert read == ["x", "y", "x"]
     assert len(history(file.path, "a", "p0", 0, 9)) == 3
 
 
 def test_the_first_points_of_a_list_are_not_all_of_a_history(file: JournalFile) -> None:
-    file.write(some(1, "p0", "p1"), {}, 0)
-    file.write(some(3, "p0"), {}, 0)
+    file.write_polls(some(1, "p0", "p1"), {}, 0)
+    file.write_polls(some(3, "p0"), {}, 0)
     assert asked(file.path, "SELECT chosen FROM poll") == [(None,), (None,)]
     assert [each.value for each in history(file.path, "a", "p1", 0, 9)] == [1]
     assert [each.value for each in history(file.path, "a", "p0", 0, 9)] == [1, 3]
@@ -176,11 +176,11 @@ def test_the_first_points_of_a_list_are_not_all_of_a_history(file: JournalFile) 
 @pytest.mark.parametrize("names", [("p0", "p1"), ("p1",)])
 def test_a_history_has_numbers_and_text(file: JournalFile, names: tuple[str, ...]) -> None:
     """Also of polls of some points."""
-    file.write(some(1, "p0", "p1"), {}, 0)
+    file.write_polls(some(1, "p0", "p1"), {}, 0)
     for first, value in ((3, True), (5, [1, None]), (7, {"a": False})):
         [poll] = some(first, *names)
         changed = [each._replace(value=value) for each in poll.readings]
-        file.write([poll._replace(readings=changed)], {}, 0)
+        file.write_polls([poll._replace(readings=changed)], {}, 0)
     found = [each.value for each in history(file.path, "a", "p1", 0, 9)]
     assert list(map(repr, found)) == ["1", "1", "'[1,null]'", "'{\"a\":false}'"]
 
@@ -190,7 +190,7 @@ def test_a_poll_that_cannot_be_written_delays_no_other(
 ) -> None:
     strange = Reading(1.0, "b", "p0", object(), "", "good")
     nameless = strange._replace(device="\ud800", value=1)
-    file.write(
+    file.write_polls(
         [*polls(1, 1), *numbered([strange], 3), *numbered([nameless], 4), *polls(5, 1)], {}, 0
     )
     assert asked(file.path, "SELECT id FROM poll") == [(1,), (5,)]
@@ -205,8 +205,8 @@ def test_places_are_kept_for_each_output(path: str) -> None:
     file = JournalFile(path, DAY, 10**9)
     first = file.open(["a"])
     assert first.places == {"a": (first.first - 1, 0)}
-    file.write(polls(first.first, 5), {"a": first.first + 3}, 0)
-    file.write([], {"a": first.first + 1}, 0)  # a place never falls
+    file.write_polls(polls(first.first, 5), {"a": first.first + 3}, 0)
+    file.write_polls([], {"a": first.first + 1}, 0)  # a place never falls
     file.close()
     second = file.open(["a", "new"])
     assert second.first >= first.first + 9 + MARGIN or second.first > first.first + 10
@@ -223,7 +223,7 @@ def test_ids_rise_whatever_the_clock_says(
 ) -> None:
     file = JournalFile(path, DAY, 10**9)
     begun = file.open([])
-    file.write(polls(begun.first, 5), {}, 0)
+    file.write_polls(polls(begun.first, 5), {}, 0)
     file.close()
     monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
     assert file.open([]).first >= begun.first + 9 + MARGIN
@@ -236,9 +236,12 @@ def test_ids_rise_whatever_the_clock_says(
 def test_old_readings_are_deleted_once_all_outputs_confirmed_them(path: str) -> None:
     file = opened(path, "a", keep=100.0)
     old, now = polls(1, 10, time=time.time() - 1000), polls(21, 10, time=time.time())
-    assert file.write([*old, *now], {}, 8).deleted[-1] == (7, 2)  # later ones wait for an output
-    assert file.write([], {}, 40).deleted[-1] == (19, 2)
-    assert file.write([], {}, 40).deleted == []
+    assert file.write_polls([*old, *now], {}, 8).deleted[-1] == (
+        7,
+        2,
+    )  # later ones wait for an output
+    assert file.write_polls([], {}, 40).deleted[-1] == (19, 2)
+    assert file.write_polls([], {}, 40).deleted == []
     assert asked(path, "SELECT min(id), count(*) FROM poll") == [(21, 10)]
     file.close()
 
@@ -248,10 +251,10 @@ def test_a_clock_that_is_wrong_for_a_while_deletes_little(
     path: str, now: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = opened(path, keep=90 * DAY)
-    file.write(polls(1, 1000, time=time.time()), {}, 10_000)
+    file.write_polls(polls(1, 1000, time=time.time()), {}, 10_000)
     file._to_delete = 0  # what these allowed was used up long ago
     monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
-    file.write(polls(5001, 3, time=now), {}, 10_000)
+    file.write_polls(polls(5001, 3, time=now), {}, 10_000)
     [[left]] = asked(path, "SELECT count(*) FROM poll WHERE id < 5000")
     assert left == (970 if now else 1000)
     file.close()
@@ -262,11 +265,11 @@ def test_the_oldest_readings_make_room_confirmed_or_not(path: str) -> None:
     file = opened(path, "a", size=size)
     first, deleted = 1, 0
     for _ in range(100):
-        written = file.write(polls(first, 100, time=time.time()), {}, 0)
+        written = file.write_polls(polls(first, 100, time=time.time()), {}, 0)
         first += 200
         while written.deleted:
             deleted = sum(written.deleted[-1]) - 1
-            written = file.write([], {}, 0)
+            written = file.write_polls([], {}, 0)
     [[oldest, count]] = asked(path, "SELECT min(id), count(*) FROM poll")
     assert oldest == deleted + 1
     assert 500 < count < 10_000
@@ -277,14 +280,14 @@ def test_the_oldest_readings_make_room_confirmed_or_not(path: str) -> None:
 def test_a_file_above_a_new_limit_becomes_smaller(path: str) -> None:
     file = opened(path)
     for at in range(50):
-        file.write(polls(1 + 1000 * at, 500, time=time.time()), {}, 0)
+        file.write_polls(polls(1 + 1000 * at, 500, time=time.time()), {}, 0)
     file.close()
     before = os.path.getsize(path)
     file = opened(path, size=100_000)
-    while file.write([], {}, 0).deleted:
+    while file.write_polls([], {}, 0).deleted:
         pass
     for _ in range(20):
-        file.write([], {}, 0)
+        file.write_polls([], {}, 0)
     file.close()
     assert os.path.getsize(path) < 200_000 < before
 
@@ -330,16 +333,16 @@ def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_leaves_all_as_it_was(file: JournalFile) -> None:
-    file.write(polls(1, 10), {"a": 1 << 60}, 0)
+    file.write_polls(polls(1, 10), {"a": 1 << 60}, 0)
     [[pages]] = file._used.execute("PRAGMA page_count")
     file._used.execute(f"PRAGMA max_page_count = {pages}").fetchall()
     many = polls(21, 5000)
     with pytest.raises(JournalError, match=r"the disk is full$"):
-        file.write(many, {"a": 1 << 61}, 0)
+        file.write_polls(many, {"a": 1 << 61}, 0)
     assert asked(file.path, "SELECT count(*), max(id) FROM poll") == [(10, 19)]
     assert dict(asked(file.path, "SELECT * FROM place"))["a"] == 1 << 60
     file._used.execute("PRAGMA max_page_count = 1000000").fetchall()
-    file.write(many, {"a": 9}, 0)
+    file.write_polls(many, {"a": 9}, 0)
     assert asked(file.path, "SELECT count(*) FROM poll") == [(5010,)]
 
 
@@ -354,10 +357,10 @@ def test_each_damaged_file_keeps_a_name_of_its_own(path: str) -> None:
 
 def test_a_damaged_row_is_left_out(file: JournalFile, caplog: pytest.LogCaptureFixture) -> None:
     every = polls(1, 5)
-    file.write(every, {}, 0)
+    file.write_polls(every, {}, 0)
     for number, column, text in ((3, "data", "[1"), (5, "data", "[1]"), (7, "trouble", "[]")):
         file._used.execute(f"UPDATE poll SET {column} = ? WHERE id = ?", (text, number))
-    assert file.read(0, 100) == [every[0], every[4]]
+    assert file.read_polls(0, 100) == [every[0], every[4]]
     assert caplog.text.count("cannot be read") == 3
 
 
@@ -365,10 +368,10 @@ def test_a_damaged_row_is_left_out(file: JournalFile, caplog: pytest.LogCaptureF
 
 
 def test_a_history_is_read_while_the_journal_is_written(file: JournalFile) -> None:
-    file.write(polls(1, 100), {}, 0)
+    file.write_polls(polls(1, 100), {}, 0)
     some = [each._replace(time=300.0, value=9.5) for each in readings()[1:]]
     bad = [each._replace(time=301.0, value=None, quality="bad") for each in reversed(readings())]
-    file.write([*numbered(some, 500), *numbered(bad, 502)], {}, 0)
+    file.write_polls([*numbered(some, 500), *numbered(bad, 502)], {}, 0)
     found = history(file.path, "a", "p1", 150.0, 1000.0)
     assert [each.time for each in found] == [*map(float, range(150, 200)), 300.0, 301.0]
     assert [tuple(each)[1:] for each in found[-3:]] == [(0.1, "good"), (9.5, "good"), (None, "bad")]

@@ -84,7 +84,7 @@ class FakeJournal:
         self.noted = 0
         self.is_stuck = False
 
-    def note(self) -> asyncio.Future[None]:
+    def note_places(self) -> asyncio.Future[None]:
         self.noted += 1
         noted = asyncio.get_running_loop().create_future()
         if not self.is_stuck:
@@ -105,10 +105,10 @@ async def test_an_output_that_confirms_twice_or_late_goes_on_where_it_was() -> N
     journal = FakeJournal(*polls(1, 4))
     place = place_in(journal, 0, 8)
     first, second = await place.take_polls(2), await place.take_polls(2)
-    await place.confirm(second)
+    await place.confirm_readings(second)
     for old in (second, first, []):  # an output that confirms twice, or late
-        await place.confirm(old)
-        place.drop(old)
+        await place.confirm_readings(old)
+        place.drop_readings(old)
     assert (place.confirmed, place.dropped, journal.noted) == (4, 0, 1)
     place.put_back(first)
     assert [each.id for each in await place.take_polls(2)] == [5, 6]
@@ -121,7 +121,7 @@ async def test_a_disk_that_notes_nothing_delays_an_output_by_a_second() -> None:
     place = place_in(journal, 0, 8)
     loop = asyncio.get_running_loop()
     begun = loop.time()
-    await place.confirm(await place.take_polls(2))
+    await place.confirm_readings(await place.take_polls(2))
     assert loop.time() - begun == pytest.approx(1.0)
 
 
@@ -201,6 +201,6 @@ def test_numbers_and_gaps_of_a_value(path: str) -> None:
         file.open([])
         for at, value, quality in told:
             poll = [each._replace(time=float(at), value=value) for each in readings()]
-            file.write(numbered([each._replace(quality=quality) for each in poll], at * 10), {}, 0)  # type: ignore[arg-type]
+            file.write_polls(numbered([each._replace(quality=quality) for each in poll], at * 10), {}, 0)  # type: ignore[arg-type]
         assert past("a", "p1", 0.0, 9.0, 100) == [(1.0, 5.5), (2.0, None), (3.0, None), (4.0, 7.0)]
         assert past("a", "p1", 3.5, 9.0, 100) == [(4.0, 7.0)]
