@@ -51,9 +51,9 @@ from libmodbus_py.protocol import pdu
 from libmodbus_py.protocol.errors import ExceptionResponse, ModbusConnectionError
 from libmodbus_py.protocol.framing import Frame, crc16, make_framer, mbap, rtu
 
-# Times are in ticks. An answer takes 2. A unit in DOUBT is silent for three times as long.
+# Times are in ticks. An answer takes 2. A unit in DOUBT is silent for twice as long.
 TIMEOUT = 12.0
-SILENCE = 6.0
+SILENCE = 4.0
 
 
 class Act(NamedTuple):

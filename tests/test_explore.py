@@ -15,7 +15,6 @@ import pytest
 
 from fuzz.explore import explore, run
 from libmodbus_py.client import line
-from libmodbus_py.client.answers import Answers
 from libmodbus_py.client.history import History, Pair
 from libmodbus_py.client.line import Line
 from libmodbus_py.client.queue import Queue
@@ -73,8 +72,8 @@ ON_LINES: dict[str, Breaking] = {
     "answers are checked again and again": lambda: patch.object(
         Pair, "interval", always(math.inf), create=True
     ),
-    "an answer at an unusual time is held": lambda: patch.object(
-        Answers, "is_usual", lambda *_: True
+    "an answer that came too soon is held": lambda: patch.object(
+        Pair, "is_too_fast", lambda *_: False
     ),
     "the beginning of an answer breaks the silence": lambda: patch.object(
         Line, "_note_beginnings", lambda *_: None
@@ -82,7 +81,7 @@ ON_LINES: dict[str, Breaking] = {
     "doubtful answers are held": lambda: patch.object(
         Line, "_hold", lambda self, call, pdu, now: self._believe(call, pdu, now, now)
     ),
-    "HOLD lasts": lambda: patch.object(line, "TIMES_SLOWEST", 0),
+    "HOLD lasts": lambda: patch.object(Pair, "hold_of", lambda *_: 0.0),
     "silence after a single answer ends DOUBT": lambda: patch.object(
         Pair, "is_answered", always(False)
     ),
@@ -113,6 +112,23 @@ BACKLOGS = [
 def test_a_late_answer_to_one_function_announces_those_to_others(world: str) -> None:
     steps = [each.replace("_", " ").split(":") for each in world.split()]
     assert run(False, True, 0, [(move, act) for move, act in steps]).errors == set()
+
+
+# Worlds in which one fault meets another, and the most values that are not right.
+MEETINGS = [
+    # A refusal, the first answer of its length, that comes too soon: else all are shifted.
+    ("pause_A:twice_+2 strays_A:busy A:good B:good A:good B:good", 1, 1),
+    # A read that comes back is no answer, and shows no time of one.
+    ("A:late_17 B:echo A:good B:good", 0, 0),
+]
+
+
+@pytest.mark.parametrize(("world", "retries", "most"), MEETINGS)
+def test_two_faults_that_meet_shift_nothing(world: str, retries: int, most: int) -> None:
+    steps = [each.replace("_", " ").split(":") for each in world.split()]
+    found = run(False, True, retries, [(move, act) for move, act in steps])
+    assert found.errors <= {"stale"}
+    assert found.wrong_values == most
 
 
 @pytest.mark.parametrize("rule", [*ON_LINES, *WITH_IDS])

@@ -25,7 +25,6 @@ From the caller to the wire:
       ids              which answer belongs to which request, by transaction ids
       line             the same on lines, where frames have no ids: a table of states
       history          what is known of each line, for the life of the process
-      answers          earlier answers on a line, with which others are compared
     reconnecting       times of attempts to connect again; State; calls of user functions
     statistics         counters of a connection; Statistics
 """

@@ -14,16 +14,21 @@ import weakref
 from os.path import realpath
 from typing import TYPE_CHECKING
 
-from .answers import Answers
-
 if TYPE_CHECKING:
     from ..ports.endpoint import Endpoint
     from .call import Call
 
 __all__ = ["History", "Pair", "forget_lines", "history_of"]
 
-# The most lines that are remembered, those opened first are forgotten first.
-REMEMBERED_LINES = 256
+# An answer is unusual if it takes less than this share of the time of the fastest one before, or
+# more than this multiple of the time of the slowest one. HOLD and silence last as long, too.
+SHARE_OF_FASTEST, TIMES_SLOWEST = 0.75, 2
+
+# Of the time of the slowest answer, this share is kept with each further answer.
+FADING = 0.95
+
+# The most lines that are remembered, and the most requests of a unit and a function.
+REMEMBERED = 1024
 
 
 class Pair:
@@ -33,8 +38,8 @@ class Pair:
     silence: float = 0.0  # in DOUBT, how many seconds it must be silent
     # True if the last request was answered, but the time for HOLD was too short.
     is_answered: bool = False
-    # True if the last answers may be those to the requests before; else known at `checked_at`.
-    is_shifted: bool = False
+    is_repeating: bool = False  # True if a frame of it came without a request
+    slowest: float = 0.0  # how long its slowest answer took, ever
     _owed: weakref.ref[Call] | None = None
 
     def __init__(self, now: float, interval: float = math.inf) -> None:
@@ -42,6 +47,10 @@ class Pair:
         self.interval: float = interval
         self.heard_at: float = now  # when a frame of it came last
         self.checked_at: float = now
+        # Length of answers -> the longest time that one took, which fades, and the shortest one.
+        self._times: dict[int, tuple[float, float]] = {}
+        # What was asked -> the last answer; kept if it is repeating.
+        self._answers: dict[bytes, bytes] = {}
 
     @property
     def quiet_at(self) -> float:
@@ -69,13 +78,40 @@ class Pair:
 
     def check(self, now: float, took: float = 0.0) -> None:
         """Note that no other answer follows the last one, `took` seconds after its request."""
-        self.is_doubted = self.is_answered = self.is_shifted = False
+        self.is_doubted = self.is_answered = False
         self.checked_at = now
         self.interval = max(2 * self.interval, took)
 
     def is_due(self, now: float, longest: float) -> bool:
         """Return True if the next answer is to be checked."""
         return now > self.checked_at + min(longest, self.interval)
+
+    def note_answer(self, request: bytes, answer: bytes) -> None:
+        """Remember the answer to a request, if answers are repeated."""
+        if self.is_repeating:
+            if len(self._answers) >= REMEMBERED:
+                self._answers.clear()
+            self._answers[_asked(request)] = answer
+
+    def is_of_another(self, request: bytes, answer: bytes) -> bool:
+        """Return True if an answer is the last one to another request, and not to this one."""
+        answers = self._answers
+        return answers.get(_asked(request)) != answer and answer in list(answers.values())
+
+    def note_time(self, size: int, took: float) -> None:
+        """Remember how many seconds an answer took."""
+        slowest, fastest = self._times.get(size, (0.0, math.inf))
+        self._times[size] = max(took, FADING * slowest), min(took, fastest)
+        self.slowest = max(took, self.slowest)
+
+    def hold_of(self, size: int, took: float) -> float:
+        """Return how many seconds an answer is held that took so long."""
+        return TIMES_SLOWEST * max(took, self._times.get(size, (self.slowest, 0.0))[0])
+
+    def is_too_fast(self, size: int, took: float) -> bool:
+        """Return True if an answer took less time than those before let expect."""
+        times = [self._times[size]] if size in self._times else self._times.values()
+        return took < SHARE_OF_FASTEST * min((fastest for _, fastest in times), default=0.0)
 
 
 class History:
@@ -84,14 +120,10 @@ class History:
 
     Attributes:
         units: of each unit the states of its functions.
-        answers: the earlier answers, and how long they took.
-        repeating: the units of which a frame came without a request.
     """
 
     def __init__(self) -> None:
         self.units: dict[int, dict[int, Pair]] = {}
-        self.answers: Answers = Answers()
-        self.repeating: set[int] = set()
 
     def pair(self, unit: int, function: int, now: float, *, is_unknown: bool = False) -> Pair:
         """Return the states of a unit and a function; if `is_unknown`, its first answer is held."""
@@ -105,6 +137,15 @@ class History:
         """Return the functions of a unit, and the states of each."""
         return list(self.units.get(unit, {}).items())
 
+    def slowest_of(self, unit: int) -> float:
+        """Return how long the slowest answer of a unit took, ever; 0.0 before the first."""
+        return max((pair.slowest for _, pair in self.pairs_of(unit)), default=0.0)
+
+
+def _asked(request: bytes) -> bytes:
+    """Return what is asked for: the answer to a write does not depend on the values."""
+    return request[:5]
+
 
 _histories: dict[tuple[str, str], History] = {}
 
@@ -117,6 +158,6 @@ def history_of(endpoint: Endpoint) -> History:
     kind, address = endpoint.key
     key = kind, realpath(address) if endpoint.has_path else address
     history = _histories.setdefault(key, History())
-    for oldest in list(_histories)[:-REMEMBERED_LINES]:
+    for oldest in list(_histories)[:-REMEMBERED]:
         _histories.pop(oldest, None)
     return history

@@ -16,7 +16,7 @@ this pair, and the other states are those of the line.
             unusually long or short, or is due to
             be checked; where a frame came
             without a request, also one equal to
-            an earlier one to another request
+            the last one to another request
     ASKED   a damaged answer, one that does not    IDLE and DOUBT; the request fails
             fit, the end of its time
     ASKED   its caller is gone                     IDLE and DOUBT
@@ -38,13 +38,13 @@ this pair, and the other states are those of the line.
 Why: a late answer comes before the answer that follows it, so a second frame within HOLD tells that
 the first one was late or doubled. Silence lets late answers pass before the next request. A late
 frame of another function shows that the unit still works through earlier requests. If all answers
-are those to the requests before, the first of them came too soon or the second one did, so it is
-held. Other functions of the unit need not wait, because no late answer fits them. `./run explore`
-walks through every sequence of events that this table can meet; what it cannot tell apart is named
-in `EXCEPTIONS` there. The history of a line outlives its clients (`history`).
+are those to the requests before, one of them came too soon, so it is held. Other functions of the
+unit need not wait, because no late answer fits them. `./run explore` walks through every sequence
+of events that this table can meet; what it cannot tell apart is named in `EXCEPTIONS` there. The
+history of a line outlives its clients (`history`).
 
-The silence lasts three times the slowest answer that the unit ever gave, one timeout if it gave
-none. An answer is due to be checked after DOUBT and after a late frame of its unit; then after
+The silence lasts twice the time of the slowest answer that the unit ever gave, one timeout if it
+gave none. An answer is due to be checked after DOUBT and after a late frame of its unit; then after
 twice as long each time, and at least once in ten timeouts. On a line without a history, the first
 answer is held until the line has been open for 60 ms.
 
@@ -54,6 +54,7 @@ A line keeps the order of requests to a unit: those behind one that waits wait, 
 
 from __future__ import annotations
 
+import math
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -81,19 +82,10 @@ from ..protocol.framing import (
 from ..protocol.pdu.request import Request
 from ..protocol.rtu import has_own_length
 from .call import Call, Matching, no_answer
-from .history import Pair, history_of
+from .history import TIMES_SLOWEST, Pair, history_of
 from .statistics import Statistics
 
 __all__ = ["Line"]
-
-# HOLD lasts this multiple of the time of the slowest good answer.
-TIMES_SLOWEST = 2
-
-# A unit in DOUBT is silent for this multiple of the time of its slowest answer ever.
-SILENCE_TIMES_SLOWEST = 3
-
-# A request waits for silence for so many timeouts at the most, and is sent then.
-TIMEOUTS_OF_SILENCE = 1
 
 # An answer is put on HOLD at least once in so many timeouts, and their silence ends DOUBT.
 TIMEOUTS_BETWEEN_CHECKS = 10
@@ -163,8 +155,7 @@ class Line(Matching):
         if pair is not None and pair.is_doubted and pair.quiet_at > ready_at:
             ready_at = pair.quiet_at
         if ready_at > now:
-            until = now + TIMEOUTS_OF_SILENCE * call.timeouts.timeout
-            until = self._waits.setdefault(call, until)
+            until = self._waits.setdefault(call, now + call.timeouts.timeout)
             if until > now:
                 self.wake(min(ready_at, until))
                 return False
@@ -187,6 +178,8 @@ class Line(Matching):
         self._quiet_at = self._wrong = self._held = None
         self.unasked: int = 0
         self._silence.sent(len(adu), now)
+        if self._echo.is_there is None:  # of a request to which nothing came, nothing will
+            self._echo.forget()
         if self._echo.is_there is not False:
             self._echo.sent(adu, is_telling=_is_telling(call.pdu))
         is_unknown = self._is_unknown and now < self._opened_at + call.timeouts.timeout
@@ -195,7 +188,7 @@ class Line(Matching):
         if any(other.is_doubted for _, other in self._history.pairs_of(call.unit)):
             silence = TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout
         else:
-            silence = TIMES_SLOWEST * self._history.answers.slowest_of(call.unit)
+            silence = TIMES_SLOWEST * self._history.slowest_of(call.unit)
         if pair.is_answered or now >= pair.heard_at + silence:
             pair.check(now, now - pair.heard_at)
         if now >= self._opened_at + OPENED_S:
@@ -210,7 +203,7 @@ class Line(Matching):
     def _doubt(self, call: Call, now: float) -> None:
         """Begin to doubt, because the answer to a request may still come."""
         timeout = call.timeouts.timeout
-        silence = SILENCE_TIMES_SLOWEST * self._history.answers.slowest_of(call.unit)
+        silence = TIMES_SLOWEST * self._history.slowest_of(call.unit)
         self._pair(call, now).doubt(now, min(timeout, silence or timeout), call)
 
     # --- bytes ----------------------------------------------------------------------------
@@ -259,6 +252,8 @@ class Line(Matching):
             self._note_other(unit, function, call, now)
         elif pdu == call.pdu and self._echo.is_there and not self._echo.has_returned:
             self._echo.has_returned = True
+        elif pdu == call.pdu and _is_telling(pdu):
+            self._wrong = InvalidResponse("the request itself came back; echo=True?")
         elif pdu == call.pdu and self._echo.is_there is None and function in _LIKE_ANSWERS:
             text = "an answer that is equal to its request may be an echo; echo=True or False?"
             self._wrong = InvalidResponse(text)
@@ -266,32 +261,29 @@ class Line(Matching):
             self._take_answer(call, pdu, now)
         else:
             self._note_late(unit, call, now)
-            if not self._pair(call, now).is_doubted:
-                self._history.repeating.add(unit)
+            pair = self._pair(call, now)
+            pair.is_repeating |= not pair.is_doubted
             if pdu != self._held:
                 error = InvalidResponse("two answers came, one to an earlier request")
                 self._fail(call, error, now)
 
     def _take_answer(self, call: Call, pdu: bytes, now: float) -> None:
-        pair, history, answers = self._pair(call, now), self._history, self._history.answers
-        is_repeating = call.unit in history.repeating
+        pair, took = self._pair(call, now), now - call.sent_at
         if (
             pair.is_doubted
             or self._is_opened
-            or not answers.is_usual(call.unit, pdu, now - call.sent_at)
+            or pair.is_too_fast(len(pdu), took)
+            or took > TIMES_SLOWEST * (self._history.slowest_of(call.unit) or math.inf)
+            or pair.is_of_another(call.pdu, pdu)
             or pair.is_due(now, TIMEOUTS_BETWEEN_CHECKS * call.timeouts.timeout)
-            or (is_repeating and answers.is_of_another(call.unit, call.pdu, pdu))
-            or (pair.is_shifted and not answers.is_to_latest(call.unit, call.pdu))
         ):
             self._hold(call, pdu, now)
         else:
-            pair.is_shifted |= is_repeating and answers.is_latest(call.unit, call.pdu, pdu)
             self._believe(call, pdu, now, now)
 
     def _hold(self, call: Call, pdu: bytes, now: float) -> None:
-        slowest = self._history.answers.slowest_like(call.unit, pdu)
         self._held, self._held_at = pdu, now
-        self._held_for = TIMES_SLOWEST * max(slowest, now - call.sent_at)
+        self._held_for = self._pair(call, now).hold_of(len(pdu), now - call.sent_at)
         if self._is_opened and self._is_unknown:
             self._held_for = max(self._held_for, self._opened_at + OPENED_S - now)
         call.hold()
@@ -303,18 +295,14 @@ class Line(Matching):
 
     def _believe(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
         """Take an answer, and remember it."""
-        if call.unit in self._history.repeating:
-            self._history.answers.add(call.unit, call.pdu, pdu)
-        self._note_time(call, pdu, came_at, now)
+        pair = self._pair(call, now)
+        pair.note_answer(call.pdu, pdu)
+        pair.note_time(len(pdu), came_at - call.sent_at)
+        pair.heard_at = now
         self._is_opened = False
         self.unanswered: int = 0
         call.answer(pdu)
         self._end(call)
-
-    def _note_time(self, call: Call, pdu: bytes, came_at: float, now: float) -> None:
-        took = came_at - call.sent_at
-        self._history.answers.note_time(call.unit, pdu, took, was_held=came_at < now)
-        self._pair(call, now).heard_at = now
 
     def _fail(self, call: Call, error: ModbusError, now: float) -> None:
         error.received = bytes(self._received)
@@ -330,9 +318,8 @@ class Line(Matching):
         """Note a frame that answers no request in flight (serial line, 2.4.1)."""
         pair = self._history.pair(unit, function, now)
         if not pair.is_doubted:
-            self._history.repeating.add(unit)
-            slowest = self._history.answers.slowest_of(unit)
-            pair.doubt(now, SILENCE_TIMES_SLOWEST * slowest)
+            pair.is_repeating = True
+            pair.doubt(now, TIMES_SLOWEST * self._history.slowest_of(unit))
         self._note_late(unit, call, now)
         if call is not None:
             what = f"function {function} was answered, not {call.pdu[0]}"
@@ -421,8 +408,6 @@ class Line(Matching):
                 self._statistics.timeouts += 1
                 self.unanswered += held is None
                 self._fail(call, error, now)
-                if held is not None:
-                    self._note_time(call, held, self._held_at, now)
             if pair.is_doubted:
                 pair.heard(now)
                 pair.is_answered = held is not None

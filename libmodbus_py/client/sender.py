@@ -74,7 +74,7 @@ class Sender:
         """
         Return when a unit may get a request, in the time of the event loop; 0.0 if at once.
 
-        On a serial line, a unit gets no request of the same function for three times its slowest
+        On a serial line, a unit gets no request of the same function for twice its slowest
         response after a failure, or for one `timeout` if it has never responded, because its late
         response could not be told from the next one. A request that is submitted earlier waits for
         that time, one `timeout` at the most, and so do those to the same unit behind it.

@@ -181,9 +181,10 @@ def _checked_item(name: object, item: object) -> Read:
         raise WrongType(
             f"items[{name!r}]", f"must be a Read or a tuple of its arguments, not {item!r}"
         )
-    if len(item) > 2 and isinstance(item[2], str):
-        item = (*item[:2], 1, *item[2:])
+    arguments: list[Any] = [*item]
+    if len(arguments) > 2 and isinstance(arguments[2], str):
+        arguments.insert(2, 1)
     try:
-        return Read(*item)
+        return Read(*arguments)
     except (TypeError, ValueError) as error:
         raise placed(error, (f"items[{name!r}]",)) from None

@@ -99,7 +99,7 @@ def test_a_pause(options: dict[str, Any]) -> None:
 def test_many_that_wait_cost_few_steps_each(
     url: str, order: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Comparisons of requests are counted: removed one by one from a list, 12 to 50 million."""
+    """Comparisons of requests are counted: removed one by one from a list, millions."""
     talk, compared = Talk(url, max_in_flight=1), 0
 
     def equal(one: object, other: object) -> bool:
@@ -108,19 +108,19 @@ def test_many_that_wait_cost_few_steps_each(
         return one is other
 
     present = talk.ask(1)
-    batches = [talk.batch(2) for _ in range(10_000)]
+    batches = [talk.batch(2) for _ in range(3000)]
     for batch in batches:
         talk.connection.submit(batch, 0.0)
     if order == "reverse":
         batches.reverse()
     elif order == "random":
         random.Random(1).shuffle(batches)
-    last = batches.pop(5000)
+    last = batches.pop(1500)
     monkeypatch.setattr(Call, "__eq__", equal)
     monkeypatch.setattr(Call, "__hash__", object.__hash__)
     for batch in batches:
         talk.connection.withdraw(batch, 0.0)
-    assert compared < 100_000
+    assert compared < 30_000
     assert len(talk.connection.queue.waiting) <= 2
     talk.come(answer(talk))
     talk.come(answer(talk))

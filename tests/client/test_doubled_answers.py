@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import InvalidResponse, pdu
-from libmodbus_py.client.answers import REMEMBERED, Answers
+from libmodbus_py.client.history import REMEMBERED, Pair
 from tests.support.clients import World, read
 from tests.support.peers import Write, answer
 from tests.support.replies import exchange, unanswered
@@ -100,6 +100,17 @@ def test_an_answer_that_is_doubted_behind_an_echo_is_not_taken_for_damage() -> N
         assert batch.outcomes == [None]
 
 
+def test_answers_of_a_unit_that_became_faster_are_held_once() -> None:
+    talk = warm()
+    for each in (20, 21, 22):
+        batch = talk.ask(each)
+        talk.wait(0.005)
+        talk.come(value(each))
+        assert batch.is_done is (each > 20)
+        talk.wait(0.05)
+        assert batch.outcomes == [[each]]
+
+
 def test_answers_that_vary_in_time_are_believed_at_once() -> None:
     """As on a network, where the time of one says little of the next."""
     talk, chance, held = Talk(LINE, timeout=1), random.Random(1), 0
@@ -136,7 +147,7 @@ def test_values_are_right_again_after_a_pause(pause: float) -> None:
     talk = warm()
     unanswered(talk, 100)
     present = talk.ask(101)
-    talk.wait(1)  # the line must be silent
+    talk.wait(0.9)  # the line must be silent
     talk.wait(0.01)
     talk.come(value(100))
     assert not present.is_done
@@ -154,37 +165,19 @@ def test_values_are_right_again_after_a_pause(pause: float) -> None:
         assert batch.outcomes == [[address]]
 
 
-# --- the answers that are remembered ---------------------------------------------------------
-
-
-def test_writes_of_other_values_to_the_same_cells_are_the_same_request() -> None:
-    """Their answer contains no values (functions 15, 16), or those of the read (23)."""
-    answers = Answers()
-    one, other = (pdu.WriteRegisters(7, [value]) for value in (1, 2))
-    answers.add(1, one.encode(), one.encode_response(None))
-    assert not answers.is_of_another(1, other.encode(), other.encode_response(None))
-
-
-def request(address: int) -> bytes:
-    return pdu.ReadHoldingRegisters(address, 1).encode()
-
-
-def holding(value: int) -> bytes:
-    return pdu.ReadHoldingRegisters(0, 1).encode_response([value])
-
-
 def test_what_changes_for_ever_takes_no_more_memory() -> None:
-    """Values, requests, units and lengths."""
-    answers = Answers()
+    """Values, requests and lengths."""
+    pair = Pair(0.0)
+    pair.is_repeating = True
 
-    def add(count: int) -> None:
-        answers.add(1, request(0), holding(count))
-        answers.add(1, request(count), holding(0))
-        answers.note_time(1 + count % 240, bytes([3, 2]) * (1 + count % 121), 0.1)
+    def note(count: int) -> None:
+        pair.note_time(count % 254, 0.1)
+        for request in (0, count):
+            pair.note_answer(b"\x03" + request.to_bytes(4, "big"), count.to_bytes(4, "big"))
 
     for count in range(2 * REMEMBERED):
-        add(count)
+        note(count)
     with little_kept():
         for count in range(2 * REMEMBERED, 5 * REMEMBERED):
-            add(count)
-    assert answers.slowest_of(1) == 0.1
+            note(count)
+    assert pair.slowest == 0.1

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import InvalidResponse, ModbusError, pdu
-from libmodbus_py.client.history import REMEMBERED_LINES, History, history_of
+from libmodbus_py.client.history import REMEMBERED, History, history_of
 from libmodbus_py.ports.endpoint import parse
 from tests.support.cases import each_case
 from tests.support.replies import exchange, unanswered
@@ -41,7 +41,7 @@ def test_a_late_answer_is_no_value_of_the_next_client() -> None:
     talk = Talk(LINE, after=former, is_new=True, timeout=1)
     batch = talk.ask(3)
     talk.wait_for(1)
-    assert talk.times == pytest.approx([former.now + 0.03])
+    assert talk.times == pytest.approx([former.now + 0.02])
     talk.wait(0.01)
     talk.come(value(2))
     talk.wait(0.01)
@@ -174,7 +174,7 @@ def test_a_line_is_known_by_its_device_or_converter(tmp_path: Path) -> None:
 
 def test_so_many_lines_are_remembered_and_not_more() -> None:
     first = history_of(parse("rtu+tcp://host:1"))
-    for port in range(1, REMEMBERED_LINES + 1):
+    for port in range(1, REMEMBERED + 1):
         history_of(parse(f"rtu+tcp://host:{port}"))
     assert history_of(parse("rtu+tcp://host:1")) is first
     history_of(parse("rtu+tcp://host:9999"))

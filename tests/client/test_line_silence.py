@@ -242,12 +242,12 @@ def test_a_late_answer_in_pieces_is_one_and_each_piece_puts_off_the_next_request
     unanswered(talk, 0)
     batch = talk.ask(6)
     for piece in (value(5)[:3], value(5)[3:]):
-        talk.wait(0.02)
+        talk.wait(0.015)
         talk.come(piece)
     assert talk.statistics.late_answers == 1
     late_at = talk.now
     talk.wait_for(2)
-    assert talk.times[1] == pytest.approx(late_at + 0.03)
+    assert talk.times[1] == pytest.approx(late_at + 0.02)
     talk.wait(0.01)
     talk.come(value(6))
     talk.wait(0.02)

@@ -165,6 +165,34 @@ def test_a_frame_that_may_be_its_own_answer_tells_nothing(request_: Any) -> None
     assert talk.statistics.echoes == 0
 
 
+@each_case("url", [LINE, "rtu+tcp://192.0.2.1", ASCII])
+def test_an_echo_is_found_out_behind_requests_of_which_nothing_came(url: str) -> None:
+    """The converter had no power, or the line was open."""
+    make = ascii_frame if url == ASCII else rtu
+    talk = Talk(url, timeout=1)
+    for number in (1, 2):
+        talk.ask(number)
+        talk.wait(2)
+    batch = talk.ask(3)
+    talk.come(talk.sent[-1] + make("01 03 02 0003"))
+    talk.wait(0.5)
+    assert batch.outcomes == [[3]]
+    assert talk.statistics.echoes == 1
+
+
+def test_a_read_that_comes_back_is_no_answer_where_no_echo_is() -> None:
+    """Once; and it shows no time in which the unit answers."""
+    talk = Talk(LINE, timeout=1)
+    exchange(talk, 1, after=0.1)
+    batch = talk.ask(2)
+    talk.come(talk.sent[-1])
+    talk.wait(0.05)
+    assert not batch.is_done
+    talk.wait(0.05)
+    talk.come(value(2))
+    assert batch.outcomes == [[2]]
+
+
 def echoing(url: str = LINE) -> Talk:
     """Return a talk that knows of an echo, from a read."""
     talk = Talk(url, timeout=1)
