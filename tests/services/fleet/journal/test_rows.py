@@ -201,6 +201,8 @@ def test_numbers_and_gaps_of_a_value(path: str) -> None:
         file.open([])
         for at, value, quality in told:
             poll = [each._replace(time=float(at), value=value) for each in readings()]
-            file.write_polls(numbered([each._replace(quality=quality) for each in poll], at * 10), {}, 0)  # type: ignore[arg-type]
+            file.write_polls(
+                numbered([each._replace(quality=quality) for each in poll], at * 10), {}, 0
+            )  # type: ignore[arg-type]
         assert past("a", "p1", 0.0, 9.0, 100) == [(1.0, 5.5), (2.0, None), (3.0, None), (4.0, 7.0)]
         assert past("a", "p1", 3.5, 9.0, 100) == [(4.0, 7.0)]
