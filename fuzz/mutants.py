@@ -21,7 +21,11 @@ from pathlib import Path
 BUILD = Path("build/mutants")
 OPTIONS = {
     "source_paths": ["libmodbus_py"],
-    "pytest_add_cli_args": ["-p", "no:cacheprovider", "-p", "no:xdist", "--timeout=60"],
+    # pytest runs several times in one process, where the plugins of the tests are known already.
+    "pytest_add_cli_args": [
+        *("-p", "no:cacheprovider", "-p", "no:xdist", "--timeout=60"),
+        *("-W", "ignore::pytest.PytestAssertRewriteWarning"),
+    ],
     # Texts and what is logged are free; how an object is printed, too.
     "do_not_mutate_patterns": [r"(logger|log|warnings)\.", r"raise \w", r"def __(repr|str)__"],
 }
