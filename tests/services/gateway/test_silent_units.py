@@ -32,6 +32,13 @@ from tests.support.gateways import passage
 GOOD, RESTING, DUE = UnitState.GOOD, UnitState.RESTING, UnitState.DUE
 
 
+def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> None:
+    units = SilentUnits(1.0)
+    assert units.note_silence(3, 3, 0.0)
+    assert not units.note_silence(3, 3, 1.0)
+    assert units.state(3, 3, 2.0) is DUE
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_nothing_rests_of_what_was_answered_last_and_nothing_for_ever(seed: int) -> None:
     """Requests are in flight beside each other, and some are dropped."""

@@ -57,6 +57,15 @@ class TestSnapshot:
         (put,) = step(worker, 0.0).puts
         assert (put.key, put.last) == ("worker.m.1", 0)
 
+    def test_a_bucket_that_went_back_is_another_one(self) -> None:
+        one = at_work(LINE)
+        one.worker.begins()
+        one.worker.saw(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 15.0)
+        one.worker.is_synced(15.0)
+        assert one.me == "m.2"
+        assert one.polled() == set()
+        assert not one.worker.may_ask(LINE.key, 15.0)
+
     def test_a_bucket_that_is_read_again_changes_nothing(self) -> None:
         one = at_work(LINE, until=15.0)
         one.read_again(15.0)
@@ -72,6 +81,20 @@ class TestSnapshot:
         one.read_again(8.0)
         assert one.steps(9.0, 10.0) == []
         assert written(one.steps(11.0)) == {"worker.o.1": "ended"}
+
+
+class TestLeaving:
+    def test_who_leaves_polls_nothing_and_says_that_it_has_ended(self) -> None:
+        one = at_work(LINE, until=15.0)
+        one.worker.leave()
+        assert one.polled() == set()
+        assert one.worker.due == -math.inf
+        assert not one.worker.left
+        (put,) = one.decided(15.2)
+        assert written([put]) == {"worker.m.1": "ended"}
+        one.write(put.key, put.value, 15.2)
+        assert one.worker.left
+        assert one.decided(16.0) == []
 
 
 class TestLease:
@@ -92,6 +115,14 @@ class TestLease:
         assert not one.worker.may_ask(LINE.key, 20.0)
         assert not one.worker.may_ask(OTHER.key, 12.0)
 
+    def test_without_the_engine_it_may_go_on(self) -> None:
+        one = at_work(LINE, settings=FleetSettings(LEASE, "continue"))
+        assert one.worker.may_ask(LINE.key, 1000.0)
+        assert not one.worker.may_ask(OTHER.key, 12.0)
+        one.write(SETTINGS, FleetSettings(LEASE, "stop").encode(), 12.0)
+        one.member("b.1", 12.0)
+        assert not one.worker.may_ask(LINE.key, 1000.0)
+
     @pytest.mark.parametrize("is_deleted", [False, True])
     def test_who_was_said_to_have_ended_or_was_deleted_joins_again_under_another_id(
         self, is_deleted: bool
@@ -106,6 +137,24 @@ class TestLease:
 
 
 class TestSlots:
+    def test_a_free_slot_is_taken_after_a_lease(self) -> None:
+        """Somebody unknown may hold it, for whatever the one has forgotten."""
+        one = OneWorker(LINE)
+        assert one.steps(*every(0.0, 10.4, 0.1)) == []
+        (put,) = one.step(10.5)
+        assert (put.key, put.last) == (LINE.slot.key, 0)
+        assert written([put]) == {LINE.slot.key: "m.1"}
+        one.step(10.6)
+        assert one.polled() == {LINE.key}
+
+    def test_a_worker_whose_lease_is_over_has_ended_and_its_slots_are_taken(self) -> None:
+        one = OneWorker(LINE)
+        one.member("b.1", 0.0)
+        one.hold(LINE, "b.1")
+        assert one.steps(*every(0.0, 10.4, 0.1)) == []
+        puts = one.steps(10.5, 10.6)
+        assert written(puts) == {"worker.b.1": "ended", LINE.slot.key: "m.1"}
+
     def test_who_stood_still_waits_a_lease_before_it_says_that_others_ended(self) -> None:
         one = OneWorker(LINE)
         one.member("o.1", 0.0)
@@ -158,6 +207,34 @@ class TestSlots:
             one.decided(at)
             blind.append(one.last.is_blind)
         assert blind == [False, False, True]
+
+
+class TestAcknowledgements:
+    def test_a_connection_waits_until_all_others_have_seen_it(self) -> None:
+        one = OneWorker(LINE)
+        one.member("b.1", 0.0, seen=0)
+        one.hold(LINE, "m.1", by="m.1")
+        one.step(0.0)
+        assert one.polled() == set()
+        touched = one.worker.view.touched_at(LINE)
+        one.member("b.1", 0.5, seen=touched - 1)
+        one.step(0.5)
+        assert one.polled() == set()
+        one.member("b.1", 0.6, seen=touched)
+        one.step(0.6)
+        assert one.polled() == {LINE.key}
+
+    def test_who_has_vanished_is_waited_for_as_long_as_its_lease(self) -> None:
+        one = OneWorker(LINE)
+        one.member("b.1", 0.0)
+        one.step(0.0)
+        one.write("worker.b.1", None, 1.0)
+        one.hold(LINE, "m.1", 1.0, by="m.1")
+        for at in every(1.0, 11.4, 0.1):
+            one.step(at)
+            assert one.polled() == set(), at
+        one.step(11.5)
+        assert one.polled() == {LINE.key}
 
 
 class TestEndedWorkers:
