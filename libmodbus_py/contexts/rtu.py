@@ -29,6 +29,9 @@ NOISE = 10
 
 MODES: dict[str, int] = {"rs232": lib.MODBUS_RTU_RS232, "rs485": lib.MODBUS_RTU_RS485}
 
+_failures: dict[str, float] = {}
+"""Device -> the time of a failure: its line must be silent, also for another context."""
+
 RtsMode = Literal["none", "up", "down"]
 
 RTS: dict[RtsMode, int] = {
@@ -43,10 +46,11 @@ class RtuContext(Slave):
     A modbus_t on a serial port: each method is one call of libmodbus, which waits without the GIL.
 
     It opens the port when it is entered (``with``) or first used, and locks it, so that no two
-    programs use it at once. After any failure but an ExceptionResponse the next request is not sent
-    before the line was silent for one `response_timeout`. An answer that comes later than two
-    timeouts after its request is taken for that to the next one, and so may those be that follow,
-    because nothing in a frame tells. The timeout has to be longer than the slowest unit takes.
+    programs use it at once. After any failure but an ExceptionResponse the next request, also that
+    of a new context, is not sent before the line was silent for one `response_timeout`. An answer
+    that comes later than two timeouts after its request is taken for that to the next one, and so
+    may those be that follow, because nothing in a frame tells. The timeout has to be longer than
+    the slowest unit takes.
     Calls of other threads wait for each other. Ctrl-C takes effect when a call ends, at the latest
     after `response_timeout`. After a fork, the child has to make its own context; its parent's is
     not affected.
@@ -94,7 +98,6 @@ class RtuContext(Slave):
         port = self._port = SerialPort(
             device, baudrate=baudrate, parity=parity, data_bits=data_bits, stop_bits=stop_bits
         )
-        self._silent_from: float | None = None  # the time of a failure after which it must be so
         self._callback: Any = None
         self._rts_error: BaseException | None = None
         super().__init__(port.context, unit, timeout)
@@ -219,9 +222,9 @@ class RtuContext(Slave):
         if self.unit == 0 and not (request is not None and request.may_be_broadcast):
             raise ValueError("unit 0 is a broadcast, which no unit answers: only writes can be one")
         super()._prepare()
-        if self._silent_from is not None:
-            self._wait_for_silence(self._silent_from)
-            self._silent_from = None
+        if (failure := _failures.get(self._port.device)) is not None:
+            self._wait_for_silence(failure)
+            _failures.pop(self._port.device, None)
         self._discard_input()
 
     def _wait_for_silence(self, start: float) -> None:
@@ -235,7 +238,7 @@ class RtuContext(Slave):
                 raise ModbusTimeoutError("the line is never silent, so that nothing can be sent")
 
     def _spoil(self) -> None:
-        self._silent_from = time.monotonic()
+        _failures[self._port.device] = time.monotonic()
         if self._state is not CLOSED:
             self._state = OPEN
             self._discard_input()
