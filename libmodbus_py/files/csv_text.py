@@ -17,6 +17,7 @@ import io
 import re
 import reprlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
 from itertools import islice
 from typing import Any, Literal, NamedTuple
 
@@ -75,8 +76,9 @@ class CsvText:
         # Excel begins a file with a byte order mark, or with a line such as "sep=;".
         text = re.sub(r"\A\ufeff?(sep=[^\r\n](?=[\r\n]))?", "", text)
         self._lines = io.StringIO(text, newline="").readlines()
-        rulers = (at for at, line in enumerate(self._lines) if {*"|-"} <= {*line.strip()} <= _RULER)
-        self._ruler: int | None = next(rulers, None)
+        self._rulers: list[int] = [
+            at for at, line in enumerate(self._lines) if {*"|-"} <= {*line.strip()} <= _RULER
+        ]
         self.head: CsvRow = CsvRow(0, list(headings))
         self.skipped: int = 0
         self.delimiter: str = ","
@@ -84,10 +86,11 @@ class CsvText:
             self._find_head(is_known)
 
     def _find_head(self, is_known: Callable[[str], bool]) -> None:
-        if self._ruler:
+        if any(self._rulers[:1]):
             self.delimiter = MARKDOWN
-            lines = [at for at, _ in enumerate(self._lines[: self._ruler]) if self._is_cells(at)]
-            self.head = CsvRow(self._ruler, self._markdown_cells(self._ruler - 1))
+            ruler = self._rulers[0]
+            lines = [at for at, _ in enumerate(self._lines[:ruler]) if self._is_cells(at)]
+            self.head = CsvRow(ruler, self._markdown_cells(ruler - 1))
             self.skipped = len(lines) - 1
             return
         heads, errors = [], []
@@ -102,12 +105,19 @@ class CsvText:
 
     def number_cell(self, cell: str) -> str:
         """Return a cell with a point in place of its decimal comma; WrongValue for 1,000."""
-        if self.delimiter == "," or not _WITH_COMMA.fullmatch(cell):
+        if self.delimiter == "," or not _WITH_MARK.fullmatch(cell):
             return cell
-        if self.delimiter != ";" and _THOUSANDS.fullmatch(cell):
-            reason = f"{cell} may be a thousand, or have three decimals: write it without a comma"
+        may_be_thousand = self.delimiter != ";" if "," in cell else self._has_decimal_commas
+        if may_be_thousand and _THOUSANDS.fullmatch(cell):
+            mark = "comma" if "," in cell else "point"
+            reason = f"{cell} may be a thousand, or have three decimals: write it without a {mark}"
             raise WrongValue((), reason)
         return cell.replace(",", ".")
+
+    @cached_property
+    def _has_decimal_commas(self) -> bool:
+        cells = (cell for row in self.rows() for cell in row.cells)
+        return any("," in cell and _WITH_MARK.fullmatch(cell) for cell in cells)
 
     def rows(self) -> Iterator[CsvRow]:
         """Yield the rows below the headings; raise a FileError if the rest is not CSV."""
@@ -125,20 +135,24 @@ class CsvText:
 
     def _head(self, delimiter: str, is_known: Callable[[str], bool]) -> tuple[int, CsvRow, int]:
         """Return how many headings are known, their row, and how many rows stand above it."""
-        first = 0, CsvRow(1, []), 0
-        for at, row in enumerate(islice(self._rows(delimiter), MOST_TITLES + 1)):
-            known = sum(map(is_known, row.cells))
-            if known >= 2:
-                return known, row, at
-            if at == 0:
-                first = known, row, 0
-        return first
+        head = 0, CsvRow(1, []), 0
+        try:
+            for at, row in enumerate(islice(self._rows(delimiter), MOST_TITLES + 1)):
+                known = sum(map(is_known, row.cells))
+                if at == 0 or (known > head[0] and known >= 2):
+                    head = known, row, at  # perhaps below a row of groups of columns
+                elif head[0] >= 2:
+                    break
+        except FileError:
+            if head[0] < 2:
+                raise
+        return head
 
     def _rows(self, delimiter: str, below: int | None = None) -> Iterator[CsvRow]:
         """Yield all rows; below that line, what may be a comment or a name is an error."""
         if delimiter == MARKDOWN:
             for at in range(len(self._lines)):
-                if self._is_cells(at) and at != self._ruler:
+                if self._is_cells(at) and at not in self._rulers:
                     yield CsvRow(at + 1, self._markdown_cells(at))
             return
         at = 0  # the index of the next line
@@ -165,9 +179,22 @@ class CsvText:
                 raise self._kind((), f"invalid CSV: {error}", place=FilePlace(line=line)) from None
             if cells is None:
                 return
+            if at > line and below is not None:
+                self._check_quotes(line, at, delimiter)
             cells = [cell.strip() for cell in cells]
             if any(cells):
                 yield CsvRow(line, cells)
+
+    def _check_quotes(self, first: int, last: int, delimiter: str) -> None:
+        """Refuse a quoted cell that begins in one row and ends in another."""
+        widths = [line.count(delimiter) + 1 for line in self._lines]
+        rows = [width for width in widths[self.head.line :] if width > len(self.head.cells) / 2]
+        # Both lines of one row have the cells of one row, and one more; commas may be in them, too.
+        usual = sorted(rows)[len(rows) // 2] if rows else len(self.head.cells)
+        most = usual * (1 if delimiter == "\t" else 1.5) + 1
+        if first > self.head.line and widths[first - 1] + widths[last - 1] > most:
+            reason = f'a cell that begins with a quote ends in line {last}: write "" for a quote'
+            raise self._kind((), reason, place=FilePlace(line=first))
 
     def _is_comment(self, text: str, line: int, delimiter: str, below: int | None) -> bool:
         text = text.strip()
@@ -201,8 +228,8 @@ def _written(rows: Iterable[Iterable[Any]], quoting: Literal[0, 2]) -> str:
     return text.getvalue()
 
 
-_WITH_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+([eE][+-]?[0-9]+)?")
-_THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
+_WITH_MARK = re.compile(r"[+-]?[0-9]+[.,][0-9]+([eE][+-]?[0-9]+)?")
+_THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2}[.,][0-9]{3}")
 _DECIMAL = re.compile(r"[+-]?([0-9]{1,40}(\.[0-9]{0,40})?|\.[0-9]{1,40})([eE][+-]?[0-9]{1,3})?")
 
 

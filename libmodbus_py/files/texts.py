@@ -141,15 +141,18 @@ def _spreadsheet(
         reason = what_is_missing("a spreadsheet", "spreadsheets")
         raise kind((), reason, place=place) from None
     try:
-        book = load_workbook(data, read_only=True, data_only=True)
+        book = load_workbook(data, data_only=True)
     except Exception as error:  # each version of openpyxl raises others
         raise kind((), f"is no spreadsheet: {error}", place=place) from None
     if sheet is not None and sheet not in book.sheetnames:
         reason = f"must be one of {', '.join(book.sheetnames)}, not {sheet!r}"
         raise kind("sheet", reason, place=place)
     name = sheet or book.sheetnames[0]
-    rows = book[name].iter_rows(values_only=True)
-    text = "".join(f"{','.join(map(_quoted, row)) if any(row) else ''}\n" for row in rows)
+    rows = [[*row] for row in book[name].iter_rows(values_only=True)]
+    for merged in book[name].merged_cells.ranges:  # each row has what several rows share
+        for row in rows[merged.min_row : merged.max_row]:
+            row[merged.min_col - 1] = rows[merged.min_row - 1][merged.min_col - 1]
+    text = "".join(f"{','.join(map(_quoted, row))}\n" for row in rows)
     others = [each for each in book.sheetnames if each != name]
     return text, f"read sheet {name}, not {', '.join(others)}" if others else ""
 

@@ -89,15 +89,42 @@ def _names(text: str) -> dict[str, str]:
             raise WrongValue((), f"must be like 0 = off; 1 = on, not {reprlib.repr(text)}")
         if key.strip() in names:
             raise WrongValue((), f"must name {key.strip()} once, not twice")
+        if _STATES.search(name):
+            raise WrongValue((), f"must have ; between its names, not {reprlib.repr(text)}")
         names[key.strip()] = name.strip()
     return names
 
 
-_STATES = re.compile(r"-?[0-9]+\s*=")
+_STATES = re.compile(r"(?<!\S)-?[0-9]+\s*=")
 
 
 def _units_or_states(text: str) -> dict[str, Any]:
-    return {"states": _names(text)} if _STATES.match(text) else {"units": text}
+    return {"states": _names(text)} if _STATES.match(text) else {"units": _units(text)}
+
+
+_WITH_SCALE = re.compile(r"[x\xd7*]?\s*([01][.,]0*1|10+|1/10+)\s*(?=[^\W\d]|[°%µ])(.*)")
+_SCALE_BEHIND = re.compile(r".*[^\W\d]\s*[x\xd7*]\s*[01][0-9.,]*")
+
+
+def _units(text: str) -> str:
+    if _WITH_SCALE.fullmatch(text) or _SCALE_BEHIND.fullmatch(text):
+        reason = f"{reprlib.repr(text)} has a scale: --column scale_and_units=HEADING reads 0.1 V"
+        raise WrongValue((), f"{reason}, or write it in a column of its own")
+    return text
+
+
+def _scale_and_units(text: str) -> dict[str, Any]:
+    """Return the scale and the units of "0.1 V", or the units of "V"."""
+    if match := _WITH_SCALE.fullmatch(text):
+        return {"scale": number_in(match[1].replace(",", ".")), "units": match[2]}
+    return {"units": _units(text)}
+
+
+def _exponent(text: str) -> int:
+    number = number_in(text)
+    if not isinstance(number, int) or not -30 <= number <= 30:
+        raise WrongValue((), f"must be a power of ten in -30..30, not {reprlib.repr(text)}")
+    return number
 
 
 _NUMBER = r"([0-9]+(?:[.,][0-9]+)?)"
@@ -136,13 +163,17 @@ RAW = {"raw_minimum": "minimum", "raw_maximum": "maximum", "raw_initial": "initi
 """Column with a raw number -> the argument whose number it is, after scaling."""
 
 READERS: dict[str, Callable[[str], Any]] = {
-    **dict.fromkeys(("name", "units", "description", "encoding", "scale_from", "bit"), str),
+    **dict.fromkeys(("name", "description", "encoding", "scale_from", "bit"), str),
     **dict.fromkeys(("time_zone", "group", "device", "write_function"), str),
     **dict.fromkeys(("address", "address_hex", "address_dec"), str),
     **dict.fromkeys(("count", "registers", "bytes"), whole_in),
     **dict.fromkeys((*NUMBERS, *RAW, "plausible_maximum", "rewrite"), number_in),
     **dict.fromkeys(("states", "bits"), _names),
+    "units": _units,
     "units_or_states": _units_or_states,
+    "scale_and_units": _scale_and_units,
+    "exponent": _exponent,
+    "negative_exponent": lambda text: -_exponent(text),
     "formula": _formula,
     "initial": _initial,
     "table": _table,
@@ -234,7 +265,8 @@ def type_keys(
     if meaning.startswith("?"):
         raise WrongValue((), meaning[1:])
     name, _, more = meaning.partition(" ")
-    keys = {"type": name} | ({"byte": more} if more in BYTES else {"order": more} if more else {})
+    key = "byte" if more in BYTES else "encoding" if more.startswith("utf") else "order"
+    keys = {"type": name} | ({key: more} if more else {})
     if name == "string":
         if not has_size:
             raise WrongValue((), f"{cell} needs a column with its registers or bytes")
@@ -269,4 +301,5 @@ def _unknown(cell: str, word: str) -> WrongValue:
     names = dict.fromkeys([*TYPE_WORDS.values(), "string:N"])
     hint = close_to(word, [*TYPE_WORDS, *words().types])
     allowed = ", ".join(names)
-    return WrongValue((), f"must be one of {allowed}, not {reprlib.repr(cell)}{hint}")
+    said = f"{reprlib.repr(cell)} (--list 'types={cell}=TYPE' says it)"
+    return WrongValue((), f"must be one of {allowed}, not {said}{hint}")

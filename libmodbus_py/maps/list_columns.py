@@ -127,7 +127,8 @@ def _kind(
             return None  # another column is said to hold it
         if kind is not None:
             return kind
-    if (key := words().ambiguous.get(word)) is not None:
+    ambiguous = words().ambiguous
+    if (key := ambiguous.get(word_of(heading), ambiguous.get(word))) is not None:
         choices = words().choices[key]
         if not choices.keys().isdisjoint(said.headings):
             return None

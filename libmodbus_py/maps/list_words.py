@@ -79,11 +79,15 @@ class ListWords:
     """The tables of ``list_words.toml``, each from word to meaning."""
 
     def __init__(self, content: Mapping[str, Any]) -> None:
-        self.headings: Mapping[str, str] = {
+        self.headings: dict[str, str] = {
             word: kind
             for kind, languages in content["headings"].items()
             for text in (kind, *languages.values())
             for word in _split(text)
+        }
+        # As in camel case: dataType.
+        self.headings |= {
+            word.replace(" ", ""): kind for word, kind in self.headings.items() if word.isascii()
         }
         self.ambiguous: Mapping[str, str] = _by_word(content["ambiguous"])
         self.choices: Mapping[str, Mapping[str, str]] = content["choices"]

@@ -93,12 +93,15 @@ class RegisterList:
         self._columns, ignored = find_columns(
             self._text.head, self._said, self._origin, self._error
         )
+        if "type" not in self._columns and "" not in self._origin.types:
+            self.notes.append("no column has the type: registers are uint16")
         if ignored:
             self.notes.append(f"columns that mean nothing here: {', '.join(ignored)}")
         rows = [*(flat_rows(self._text.rows()) if is_modpoll else self._text.rows())]
         self._rows = list(self._selected(rows))
         self._tells_table = {"table", "function"} & self._columns.keys() or self._table
         self._check_addresses()
+        self._check_offsets()
         self._names = self._read_names()
 
     @property
@@ -152,8 +155,13 @@ class RegisterList:
                 raise self._error(f"{reason}: say one, as in {example}")
         count = 0
         for row in rows:
+            kinds = {words().headings.get(word_of(cell), word_of(cell)) for cell in row.cells}
             if row.cells == self._text.head.cells:
-                continue  # the headings again, on another page
+                self.notes.append(f"the headings stand in line {row.line} again")
+                continue
+            if kinds.issuperset(("name", "address")):
+                reason = "has other headings: a list has one table"
+                raise MapError((), reason, place=FilePlace(line=row.line))
             if all(_cell(row, at) == value for at, value in filters.items()) and any(
                 _cell(row, column.at) for column in self._columns.values()
             ):
@@ -196,6 +204,17 @@ class RegisterList:
         if cells and len(numbers) == len(cells) and all(map(_is_reference, numbers)):
             reason = f"column {column.heading} may have references, such as {numbers[0]}"
             raise self._error(f"{reason}: say --list first_address=0 or =reference")
+
+    def _check_offsets(self) -> None:
+        """Refuse a column of offsets that are added to addresses, and not to values."""
+        at, offset = self._columns["address"].at, self._columns.get("offset")
+        if offset is None or "offset" in self._said.headings:
+            return
+        cells = [(_cell(row, at), _cell(row, offset.at)) for row in self._rows]
+        pairs = {int(one) - int(two) for one, two in cells if one.isdecimal() and two.isdecimal()}
+        if len(pairs) == 1 and len(cells) > 2 and all(two.isdecimal() for _, two in cells):
+            reason = f"column {offset.heading} rises with the addresses: say --column"
+            raise self._error(f"{reason} nothing={offset.heading} or offset={offset.heading}")
 
     def _read_names(self) -> dict[int, str]:
         """Return the name of each row by its line; those that an origin repeats get the address."""
@@ -292,10 +311,12 @@ class RegisterList:
             keys.setdefault("missing", LAST_OF_BYTE.get(keys["type"], self._origin.missing))
         if keys.get("missing") == "sunspec" and plain(texts.get("type", "")).startswith("acc"):
             keys["missing"] = [0]  # of accumulators, 0 means "not implemented"
-        if registers is not None and not self._origin.is_sloppy and "type" in keys:
-            width = value_type(keys["type"]).registers * keys.get("count", 1)
+        is_of_registers = str(keys["table"]).endswith("registers")
+        if registers is not None and not self._origin.is_sloppy and is_of_registers:
+            type_word = keys.get("type", "uint16")
+            width = value_type(type_word).registers * keys.get("count", 1)
             if width != registers:
-                reason = f"{keys['type']} has {width}, and the list says {registers}"
+                reason = f"{type_word} has {width}, and the list says {registers}"
                 raise WrongValue.about("registers", reason)
 
     def _settle_scale(self, keys: dict[str, Any]) -> None:
@@ -306,6 +327,14 @@ class RegisterList:
             keys.pop("offset", None)
             keys.pop("scale", None)
             keys |= formula
+        if pair := keys.pop("scale_and_units", None):
+            keys["units"] = keys.get("units", pair["units"])
+            keys |= {"scale": pair["scale"]} if "scale" in pair else {}
+        for kind in ("exponent", "negative_exponent"):
+            if (power := keys.pop(kind, None)) is not None:
+                if "scale" in keys:
+                    raise WrongValue(kind, "cannot be given together with a scale")
+                keys["scale"] = 10**power if power >= 0 else float(f"1e{power}")
         if "divisor" in keys:
             if "scale" in keys:
                 raise WrongValue("divisor", "cannot be given together with a scale")

@@ -108,6 +108,11 @@ def contents_of(
         text, note = read_table(path, MapError, options.encoding, options.sheet)
     contents = contents_of_text(text, suffix, most, options)
     contents.notes[:0] = [note] if note else []
+    if note.startswith("read sheet") and not contents.columns:
+        contents.mistakes = [
+            MapError((), f"{error.reason}; {note}: --list sheet=NAME", place=error.place)
+            for error in contents.mistakes
+        ]
     contents.mistakes = [mistake.in_file(fspath(path)) for mistake in contents.mistakes]
     return contents
 
