@@ -35,7 +35,7 @@ PAGE = ROOT / "docs" / "how-to" / "install.md"
 PYTHONS = {"bookworm": "3.11", "trixie": "3.13"}
 """Releases of Debian, 12 and 13, and their Python."""
 
-WAYS = {"source": "pip install .", "deb": "packaging/deb.py", "wheel": "./run wheel"}
+WAYS = {"source": "python3-dev python3-venv", "deb": "packaging/deb.py", "wheel": "./run wheel"}
 """The ways to install, and what only the block of each has."""
 
 QUICK = "./run test --quick tests/server"

@@ -108,7 +108,7 @@ def test_a_certificate_is_needed(papers: Papers, files: Files) -> None:
 def test_without_a_file_of_its_own_the_key_is_looked_for_in_that_of_the_certificate(
     tmp_path: Path, papers: Papers, files: Files
 ) -> None:
-    with pytest.raises(ValueError, match=r"^key '.*': no key in PEM format$"):
+    with pytest.raises(ValueError, match=r"^key '.*': no key in PEM format; name its file as key$"):
         Security(files.cert, trust=papers.ca)
     both = tmp_path / "both.pem"
     both.write_bytes(files.key.read_bytes() + files.cert.read_bytes())

@@ -103,8 +103,9 @@ def test_the_examples_have_every_key() -> None:
 
 def test_the_page_about_the_simulator_explains_every_key() -> None:
     text = (PLANT.parents[1] / "docs" / "how-to" / "simulator.md").read_text()
-    text = text[text.index("## All keys") :]
-    explained = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", text))))
+    faults = (PLANT.parents[1] / "docs" / "api" / "servers.md").read_text()
+    text = text[text.index("## All keys") :] + faults[faults.index("## Fault\n") :]
+    explained = set(re.findall(r"\w+", " ".join(re.findall(r"`[^`]+`|\"\w+\"", text))))
     keys = [FILE, UNIT, SERVER_ID, FIFO, DEFAULTS, *CONTENTS.values(), KINDS, PLACES]
     for expected in (*keys, OF_FAULTS, OF_BEHAVIOURS):
         assert set(expected) <= explained
