@@ -16,9 +16,11 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from ..ports.trace import Trace
 from ..protocol.checks import integer
 from ..protocol.framing import Frame, Framer, TcpFramer
-from .service import Intercepted
+from .limits import ServerStatistics
+from .service import Channel
 
 # fmt: off
 __all__ = [
@@ -103,10 +105,8 @@ class Faults:
         return any(self._by_unit.values())
 
     def concerns(self, unit: int) -> bool:
+        """Return True if answers of a unit may have faults."""
         return bool(self._by_unit.get(unit) or self._by_unit.get(None))
-
-    def intercept(self, session: Intercepted) -> FaultyAnswers:
-        return FaultyAnswers(session)
 
     def due(self, request: Frame, *, has_transaction: bool) -> ServerFault | None:
         """Count a request that is going to be answered, and return its fault, or None."""
@@ -136,10 +136,38 @@ def _sent(fault: ServerFault | None, answer: Frame, framer: Framer) -> list[Frag
     return [Fragment(0, adu, traced=((adu, answer),))]
 
 
-class FaultyAnswers:
-    """The answers of one session: in order, late, wrong, in fragments or not at all."""
+class FaultySession(Protocol):
+    """A session whose answers may have faults."""
 
-    def __init__(self, session: Intercepted) -> None:
+    framer: Framer
+    channel: Channel
+    trace: Trace | None
+    statistics: ServerStatistics
+
+    @property
+    def faults(self) -> Faults | None: ...
+
+    def is_answered(self, request: Frame) -> bool:
+        """Return True if a request to this unit and with this function is answered."""
+        ...
+
+    def answer(self, request: Frame, code: int = 0) -> Frame | None:
+        """Execute or refuse a request; the answer is not counted or traced yet."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes of answers."""
+
+
+class FaultyAnswers:
+    """
+    The answers of one session: in order, late, wrong, in fragments or not at all.
+
+    Attributes:
+        is_waiting: True while answers are to be sent later; nothing is received meanwhile.
+        is_over: True once a fault has closed the connection; nothing is executed any more.
+    """
+
+    def __init__(self, session: FaultySession) -> None:
         self.is_waiting: bool = False
         self.is_over: bool = False
         self._session = session
@@ -151,8 +179,8 @@ class FaultyAnswers:
         """Execute a request, and deliver its answer as the fault that is due makes it."""
         session = self._session
         fault: ServerFault | None = None
-        faults = session.interceptor
-        if isinstance(faults, Faults) and session.is_answered(request):
+        faults = session.faults
+        if faults is not None and session.is_answered(request):
             has_transaction = isinstance(session.framer, TcpFramer)
             fault = faults.due(request, has_transaction=has_transaction)
         answer = session.answer(request, 0 if fault is None else fault.code or 0)

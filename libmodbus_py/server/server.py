@@ -146,7 +146,7 @@ class Server(Serving):
     def _serve(self, devices: Device | Mapping[int, Device], faults: FaultsByUnit) -> None:
         units = self._units_of(devices)
         self._counted = Faults(faults, self._counted, units.aliases)
-        units.interceptor = self._counted or None
+        units.faults = self._counted or None
         self._devices = devices
         self._serve_units(units)
 

@@ -24,9 +24,10 @@ from ..protocol.framing import (
     mbap,
     split,
 )
+from .faults import Faults, FaultyAnswers
 from .framed import FOUND_AT_ONCE, Framed, SessionSettings
 from .limits import ServerStatistics
-from .service import Channel, Interception, Interceptor, Later, SessionState
+from .service import Channel, Later, SessionState
 from .units import SerialUnits, TcpUnits
 
 __all__ = ["ByChunk", "ByFrame", "Singles"]
@@ -42,28 +43,28 @@ class ByFrame(Framed):
     ) -> None:
         super().__init__(settings, channel, units.has)
         self._units = units
-        self._interception: Interception | None = None  # None until a unit has one
+        self._faulty: FaultyAnswers | None = None  # None until a unit has faults
         self._is_ascii = isinstance(self.framer, AsciiFramer)
         self._follow_delimiter()
 
     @property
     def is_held(self) -> bool:
-        return self._interception is not None and self._interception.is_waiting
+        return self._faulty is not None and self._faulty.is_waiting
 
     @property
     def is_over(self) -> bool:
-        """True once an interception has closed the connection: nothing is executed any more."""
-        return self._interception is not None and self._interception.is_over
+        """True once a fault has closed the connection: nothing is executed any more."""
+        return self._faulty is not None and self._faulty.is_over
 
     @property
-    def interceptor(self) -> Interceptor | None:
-        return self._units.interceptor
+    def faults(self) -> Faults | None:
+        return self._units.faults
 
     def close(self) -> None:
         super().close()
-        if self._interception is not None:
-            self._interception.close()
-            self._interception = None  # it refers to this session
+        if self._faulty is not None:
+            self._faulty.close()
+            self._faulty = None  # it refers to this session
 
     def note_damage(self, error: FrameError) -> None:
         super().note_damage(error)
@@ -73,12 +74,12 @@ class ByFrame(Framed):
         self._units.note_overheard()
 
     def _take_one(self, request: Frame) -> None:
-        interception, interceptor = self._interception, self._units.interceptor
-        if interception is None and interceptor is not None and interceptor.concerns(request.unit):
-            interception = self._interception = interceptor.intercept(self)
-        if interception is not None:  # all later answers go behind one that it has delayed
-            if not interception.is_over:
-                interception.answer(request)
+        faulty, faults = self._faulty, self._units.faults
+        if faulty is None and faults is not None and faults.concerns(request.unit):
+            faulty = self._faulty = FaultyAnswers(self)
+        if faulty is not None:  # all later answers go behind one that it has delayed
+            if not faulty.is_over:
+                faulty.answer(request)
         elif (answer := self.answer(request)) is not None:
             self._reply(answer)
         if self._is_ascii:
@@ -88,7 +89,7 @@ class ByFrame(Framed):
         return self._units.answer(request, self.channel, code)
 
     def is_answered(self, request: Frame) -> bool:
-        """See `Intercepted`."""
+        """See `FaultySession`."""
         return self._units.is_answered(request)
 
     def _follow_delimiter(self) -> None:
@@ -113,7 +114,7 @@ class ByChunk(ByFrame):
     def state(self) -> SessionState:
         if self._has_more:
             return SessionState.BEHIND
-        if self._interception is not None and self._interception.is_waiting:
+        if self.is_held:
             return SessionState.HELD
         return SessionState.UNFINISHED if self._pending else SessionState.READING
 
@@ -155,8 +156,8 @@ class ByChunk(ByFrame):
         """Answer a request without C, or note damage."""
         if (
             isinstance(found, FrameError)
-            or self._in_c.interceptor is not None
-            or self._interception is not None
+            or self._in_c.faults is not None
+            or self._faulty is not None
             or self.trace is not None
         ):
             self.tell_received([found])

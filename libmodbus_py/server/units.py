@@ -17,7 +17,8 @@ from ..protocol.checks import integer
 from ..protocol.errors import GatewayTargetFailedToRespond
 from ..protocol.framing import LINE_FEED, Frame
 from ..protocol.pdu import Diagnostics
-from .service import Channel, Interceptor
+from .faults import Faults
+from .service import Channel
 
 __all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units", "UnknownUnit"]
 
@@ -40,8 +41,7 @@ class Units:
     """
     The devices, by unit.
 
-    `aliases` are further units that a device answers on TCP and UDP; the `interceptor` answers the
-    requests to some units in place of their devices.
+    `aliases` are further units that a device answers on TCP and UDP; `faults`: those of answers.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Units:
     ) -> None:
         self.on_unauthorized = on_unauthorized
         self.auditor = auditor
-        self.interceptor: Interceptor | None = None
+        self.faults: Faults | None = None
         if unknown not in UNKNOWN_UNIT_POLICIES:
             allowed = ", ".join(UNKNOWN_UNIT_POLICIES)
             raise ValueError(f"unknown_unit must be one of {allowed}, not {unknown!r}")
@@ -103,7 +103,7 @@ class TcpUnits:
     def change(self, units: Units) -> None:
         """Replace the units from the next request on."""
         self._shared = units
-        self.interceptor: Interceptor | None = units.interceptor
+        self.faults: Faults | None = units.faults
         own = {each: units.devices[unit] for each, unit in units.aliases.items()}
         self._devices: dict[int, Device] = own | units.devices
         self._refuses = units.unknown == "refuse"
@@ -113,8 +113,8 @@ class TcpUnits:
 
     def _is_for_python(self, unit: int) -> bool:
         """Return True if C, which reports no write, may answer no request to a unit."""
-        is_intercepted = self.interceptor is not None and self.interceptor.concerns(unit)
-        return is_intercepted or self._shared.auditor is not None
+        has_faults = self.faults is not None and self.faults.concerns(unit)
+        return has_faults or self._shared.auditor is not None
 
     def device(self, unit: int) -> Device | None:
         """Return the device of a unit, if there is one."""
@@ -193,8 +193,8 @@ class SerialUnits:
         return made
 
     @property
-    def interceptor(self) -> Interceptor | None:
-        return self._line.shared.interceptor
+    def faults(self) -> Faults | None:
+        return self._line.shared.faults
 
     def has(self, unit: int) -> bool:
         """Return True if a device of this server answers requests to a unit."""
