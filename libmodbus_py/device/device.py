@@ -268,9 +268,9 @@ class Device(NamedValues, PythonFunctions):
         Raises:
             OSError: it cannot be written, or is no regular file; a file there is unchanged.
         """
-        from .state import replace_file, state_text  # which few programs need
+        from .state import replace_file, state_text, unit_text  # which few programs need
 
-        replace_file(path, state_text({None: self}))
+        replace_file(path, state_text([unit_text(None, self)]))
 
     def load(self, path: str | os.PathLike[str]) -> None:
         """

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 # fmt: off
 __all__ = [
     "fingerprint", "load_state", "read_text", "remove_leftovers", "replace_file", "state_text",
+    "unit_text",
 ]
 # fmt: on
 
@@ -120,6 +121,8 @@ def _with_values(device: Stateful, values: Iterable[Access]) -> Cells:
 def _differences(wanted: Cells, others: Cells) -> Iterator[Access]:
     """Yield the runs of cells that differ from others."""
     for (table, file), (start, cells) in wanted.items():
+        if cells == others[table, file][1]:  # most are, and to compare each cell takes long
+            continue
         pairs = enumerate(zip(cells, others[table, file][1], strict=True))
         changed = [at for at, (value, other) in pairs if value != other]
         for _, group in groupby(enumerate(changed), lambda each: each[1] - each[0]):
@@ -142,17 +145,18 @@ def _set_values(device: Stateful, values: Iterable[Access]) -> None:
 # --- to text ----------------------------------------------------------------------------------
 
 
-def state_text(devices: Devices) -> str:
-    """Return the text of a file; units without values are left out."""
-    units = []
-    for unit, device in devices.items():
-        with device.mapping:
-            present, first = _present(device), _with_values(device, ())
-        if found := _unit_object(device, _differences(present, first)):
-            name = EVERY if unit is None else str(unit)
-            units.append(f"{JSON.encode(name)}: {JSON.encode(found)}")
-    body = ",\n".join(units)
+def state_text(units: Iterable[str]) -> str:
+    """Return the text of a file; `units`: each as of `unit_text`, which may be empty."""
+    body = ",\n".join(filter(None, units))
     return f'{{"libmodbus-py": "{KIND}", "version": {VERSION}, "units": {{\n{body}\n}}}}\n'
+
+
+def unit_text(unit: int | None, device: Stateful) -> str:
+    """Return the part of a unit in the text of a file; empty if it has only first values."""
+    with device.mapping:
+        present, first = _present(device), _with_values(device, ())
+    values = _unit_object(device, _differences(present, first))
+    return f'"{EVERY if unit is None else unit}": {JSON.encode(values)}' if values else ""
 
 
 def _unit_object(device: Stateful, values: Iterable[Access]) -> dict[str, Any]:

@@ -60,7 +60,8 @@ class Server(Serving):
             Modbus/TCP is not answered in C.
         state: the path of a file that keeps the values of the devices. They are loaded when the
             server starts, and a thread writes those that differ from the first ones at most 0.5 s
-            after a change, and at the end, so that no client waits for the disk.
+            after a change (later only where a write takes over 0.08 s), and at the end, so that
+            no client waits for the disk.
 
     Attributes:
         statistics: counters of all endpoints, kept up to date.
