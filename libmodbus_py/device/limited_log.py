@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 from ..protocol.logs import HarmlessLogger
 
-__all__ = ["LimitedLog", "in_time"]
+__all__ = ["INTERVAL_S", "LimitedLog", "in_time"]
 
 INTERVAL_S = 60.0
+"""Seconds between two lines or events of the same kind."""
 
 MAX_REASONS = 100
 """Messages and reasons with lines of their own; further reasons share the line of their message."""

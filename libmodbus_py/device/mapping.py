@@ -36,9 +36,6 @@ TABLE_NUMBERS: dict[str, int] = {
 }
 """The names of the C struct members of a table."""
 
-# The most ranges of a table with holes that its repr shows.
-SHOWN_RANGES = 8
-
 Cell = TypeVar("Cell", bool, int)
 
 Contents: TypeAlias = int | range | Iterable[range] | MappingABC[int, Iterable[int]]
@@ -117,10 +114,9 @@ class Table(ABC, Generic[Cell]):
             return iter([value for each in self.ranges for value in self[each.start : each.stop]])
 
     def __repr__(self) -> str:
-        shown = [_span(each) for each in self.ranges[:SHOWN_RANGES]] or ["empty"]
-        if len(self.ranges) > SHOWN_RANGES:
-            shown.append(f"{len(self.ranges) - SHOWN_RANGES} more")
-        return f"<{self.name} {', '.join(shown)}>"
+        spans = [_span(run) for run in self.ranges] or ["empty"]
+        spans[8:] = [f"{len(spans) - 8} more"] if len(spans) > 8 else []
+        return f"<{self.name} {', '.join(spans)}>"
 
     @overload
     def __getitem__(self, key: int) -> Cell: ...

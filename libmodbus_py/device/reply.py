@@ -21,9 +21,6 @@ _HEADER = struct.Struct(">HHHB")
 
 _NOWHERE: dict[str, Sequence[range]] = {}
 
-# Bytes for the answers to one chunk; requests without room are answered in a further call.
-ROOM = 65536
-
 # The outcome of a chunk, as `Device.answer_chunk` returns it. A plain tuple: a class would take as
 # long as the rest of Python here.
 Answered = tuple[int, bytes, int, int]
@@ -59,7 +56,8 @@ class Replier:
     _pair: tuple[socket.socket, ...] = ()
 
     def __init__(self) -> None:
-        self._answers = ffi.new("uint8_t[]", ROOM)
+        # Those to one chunk; requests without room are answered in a further call.
+        self._answers = ffi.new("uint8_t[]", 1 << 16)
         self.answers: Any = ffi.cast("char *", self._answers)  # which unpack to bytes
         # For a request that may be answered without being counted.
         self.unused_tally: Any = make_tally()
@@ -91,7 +89,7 @@ class Replier:
         self.struct.context = self._context
         self.struct.outlet = outer.fileno()
         self.struct.answers = self._answers
-        self.struct.room = ROOM
+        self.struct.room = len(self._answers)
 
 
 _local = threading.local()

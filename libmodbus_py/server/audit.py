@@ -22,6 +22,7 @@ from datetime import UTC, datetime
 from typing import Any, Literal
 
 from ..device.caller import Executed, ValueChange
+from ..device.limited_log import INTERVAL_S
 from ..protocol.checks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
 from ..protocol.json_text import json_line
@@ -37,9 +38,6 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 REMEMBERED_MAX = 1000
 """Events that wait while they cannot be written; and disallowed hosts that were seen."""
-
-QUIET_S = 60.0
-"""Seconds after which a disallowed host that comes again is another event."""
 
 ROOM_BYTES = 65_536
 """Bytes that a disk must have left before a change: more than the longest event."""
@@ -192,7 +190,7 @@ class Audit:
     def note_disallowed(self, host: str, peer: str) -> None:
         """Record a connection or datagram from a network that is not served, once a minute."""
         now = time.monotonic()
-        if now < self._disallowed.get(host, -QUIET_S) + QUIET_S:
+        if now < self._disallowed.get(host, -INTERVAL_S) + INTERVAL_S:
             return
         self._disallowed.pop(host, None)
         if len(self._disallowed) >= REMEMBERED_MAX:

@@ -37,9 +37,6 @@ __all__ = ["Peers", "TcpServer", "bound"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# Room for more descriptors is made when they are needed.
-ROOM_AT_MOST = 16_384
-
 # Seconds without accepting when the process has no descriptors left.
 RETRY_AFTER = 0.1
 
@@ -58,7 +55,8 @@ class Peers(Turns):
     ) -> None:
         self._most = limits.connections()
         poller = make_poller()
-        reserve_descriptors(poller.fileno(), min(self._most, ROOM_AT_MOST) + SPARE_DESCRIPTORS // 2)
+        # For more, the table grows when they are needed.
+        reserve_descriptors(poller.fileno(), min(self._most, 1 << 14) + SPARE_DESCRIPTORS // 2)
         super().__init__(limits, statistics, poller, log or LimitedLog(logger))
         self.auditor = auditor
         self._end = end or self.close

@@ -54,9 +54,6 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 # client may use any.
 RETURNS_PER_SECOND = 10
 
-# An answer can be seven times as long as its request, and go to a host that never asked.
-USUAL_RATE = 1000.0
-
 
 class UdpServer:
     """Answers the datagrams to one address."""
@@ -188,12 +185,14 @@ class Sources:
         self._statistics = statistics
         self._auditor = auditor
         self._loop = asyncio.get_running_loop()
-        self._addresses: Addresses[Paused] = Addresses(limits.requests_per_second or USUAL_RATE)
+        # An answer can be seven times as long as its request, and go to a host that never asked.
+        self._rate = limits.requests_per_second or 1000.0
+        self._addresses: Addresses[Paused] = Addresses(self._rate)
         self._returns: OrderedDict[int, Allowance] = OrderedDict()
 
     def admit(self, datagram: bytes, source: tuple[str, int]) -> bool:
         """Return True if a datagram is to be answered; count it if not."""
-        host, rate = source[0], self._limits.requests_per_second or USUAL_RATE
+        host = source[0]
         if not self._limits.allows(host):
             self._statistics.disallowed += 1
             name = host_and_port(*source[:2])
@@ -207,7 +206,7 @@ class Sources:
         elif self._is_too_fast(host):
             self._statistics.throttled += 1
             message = "%s: datagrams are dropped: more than %g a second (requests_per_second)"
-            self.log.warning(message, host_and_port(*source[:2]), rate)
+            self.log.warning(message, host_and_port(*source[:2]), self._rate)
         else:
             return True
         return False

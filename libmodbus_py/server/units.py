@@ -33,10 +33,6 @@ UnknownUnit = Literal["refuse", "silent"]
 UNKNOWN_UNIT_POLICIES: tuple[UnknownUnit, ...] = get_args(UnknownUnit)
 
 
-SERVER_ITSELF = (0, 0xFF)
-"""The units that address the server itself on TCP and UDP (messaging guide, 4.4.2)."""
-
-
 class Units:
     """
     The devices, by unit.
@@ -87,7 +83,8 @@ class Units:
         if unit not in self.devices:
             known = ", ".join(map(str, sorted(self.devices))) or "none"
             raise ValueError(f"own_unit must be a unit that has a device ({known}), not {unit}")
-        self.aliases = {each: unit for each in SERVER_ITSELF if each not in self.devices}
+        # Both address the server itself on TCP and UDP (messaging guide, 4.4.2).
+        self.aliases = {alias: unit for alias in (0, 255) if alias not in self.devices}
 
 
 class TcpUnits:
