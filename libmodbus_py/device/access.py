@@ -121,13 +121,13 @@ def _read_write(request: pdu.ReadWriteRegisters, _: Mapping, who: Who) -> Touche
 
 
 def _read_files(request: pdu.ReadFileRecords, _: Mapping, who: Who) -> Touched:
-    found = [Access("file", at, count, (), file, *who) for file, at, count in request.records]
-    return Touched((), tuple(found))
+    reads = [Access("file", at, count, (), file, *who) for file, at, count in request.records]
+    return Touched((), tuple(reads))
 
 
 def _written_files(request: pdu.WriteFileRecords, _: Mapping, who: Who) -> Touched:
-    found = [Access("file", at, len(new), new, file, *who) for file, at, new in request.records]
-    return Touched(tuple(found))
+    writes = [Access("file", at, len(new), new, file, *who) for file, at, new in request.records]
+    return Touched(tuple(writes))
 
 
 def _fifo(request: pdu.ReadFifoQueue, _: Mapping, who: Who) -> Touched:

@@ -108,10 +108,10 @@ def changes_of(
     """Return the values that a request writes, and those before, if the device is here."""
     writes = touched(request, caller.who, mapping).writes
     if mapping is not None:
-        return tuple(ValueChange(each, values_at(each, mapping, files)) for each in writes)
+        return tuple(ValueChange(write, values_at(write, mapping, files)) for write in writes)
     if isinstance(request, MaskWriteRegister):  # its result depends on the value before
-        writes = tuple(replace(each, values=()) for each in writes)
-    return tuple(ValueChange(each, None) for each in writes)
+        writes = tuple(replace(write, values=()) for write in writes)
+    return tuple(ValueChange(write, None) for write in writes)
 
 
 def values_at(

@@ -45,9 +45,9 @@ class Watched:
         self._edges = []  # kept alive
         for places, ranges in ((self.struct.reads, reads), (self.struct.writes, writes)):
             for table, number in TABLE_NUMBERS.items():
-                found = ranges.get(table, ())
-                self._edges.append(runs(found))
-                places[number] = (len(found), self._edges[-1])
+                addresses = ranges.get(table, ())
+                self._edges.append(runs(addresses))
+                places[number] = (len(addresses), self._edges[-1])
 
 
 class Replier:
@@ -98,10 +98,10 @@ _local = threading.local()
 def replier() -> Replier:
     """Return the replier of this thread."""
     try:
-        made: Replier = _local.replier
+        own: Replier = _local.replier
     except AttributeError:
-        made = _local.replier = Replier()
-    return made
+        own = _local.replier = Replier()
+    return own
 
 
 def answer_in_c(

@@ -95,8 +95,8 @@ class Faults:
         self._by_unit: dict[int | None, list[CountedFault]] = {}
         for unit, given_faults in faults.items():
             key = None if unit is None else integer("faults: unit", unit, 0, 255)
-            known = [] if before is None else list(before._by_unit.get(key, ()))
-            self._by_unit[key] = [_counted(fault, known) for fault in given_faults]
+            others = [] if before is None else list(before._by_unit.get(key, ()))
+            self._by_unit[key] = [_counted(fault, others) for fault in given_faults]
         for alias, unit in (aliases or {}).items():
             if unit in self._by_unit:
                 self._by_unit.setdefault(alias, self._by_unit[unit])
@@ -111,21 +111,21 @@ class Faults:
     def due(self, request: Frame, *, has_transaction: bool) -> ServerFault | None:
         """Count a request that is going to be answered, and return its fault, or None."""
         due = [
-            each
-            for each in (*self._by_unit.get(request.unit, ()), *self._by_unit.get(None, ()))
-            if each.fault.concerns(request, has_transaction=has_transaction)
-            and each.counter.is_due()
+            counted
+            for counted in (*self._by_unit.get(request.unit, ()), *self._by_unit.get(None, ()))
+            if counted.fault.concerns(request, has_transaction=has_transaction)
+            and counted.counter.is_due()
         ]
         return due[0].counter.happening() if due else None
 
 
-def _counted(fault: object, known: list[CountedFault]) -> CountedFault:
+def _counted(fault: object, others: list[CountedFault]) -> CountedFault:
     """Return the known counter of an equal fault, each once, or a new one."""
     if not isinstance(fault, ServerFault):
         raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {fault!r}")
-    for at, each in enumerate(known):
-        if each.fault == fault:
-            return known.pop(at)
+    for at, other in enumerate(others):
+        if other.fault == fault:
+            return others.pop(at)
     return CountedFault(fault, fault.counter())
 
 
@@ -288,10 +288,10 @@ class FaultSwitch:
         Raises:
             TypeError, ValueError: an argument is wrong; nothing has changed.
         """
-        made = [FaultState(unit, fault, is_given=False) for fault in faults]
+        states = [FaultState(unit, fault, is_given=False) for fault in faults]
         with self._changing:
-            self._change([*made, *self._states])
-        return _Switched(self, made)
+            self._change([*states, *self._states])
+        return _Switched(self, states)
 
     def states(self) -> list[FaultState]:
         """Return all faults, on or off: those switched on last come first, the given ones last."""
@@ -315,7 +315,7 @@ class FaultSwitch:
     def giving(self, faults: FaultsByUnit) -> Iterator[FaultsByUnit]:
         """Replace the faults given to the server if the block applies all that are on then."""
         with self._changing:
-            states = [each for each in self._states if not each.is_given]
+            states = [state for state in self._states if not state.is_given]
             for unit, given in faults.items():
                 states += [FaultState(unit, fault, is_given=True) for fault in given]
             yield _that_are_on(states)
@@ -324,7 +324,7 @@ class FaultSwitch:
     def remove(self, states: list[FaultState]) -> None:
         """Remove faults that were switched on; may be called any number of times."""
         with self._changing:
-            self._change([each for each in self._states if each not in states])
+            self._change([state for state in self._states if state not in states])
 
     def _change(self, states: list[FaultState]) -> None:
         self._apply(_that_are_on(states))
@@ -333,9 +333,9 @@ class FaultSwitch:
 
 def _that_are_on(states: list[FaultState]) -> FaultsByUnit:
     faults: FaultsByUnit = {}
-    for each in states:
-        if each.is_on:
-            faults.setdefault(each.unit, []).append(each.fault)
+    for state in states:
+        if state.is_on:
+            faults.setdefault(state.unit, []).append(state.fault)
     return faults
 
 

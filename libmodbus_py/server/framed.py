@@ -153,27 +153,27 @@ class Framed(ABC):
         """True if silence would show the end of what was received."""
         return bool(self.framer.pending) or (self._echo is not None and self._echo.is_holding)
 
-    def take(self, found: list[Frame | FrameError]) -> int:
+    def take(self, frames: list[Frame | FrameError]) -> int:
         """Answer the frames that were found, and return the number of requests."""
         requests = 0
-        for at, each in enumerate(found):
-            if isinstance(each, FrameError):
-                self.note_damage(each)
+        for at, frame in enumerate(frames):
+            if isinstance(frame, FrameError):
+                self.note_damage(frame)
                 continue
             self._held = None  # its client has given up waiting for it
-            if self._may_be_echo(each):
-                self._found = [*found[at + 1 :], *self._found]
-                self._ask_line(each)
+            if self._may_be_echo(frame):
+                self._found = [*frames[at + 1 :], *self._found]
+                self._ask_line(frame)
                 break
             self._last_answer = b""
-            if each is not self._open_request:
+            if frame is not self._open_request:
                 self._open_request = None
-            if isinstance(each, Overheard):
-                self.note_overheard(each)
+            if isinstance(frame, Overheard):
+                self.note_overheard(frame)
             else:
                 requests += 1
                 self.statistics.requests += 1  # before the client can see an answer
-                self._take_one(each)
+                self._take_one(frame)
         return requests
 
     def end(self) -> None:
@@ -219,15 +219,15 @@ class Framed(ABC):
         if rest and not is_damaged:  # else it belongs to that damage
             self._found.append(FrameError("an unfinished frame", received=rest))
 
-    def tell_received(self, found: Iterable[Frame | FrameError]) -> None:
+    def tell_received(self, frames: Iterable[Frame | FrameError]) -> None:
         """Report the frames and damage that were found to the trace."""
         if self.trace is not None:
-            for each in found:
-                if isinstance(each, FrameError):
-                    self.trace.tell("received", each.received)
+            for frame in frames:
+                if isinstance(frame, FrameError):
+                    self.trace.tell("received", frame.received)
                 else:
-                    adu = self.framer.encode(each)
-                    self.trace.tell("received", adu, each.unit, each.pdu[0])
+                    adu = self.framer.encode(frame)
+                    self.trace.tell("received", adu, frame.unit, frame.pdu[0])
 
     def tell_rest(self, unsearched: bytes) -> None:
         """Report received bytes that are not answered any more to the trace."""

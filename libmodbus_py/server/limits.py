@@ -175,8 +175,8 @@ def _networks(allow: Iterable[str]) -> tuple[IPv4Network | IPv6Network, ...]:
     except ValueError as error:
         raise WrongValue.about("allow", f"{error}") from None
     except TypeError:
-        given = type(allow).__name__
-        raise WrongType("allow", f"must be a list of networks, not {given}") from None
+        kind = type(allow).__name__
+        raise WrongType("allow", f"must be a list of networks, not {kind}") from None
 
 
 class Allowance:

@@ -135,10 +135,10 @@ class Server(Serving):
         if faults is not None and not isinstance(faults, Mapping):
             given_type = type(faults).__name__
             raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {given_type}")
-        given = {unit: _listed(unit, each) for unit, each in (faults or {}).items()}
-        with self.fault_switch.giving(given) as faults_on:
+        lists = {unit: _listed(unit, each) for unit, each in (faults or {}).items()}
+        with self.fault_switch.giving(lists) as faults_on:
             self._serve(devices, faults_on)
-        self._given = given
+        self._given = lists
 
     def check_devices(self, devices: Device | Mapping[int, Device]) -> None:
         """Raise TypeError or ValueError if `replace` would do so for these devices."""
@@ -198,8 +198,8 @@ class Devices:
     def change(self, units: Units) -> None:
         """Replace the units from the next request on, on all connections; in their loop."""
         self._units = units
-        for each in self._of_endpoints:
-            each.change(units)
+        for endpoint_units in self._of_endpoints:
+            endpoint_units.change(units)
 
     def sessions(
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
@@ -221,8 +221,8 @@ class Devices:
 
 def _listed(unit: int | None, faults: object) -> list[Any]:
     if isinstance(faults, str) or not isinstance(faults, Iterable):
-        given = type(faults).__name__
-        raise TypeError(f"faults[{unit!r}] must be a list of faults, not {given}")
+        kind = type(faults).__name__
+        raise TypeError(f"faults[{unit!r}] must be a list of faults, not {kind}")
     return list(faults)
 
 

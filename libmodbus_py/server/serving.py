@@ -147,14 +147,14 @@ class Serving(ABC):
                     )
                 stack.callback(peers.close)
                 stack.enter_context(in_time())
-                opened = []
+                listening = []
                 for endpoint in endpoints:
-                    server = self._made(endpoint, service, peers, sources, stack.close)
+                    server = self._make_endpoint(endpoint, service, peers, sources, stack.close)
                     stack.callback(server.close)
                     with explained(f"cannot listen on {endpoint}"):
-                        opened.append(await server.open())
-                self._listening = opened
-                running = Running([str(endpoint) for endpoint in opened])
+                        listening.append(await server.open())
+                self._listening = listening
+                running = Running([str(endpoint) for endpoint in listening])
                 for url in running.urls:
                     logger.info("listening on %s", url)
                     if auditor is not None:
@@ -162,7 +162,7 @@ class Serving(ABC):
                         stack.callback(auditor.note_own, "stop", url)
                 yield running
 
-    def _made(
+    def _make_endpoint(
         self,
         endpoint: Endpoint,
         service: Service,
@@ -295,8 +295,8 @@ class Traces:
         return bool(self._all)
 
     def __call__(self, traced: Traced) -> None:
-        for each in self._all:
-            each(traced)
+        for callback in self._all:
+            callback(traced)
 
     @contextlib.contextmanager
     def with_another(self, callback: OnTraced) -> Iterator[None]:
@@ -322,12 +322,12 @@ class TracedService:
         make = self._service.sessions(endpoint, statistics, later)
         url, traces = str(endpoint), self._traces
 
-        def made(channel: Channel) -> Session:
+        def make_traced(channel: Channel) -> Session:
             is_on = is_traced(traces or None)
             channel.trace = Trace(url, traces, channel.address) if is_on else None
             return make(channel)
 
-        return made
+        return make_traced
 
 
 class Harmless:

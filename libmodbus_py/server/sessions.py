@@ -130,41 +130,41 @@ class ByChunk(ByFrame):
         """As `receive`, without the help of other sessions."""
         data = self._pending + data
         before = self.statistics.requests
-        start, size, taken, is_lost = 0, len(data), 0, False
+        start, size, count, is_lost = 0, len(data), 0, False
         try:
-            while (start := self._answer_in_c(data, start)) < size and taken < FOUND_AT_ONCE:
-                found: list[Frame | FrameError] = []
-                end = cut(data, start, found, 1)
+            while (start := self._answer_in_c(data, start)) < size and count < FOUND_AT_ONCE:
+                frames: list[Frame | FrameError] = []
+                end = cut(data, start, frames, 1)
                 if end == start:
-                    taken = 0
+                    count = 0
                     break
-                self.take_one(found[0])
+                self.take_one(frames[0])
                 start = size if self.is_over else end
-                taken += 1
+                count += 1
         except FrameError as error:
             is_lost = self.statistics.requests > before
             if not is_lost:  # else the requests before it count first
                 self.take_one(error)
                 raise
         self._pending = data[start:]
-        self._has_more = start < size and (taken == FOUND_AT_ONCE or is_lost)
+        self._has_more = start < size and (count == FOUND_AT_ONCE or is_lost)
         if self._has_more:
             self.channel.follow()
         return self.statistics.requests - before
 
-    def take_one(self, found: Frame | FrameError) -> None:
+    def take_one(self, frame: Frame | FrameError) -> None:
         """Answer a request without C, or note damage."""
         if (
-            isinstance(found, FrameError)
+            isinstance(frame, FrameError)
             or self._in_c.faults is not None
             or self._faulty is not None
             or self.trace is not None
         ):
-            self.tell_received([found])
-            self.take([found])
+            self.tell_received([frame])
+            self.take([frame])
             return
         self.statistics.requests += 1
-        if (answer := self._in_c.answer(found, self.channel)) is not None:
+        if (answer := self._in_c.answer(frame, self.channel)) is not None:
             self.statistics.refused += answer.pdu[0] >> 7
             self.channel.write(mbap(answer.transaction, answer.unit, answer.pdu))
 
@@ -179,14 +179,14 @@ class ByChunk(ByFrame):
             device = self._in_c.in_c[unit]
             if device is None or data[start + FUNCTION] not in device.in_c:
                 break
-            end, answers, requests, refused = device.answer_chunk(data, start, unit)
+            end, answers, requests, refusals = device.answer_chunk(data, start, unit)
             if end == start:
                 break
             if (trace := self.trace) is not None:
                 _tell(trace, data[start:end], answers)
             self.channel.write(answers)
             self.statistics.requests += requests
-            self.statistics.refused += refused
+            self.statistics.refused += refusals
             start = end
         return start
 
@@ -223,9 +223,9 @@ class Singles:
             unit, count = chunk[start + UNIT], 0
             device = self._units.in_c[unit]
             if device is not None and chunk[start + FUNCTION] in device.in_c:
-                start, answers, count, refused = device.answer_chunk(chunk, start, unit)
+                start, answers, count, refusals = device.answer_chunk(chunk, start, unit)
                 self._statistics.requests += count
-                self._statistics.refused += refused
+                self._statistics.refused += refusals
                 if count == 1:
                     waiting[first][0].channel.write(answers)
                 elif count:

@@ -347,15 +347,15 @@ class TlsSession:
         """
         Pass a slice of the received bytes on; `is_one`: it is one record, with nothing behind it.
         """
-        requests, left = 0, READ_BYTES
+        requests, room = 0, READ_BYTES
         self._has_more = False
         try:
-            while data := tunnel.receive(left):
+            while data := tunnel.receive(room):
                 requests += inner.receive(data)
                 if is_one or not tunnel.has_more:
                     return requests
-                left -= len(data)
-                if left <= 0 or inner.state in UNREAD:
+                room -= len(data)
+                if room <= 0 or inner.state in UNREAD:
                     self._has_more = True
                     self._wire.follow()
                     return requests

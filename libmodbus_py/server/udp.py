@@ -81,22 +81,22 @@ class UdpServer:
         """Open the sockets, and return the endpoint with its port."""
         self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, bound_datagrams)
         self._make_session = self._service.sessions(endpoint, self._statistics)
-        for made in self._sockets:
-            self._loop.add_reader(made.fileno(), self._read, made)
+        for listener in self._sockets:
+            self._loop.add_reader(listener.fileno(), self._read, listener)
         return endpoint
 
     def close(self) -> None:
         for session in list(self._waiting):
             session.close()
         self._waiting.clear()
-        for made in self._sockets:
-            self._loop.remove_reader(made.fileno())
-            made.close()
+        for listener in self._sockets:
+            self._loop.remove_reader(listener.fileno())
+            listener.close()
         self._sockets.clear()
 
     def abandon(self) -> None:
-        for made in self._sockets:
-            made.close()
+        for listener in self._sockets:
+            listener.close()
         self._sockets.clear()
 
     def _read(self, local: socket.socket) -> None:
@@ -268,7 +268,7 @@ class AllAddresses(socket.socket):
         """Return a datagram, and the address for `sendto`. Raises OSError."""
         data, control, _, address = self.recvmsg(arguments[0], ROOM)
         source = DatagramSource(address)
-        source.control = [_choice(*each) for each in control]
+        source.control = [_choice(*item) for item in control]
         return data, source
 
     def sendto(self, data: Any, *arguments: Any) -> int:
@@ -294,16 +294,16 @@ def _choice(level: int, kind: int, info: bytes) -> tuple[int, int, bytes]:
 def bound_datagrams(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
     """Return a UDP socket that is bound to an address, or raise OSError."""
     has_all = ip_address(address[0].partition("%")[0]).is_unspecified
-    made = (AllAddresses if has_all else socket.socket)(family, socket.SOCK_DGRAM)
+    listener = (AllAddresses if has_all else socket.socket)(family, socket.SOCK_DGRAM)
     try:
         if family == socket.AF_INET6:
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
         if has_all and family == socket.AF_INET6:
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_RECVPKTINFO, 1)
+            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_RECVPKTINFO, 1)
         elif has_all:
-            made.setsockopt(socket.IPPROTO_IP, IP_PKTINFO, 1)
-        made.bind(address)
+            listener.setsockopt(socket.IPPROTO_IP, IP_PKTINFO, 1)
+        listener.bind(address)
     except OSError:
-        made.close()
+        listener.close()
         raise
-    return made
+    return listener

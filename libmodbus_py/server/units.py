@@ -52,8 +52,8 @@ class Units:
         self.auditor = auditor
         self.faults: Faults | None = None
         if unknown not in UNKNOWN_UNIT_POLICIES:
-            allowed = ", ".join(UNKNOWN_UNIT_POLICIES)
-            raise ValueError(f"unknown_unit must be one of {allowed}, not {unknown!r}")
+            policies = ", ".join(UNKNOWN_UNIT_POLICIES)
+            raise ValueError(f"unknown_unit must be one of {policies}, not {unknown!r}")
         self.unknown = unknown
         self.any: Device | None = devices if isinstance(devices, Device) else None
         self.devices: dict[int, Device] = {}
@@ -63,8 +63,8 @@ class Units:
                 raise ValueError("own_unit cannot be given where one device answers every unit")
             return
         if not isinstance(devices, Mapping):
-            given = type(devices).__name__
-            raise TypeError(f"devices must be a Device or {{unit: Device}}, not {given}")
+            kind = type(devices).__name__
+            raise TypeError(f"devices must be a Device or {{unit: Device}}, not {kind}")
         for unit, device in devices.items():
             if not isinstance(device, Device):
                 raise TypeError(f"devices[{unit!r}] must be a Device, not {type(device).__name__}")
@@ -81,8 +81,8 @@ class Units:
 
     def _answer_as(self, unit: int) -> None:
         if unit not in self.devices:
-            known = ", ".join(map(str, sorted(self.devices))) or "none"
-            raise ValueError(f"own_unit must be a unit that has a device ({known}), not {unit}")
+            units = ", ".join(map(str, sorted(self.devices))) or "none"
+            raise ValueError(f"own_unit must be a unit that has a device ({units}), not {unit}")
         # Both address the server itself on TCP and UDP (messaging guide, 4.4.2).
         self.aliases = {alias: unit for alias in (0, 255) if alias not in self.devices}
 
@@ -101,7 +101,7 @@ class TcpUnits:
         """Replace the units from the next request on."""
         self._shared = units
         self.faults: Faults | None = units.faults
-        own = {each: units.devices[unit] for each, unit in units.aliases.items()}
+        own = {alias: units.devices[unit] for alias, unit in units.aliases.items()}
         self._devices: dict[int, Device] = own | units.devices
         self._refuses = units.unknown == "refuse"
         self.in_c: list[Device | None] = [
@@ -156,11 +156,11 @@ class SerialLine:
     def change(self, units: Units) -> None:
         """Replace the units from the next request on; notes about the line stay with their unit."""
         self.shared = units
-        given = units.devices if units.any is None else {EVERY_UNIT: units.any}
+        devices = units.devices if units.any is None else {EVERY_UNIT: units.any}
         before = {unit: log for unit, (_, log) in self.stations.items()}
         self.stations = {
             unit: (device, before.get(unit) or EventLog(is_serial=True))
-            for unit, device in given.items()
+            for unit, device in devices.items()
         }
 
 
@@ -185,9 +185,9 @@ class SerialUnits:
         Return the units as one connection has them: with counters and events of the line, but
         listen-only mode and a changed delimiter affect this connection only.
         """
-        made = copy(self)
-        made._own = {}
-        return made
+        units = copy(self)
+        units._own = {}
+        return units
 
     @property
     def faults(self) -> Faults | None:
