@@ -289,7 +289,7 @@ class Traces:
     """The functions that are called with ADUs; they can change, in any thread."""
 
     def __init__(self, first: OnTraced | None) -> None:
-        self._all: tuple[Harmless, ...] = () if first is None else (Harmless(first),)
+        self._all: tuple[OnTraced, ...] = () if first is None else (_harmless(first),)
 
     def __bool__(self) -> bool:
         return bool(self._all)
@@ -301,12 +301,12 @@ class Traces:
     @contextlib.contextmanager
     def with_another(self, callback: OnTraced) -> Iterator[None]:
         """Call another function, too, while the block runs."""
-        another = Harmless(callback)
+        another = _harmless(callback)
         self._all += (another,)
         try:
             yield
         finally:
-            self._all = tuple(each for each in self._all if each is not another)
+            self._all = tuple(other for other in self._all if other is not another)
 
 
 class TracedService:
@@ -330,27 +330,28 @@ class TracedService:
         return make_traced
 
 
-class Harmless:
+def _harmless(callback: OnTraced) -> OnTraced:
     """
-    A callback whose exceptions cost no client an answer.
+    Return a callback whose exceptions cost no client an answer.
 
     A failure is logged once, and a long duration once: a client must not be able to
     fill the log. SystemExit and KeyboardInterrupt leave the loop when this turn is over.
     """
+    call = timed("trace", callback)
+    has_failed = False
 
-    def __init__(self, callback: OnTraced) -> None:
-        self._call = timed("trace", callback)
-        self._has_failed = False
-
-    def __call__(self, traced: Traced) -> None:
+    def harmless(traced: Traced) -> None:
+        nonlocal has_failed
         try:
-            self._call(traced)
+            call(traced)
         except ENDS as error:
             asyncio.get_running_loop().call_soon(_raise, error)
         except BaseException:
-            if not self._has_failed:
-                self._has_failed = True
+            if not has_failed:
+                has_failed = True
                 logger.exception("trace(%s) failed; this is logged once", traced)
+
+    return harmless
 
 
 def _raise(error: BaseException) -> NoReturn:
