@@ -332,7 +332,9 @@ class Peer:
         else:
             self._unsent = b""
             if self._is_sending:
-                self._finish_sending()
+                self._is_sending = self._is_full = False
+                self._watch()
+                self.follow()
         if self._is_closing:
             self._close_if_done()
 
@@ -351,11 +353,6 @@ class Peer:
                 "%s: not read until it takes its answers (max_unsent)", self.address
             )
             self.follow()
-
-    def _finish_sending(self) -> None:
-        self._is_sending = self._is_full = False
-        self._watch()
-        self.follow()
 
     def end(self) -> None:
         """Close the connection when all requests are answered, and the answers sent."""

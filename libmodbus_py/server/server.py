@@ -94,7 +94,7 @@ class Server(Serving):
         self._unknown_unit: UnknownUnit = unknown_unit
         self._own_unit = own_unit
         self._answering_now: list[tuple[asyncio.AbstractEventLoop, Devices]] = []
-        self._counted: Faults | None = None
+        self._faults: Faults | None = None
         self.fault_switch: FaultSwitch = FaultSwitch(
             lambda faults: self._serve(self._devices, faults)
         )
@@ -108,7 +108,7 @@ class Server(Serving):
     @property
     def faults(self) -> Mapping[int | None, list[ServerFault]]:
         """The faults that were passed, or set by `replace`."""
-        return self._given
+        return self._fault_lists
 
     def replace(
         self,
@@ -138,7 +138,7 @@ class Server(Serving):
         lists = {unit: _listed(unit, each) for unit, each in (faults or {}).items()}
         with self.fault_switch.giving(lists) as faults_on:
             self._serve(devices, faults_on)
-        self._given = lists
+        self._fault_lists = lists
 
     def check_devices(self, devices: Device | Mapping[int, Device]) -> None:
         """Raise TypeError or ValueError if `replace` would do so for these devices."""
@@ -146,26 +146,21 @@ class Server(Serving):
 
     def _serve(self, devices: Device | Mapping[int, Device], faults: FaultsByUnit) -> None:
         units = self._units_of(devices)
-        self._counted = Faults(faults, self._counted, units.aliases)
-        units.faults = self._counted or None
-        self._devices = devices
-        self._serve_units(units)
+        self._faults = Faults(faults, self._faults, units.aliases)
+        units.faults = self._faults or None
+        self._devices, self._units = devices, units
+        for loop, answering in list(self._answering_now):  # in each, between two requests
+            if loop is _running_loop():
+                answering.change(units)
+            else:
+                with contextlib.suppress(RuntimeError):  # the loop has just ended
+                    loop.call_soon_threadsafe(self._renew, answering)
 
     def _units_of(self, devices: Device | Mapping[int, Device]) -> Units:
         """Return devices as the units of this server, or raise TypeError or ValueError."""
         return Units(
             devices, self._unknown_unit, self._own_unit, self._note_unauthorized, self._auditor
         )
-
-    def _serve_units(self, units: Units) -> None:
-        """Answer from these units from now on, in each loop between two requests."""
-        self._units = units
-        for loop, answering in list(self._answering_now):
-            if loop is _running_loop():
-                answering.change(units)
-            else:
-                with contextlib.suppress(RuntimeError):  # the loop has just ended
-                    loop.call_soon_threadsafe(self._renew, answering)
 
     def _renew(self, answering: Devices) -> None:
         answering.change(self._units)

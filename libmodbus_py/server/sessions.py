@@ -25,7 +25,7 @@ from ..protocol.framing import (
     split,
 )
 from .faults import Faults, FaultyAnswers
-from .framed import FOUND_AT_ONCE, Framed, SessionSettings
+from .framed import FRAMES_AT_ONCE, Framed, SessionSettings
 from .limits import ServerStatistics
 from .service import Channel, Later, SessionState
 from .units import SerialUnits, TcpUnits
@@ -105,7 +105,7 @@ class ByChunk(ByFrame):
         self, settings: SessionSettings, units: TcpUnits, channel: Channel, singles: Singles
     ) -> None:
         super().__init__(settings, units, channel)
-        self._in_c = units
+        self._tcp_units = units
         self._singles = singles
         self._pending = b""  # the beginning of a frame, or bytes that were not searched yet
         self._has_more = False  # True if requests in these bytes wait for the next turn
@@ -114,7 +114,7 @@ class ByChunk(ByFrame):
     def state(self) -> SessionState:
         if self._has_more:
             return SessionState.BEHIND
-        if self.is_held:
+        if self._faulty is not None and self._faulty.is_waiting:
             return SessionState.HELD
         return SessionState.UNFINISHED if self._pending else SessionState.READING
 
@@ -132,7 +132,7 @@ class ByChunk(ByFrame):
         before = self.statistics.requests
         start, size, count, is_lost = 0, len(data), 0, False
         try:
-            while (start := self._answer_in_c(data, start)) < size and count < FOUND_AT_ONCE:
+            while (start := self._answer_in_c(data, start)) < size and count < FRAMES_AT_ONCE:
                 frames: list[Frame | FrameError] = []
                 end = cut(data, start, frames, 1)
                 if end == start:
@@ -147,7 +147,7 @@ class ByChunk(ByFrame):
                 self.take_one(error)
                 raise
         self._pending = data[start:]
-        self._has_more = start < size and (count == FOUND_AT_ONCE or is_lost)
+        self._has_more = start < size and (count == FRAMES_AT_ONCE or is_lost)
         if self._has_more:
             self.channel.follow()
         return self.statistics.requests - before
@@ -156,7 +156,7 @@ class ByChunk(ByFrame):
         """Answer a request without C, or note damage."""
         if (
             isinstance(frame, FrameError)
-            or self._in_c.faults is not None
+            or self._tcp_units.faults is not None
             or self._faulty is not None
             or self.trace is not None
         ):
@@ -164,7 +164,7 @@ class ByChunk(ByFrame):
             self.take([frame])
             return
         self.statistics.requests += 1
-        if (answer := self._in_c.answer(frame, self.channel)) is not None:
+        if (answer := self._tcp_units.answer(frame, self.channel)) is not None:
             self.statistics.refused += answer.pdu[0] >> 7
             self.channel.write(mbap(answer.transaction, answer.unit, answer.pdu))
 
@@ -176,7 +176,7 @@ class ByChunk(ByFrame):
         """Answer the requests from `start` on, up to the first that C leaves; return its start."""
         while len(data) - start > FUNCTION and not self.is_held:
             unit = data[start + UNIT]
-            device = self._in_c.in_c[unit]
+            device = self._tcp_units.in_c[unit]
             if device is None or data[start + FUNCTION] not in device.in_c:
                 break
             end, answers, requests, refusals = device.answer_chunk(data, start, unit)

@@ -305,7 +305,7 @@ class ForwardingSession(Framed):
         self.is_line: bool = endpoint.is_serial
         self._dispatcher = dispatcher
         self.asked: dict[Forwarded, GatewayLine | Broadcast] = {}
-        self._owed = self.asked
+        self._unanswered = self.asked
 
     def caller(self, unit: int) -> Caller:
         """Return the origin of a request to a unit."""
