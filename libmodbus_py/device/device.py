@@ -35,9 +35,18 @@ from ..protocol.pdu import (
     decode_request,
 )
 from ..protocol.tables import joined, without
-from .access import ACCESSES, Access, Touched, touched
+from .access import (
+    ACCESSES,
+    Access,
+    Auditor,
+    Caller,
+    Executed,
+    Touched,
+    changes_of,
+    touched,
+    values_at,
+)
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
-from .caller import Auditor, Caller, Executed, changes_of, values_at
 from .event_log import EventLog
 from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions
 from .hooks import Hook, HookLike, Hooks

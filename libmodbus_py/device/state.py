@@ -36,8 +36,7 @@ from ..protocol.json_text import JSON, each_once
 from ..protocol.mistakes import Path, WrongType, WrongValue, inside
 from ..protocol.tables import TABLE_SIZE, TABLES, joined, touches
 from ..system import open_file
-from .access import Access, TableOrFile
-from .caller import values_at
+from .access import Access, TableOrFile, values_at
 from .mapping import Mapping
 from .records import Files
 

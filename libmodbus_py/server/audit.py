@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from ..device.caller import Executed, ValueChange
+from ..device.access import Executed, ValueChange
 from ..device.limited_log import INTERVAL_S
 from ..protocol.checks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse

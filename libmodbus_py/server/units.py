@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Literal, get_args
 
-from ..device.caller import Auditor, Caller
+from ..device.access import Auditor, Caller
 from ..device.device import Device
 from ..device.event_log import EventLog
 from ..protocol.checks import integer
