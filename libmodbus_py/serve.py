@@ -2,9 +2,8 @@
 Servers, devices, hooks, rules and audits: a short path to `server` and `device`.
 """
 
-from .device.access import Access
+from .device.access import Access, Caller, ValueChange
 from .device.authorization import Allow, Asked, Rules
-from .device.caller import Caller, ValueChange
 from .device.device import Device
 from .device.hooks import Hook
 from .device.mapping import Mapping

@@ -4,11 +4,11 @@ One unit: request PDU in, response PDU out. No socket.
 In the order in which a request goes through::
 
     device         Device: checks, rules, hooks and handlers of each request, in this order
-    caller         Caller: the origin of a request, and the audit of requests that change a device
     authorization  Authorization: decides about each request first, and logs refusals; Rules:
                    access rights of roles, as a table
     limited_log    LimitedLog: warnings that clients cause, a line a minute
-    access         tables and addresses that a request touches, as hooks see them
+    access         tables and addresses that a request touches, as hooks see them; Caller: where it
+                   came from, and what an audit records of it
     hooks          Hook: functions of the application, the accesses they are for, their duration
     functions      what libmodbus lacks: files, queues, identification, diagnostics
     records        RecordFile, FifoQueue: what a device has besides its tables

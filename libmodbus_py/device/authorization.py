@@ -79,13 +79,13 @@ class Authorization:
 
     def check(self, asked: Asked) -> None:
         """Raise UnauthorizedError if a request is not allowed, TypeError for no bool."""
-        allowed = self._authorize(asked)
-        if allowed is True:
+        decision = self._authorize(asked)
+        if decision is True:
             return
-        if allowed is not False:
+        if decision is not False:
             # A truthy value may be a mistake, and a mistake must not allow access.
-            given = type(allowed).__name__
-            raise TypeError(f"authorize must return True or False, not {given}")
+            kind = type(decision).__name__
+            raise TypeError(f"authorize must return True or False, not {kind}")
         role = "without a role" if asked.role is None else f"with the role {asked.role!r}"
         message = "%s, %s, may not use %s"
         self._log.warning(
@@ -96,8 +96,8 @@ class Authorization:
 
 def what_is_asked(asked: Asked) -> str:
     """Return function and unit of a request, and what it touches first, for the log."""
-    touched = [f"write {_range_text(each)}" for each in asked.writes[:1]]
-    touched += [f"read {_range_text(each)}" for each in asked.reads[:1]]
+    touched = [f"write {_range_text(access)}" for access in asked.writes[:1]]
+    touched += [f"read {_range_text(access)}" for access in asked.reads[:1]]
     return ", ".join([f"function {asked.function} of unit {asked.unit}", *touched])
 
 
@@ -221,21 +221,21 @@ class Rules:
 class _Places:
     """Tables as a whole, and runs of items in them."""
 
-    def __init__(self, name: str, given: Iterable[Any], sizes: Mapping[str, int]) -> None:
+    def __init__(self, name: str, places: Iterable[Any], sizes: Mapping[str, int]) -> None:
         self._whole: set[str] = set()
         runs: defaultdict[tuple[str, int], list[range]] = defaultdict(list)
-        for at, each in enumerate(given):
-            if isinstance(each, str):
-                _check_table((name, at), each, sizes)
-                self._whole.add(each)
+        for at, part in enumerate(places):
+            if isinstance(part, str):
+                _check_table((name, at), part, sizes)
+                self._whole.add(part)
             else:
-                table, file, run = _run((name, at), each, sizes)
+                table, file, run = _run((name, at), part, sizes)
                 runs[table, file].append(run)
-        self._runs = {place: joined(found) for place, found in runs.items()}
+        self._runs = {place: joined(ranges) for place, ranges in runs.items()}
 
     def has_table(self, table: str) -> bool:
         """Return True if any item of a table is among them; "" is no table, which may be."""
-        return not table or table in self._whole or any(table == each for each, _ in self._runs)
+        return not table or table in self._whole or any(table == name for name, _ in self._runs)
 
     def cover(self, access: Access) -> bool:
         """Return True if the ranges contain the whole access."""
@@ -245,27 +245,27 @@ class _Places:
         return contains(ranges, access.address, access.count)
 
 
-def _listed(name: str, given: object, everything: Iterable[str]) -> tuple[Any, ...]:
-    if given == "all":
+def _listed(name: str, items: object, everything: Iterable[str]) -> tuple[Any, ...]:
+    if items == "all":
         return tuple(everything)
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise WrongType(name, f'must be "all" or a list, not {reprlib.repr(given)}')
-    return tuple(given)
+    if isinstance(items, str) or not isinstance(items, Iterable):
+        raise WrongType(name, f'must be "all" or a list, not {reprlib.repr(items)}')
+    return tuple(items)
 
 
 def _check_table(name: Path, table: object, sizes: Mapping[str, int]) -> None:
     if not isinstance(table, str) or table not in sizes:
-        allowed = f"one of {', '.join(sizes)}"
-        raise WrongValue.about(name, f"the table must be {allowed}, not {reprlib.repr(table)}")
+        names = f"one of {', '.join(sizes)}"
+        raise WrongValue.about(name, f"the table must be {names}, not {reprlib.repr(table)}")
 
 
 def _run(name: Path, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, range]:
-    given = reprlib.repr(place)
+    text = reprlib.repr(place)
     if not isinstance(place, Access):
-        raise WrongType(name, f"must be the name of a table or Access(...), not {given}")
+        raise WrongType(name, f"must be the name of a table or Access(...), not {text}")
     _check_table(name, place.table, sizes)
     if place != Access(place.table, place.address, place.count, file=place.file):
-        raise WrongValue.about(name, f"values, unit, peer and role mean nothing in {given}")
+        raise WrongValue.about(name, f"values, unit, peer and role mean nothing in {text}")
     size = sizes[place.table]
     first = integer((*name, "address"), place.address, 0, size - 1)
     count = integer((*name, "count"), place.count, 1, size - first)
@@ -274,15 +274,15 @@ def _run(name: Path, place: Any, sizes: Mapping[str, int]) -> tuple[str, int, ra
     return place.table, file, range(first, first + count)
 
 
-def _code(at: int, given: object) -> Code:
+def _code(at: int, function: object) -> Code:
     """Return a function code and its sub-function, None for all."""
     name = ("functions", at)
-    code, sub = given, None
-    if isinstance(given, str):
-        parts = re.fullmatch(r"([0-9]{1,3})/([0-9]{1,5})", given)
+    code, sub = function, None
+    if isinstance(function, str):
+        parts = re.fullmatch(r"([0-9]{1,3})/([0-9]{1,5})", function)
         if parts is None or int(parts[2]) > SUB_FUNCTIONS.get(int(parts[1]), -1):
-            expected = 'must be a code, or such as "8/0" or "43/14"'
-            raise WrongValue(name, f"{expected}, not {reprlib.repr(given)}")
+            rule = 'must be a code, or such as "8/0" or "43/14"'
+            raise WrongValue(name, f"{rule}, not {reprlib.repr(function)}")
         code, sub = int(parts[1]), int(parts[2])
     number = integer(name, code, 1, 127)
     if pdu.REQUESTS.get(number) in ACCESSES:

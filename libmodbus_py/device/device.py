@@ -35,9 +35,18 @@ from ..protocol.pdu import (
     decode_request,
 )
 from ..protocol.tables import joined, without
-from .access import ACCESSES, Access, Touched, touched
+from .access import (
+    ACCESSES,
+    Access,
+    Auditor,
+    Caller,
+    Executed,
+    Touched,
+    changes_of,
+    touched,
+    values_at,
+)
 from .authorization import Asked, Authorization, Authorize, UnauthorizedError
-from .caller import Auditor, Caller, Executed, changes_of, values_at
 from .event_log import EventLog
 from .functions import DEFAULT_SERVER_ID, Handlers, PythonFunctions
 from .hooks import Hook, HookLike, Hooks
@@ -268,9 +277,9 @@ class Device(NamedValues, PythonFunctions):
         Raises:
             OSError: it cannot be written, or is no regular file; a file there is unchanged.
         """
-        from .state import replace_file, state_text  # which few programs need
+        from .state import replace_file, state_text, unit_text  # which few programs need
 
-        replace_file(path, state_text({None: self}))
+        replace_file(path, state_text([unit_text(None, self)]))
 
     def load(self, path: str | os.PathLike[str]) -> None:
         """
@@ -392,14 +401,14 @@ class Device(NamedValues, PythonFunctions):
         changes = request is not None and request.changes
         refusals: list[bool] = []
         with self.mapping.lock:
-            found = changes_of(request, caller, self.mapping, self.files) if changes else ()
+            values = changes_of(request, caller, self.mapping, self.files) if changes else ()
             if changes and not auditor.may_change():
                 response = bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
             else:
                 response = self._respond(pdu, log, caller.telling(refusals.append))
         # The code of the response does not tell: exception 1 may also come from the function.
         if changes or refusals:
-            auditor.note(Executed(caller, pdu, response, found, changes))
+            auditor.note(Executed(caller, pdu, response, values, changes))
         return response
 
     def _respond(self, pdu: bytes, log: EventLog, caller: Caller) -> bytes:
@@ -427,8 +436,8 @@ class Device(NamedValues, PythonFunctions):
     def _authorize(self, function: int, request: Request[Any] | None, caller: Caller) -> None:
         if self._guard is None:
             return
-        found = touched(request, caller.who, self.mapping)
-        asked = Asked(caller.role, caller.unit, caller.peer, function, request, *found)
+        accesses = touched(request, caller.who, self.mapping)
+        asked = Asked(caller.role, caller.unit, caller.peer, function, request, *accesses)
         try:
             self._guard.check(asked)
         except BaseException as error:
@@ -450,7 +459,7 @@ class Device(NamedValues, PythonFunctions):
                 if self._rules is not None:
                     self._rules.check(touched, self.mapping)
                 if not self._hooks.is_empty:
-                    touched = Touched(*(tuple(map(self._described, each)) for each in touched))
+                    touched = Touched(*(tuple(map(self._described, side)) for side in touched))
                     self._hooks.before(touched)
             if handle is not None:
                 response = request.encode_response(handle(self, request, log))

@@ -109,8 +109,8 @@ class EventLog:
 
     def note_response(self, request: bytes, response: bytes, *, silent: bool) -> None:
         """Note that a request has been processed; its response is empty if it was not executed."""
-        refused = len(response) == 2 and response[0] & 0x80
-        if refused:
+        is_refusal = len(response) == 2 and response[0] & 0x80
+        if is_refusal:
             self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT)
             counter = COUNTED_EXCEPTIONS.get(response[1])
             if counter is not None and not silent:
@@ -121,17 +121,17 @@ class EventLog:
             self._count(SubFunction.SERVER_NO_RESPONSE_COUNT)
         event = (
             Event.SENT | SENT_EXCEPTIONS.get(response[1], 0)
-            if refused and not silent
+            if is_refusal and not silent
             else Event.SENT
         )
         self._events.appendleft(event | Event.LISTEN_ONLY if self.listen_only else event)
 
-    def note_exchanges(self, requests: int, refused: int, latest: Iterable[int]) -> None:
+    def note_exchanges(self, requests: int, refusals: int, latest: Iterable[int]) -> None:
         """Note requests that C has answered; `latest`: whether each was refused, oldest first."""
         self._count(SubFunction.BUS_MESSAGE_COUNT, requests)
         self._count(SubFunction.SERVER_MESSAGE_COUNT, requests)
-        self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT, refused)
-        self._count(EVENT_COUNT, requests - refused)
+        self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT, refusals)
+        self._count(EVENT_COUNT, requests - refusals)
         for was_refused in latest:
             self._log(Event.RECEIVED)
             self._log(Event.SENT | Event.SENT_REFUSAL if was_refused else Event.SENT)

@@ -188,8 +188,8 @@ class PythonFunctions:
         silencing = (SubFunction.RESTART_COMMUNICATIONS, SubFunction.FORCE_LISTEN_ONLY)
         if sub_function in silencing and not log.is_serial:
             raise IllegalFunction("one client must not silence the device for all")
-        allowed = _DATA.get(sub_function, (b"\0\0",))
-        if allowed is not None and data not in allowed:
+        values = _DATA.get(sub_function, (b"\0\0",))
+        if values is not None and data not in values:
             raise IllegalDataValue(f"data {data.hex()}")
         match sub_function:
             case SubFunction.RETURN_QUERY_DATA | SubFunction.RESTART_COMMUNICATIONS:
@@ -239,8 +239,8 @@ def _checked_server_id(server_id: ServerId) -> ServerId:
     """Return the response to function 17 if it can be sent."""
     example = 'ServerId(b"\\x01", running=True)'
     if not isinstance(server_id, ServerId):
-        given = type(server_id).__name__
-        raise WrongType("server_id", f"must be a ServerId, such as {example}, not {given}")
+        kind = type(server_id).__name__
+        raise WrongType("server_id", f"must be a ServerId, such as {example}, not {kind}")
     for name in ("identifier", "additional"):
         if not isinstance(data := getattr(server_id, name), bytes):
             raise WrongType(f"server_id.{name}", f"must be bytes, not {type(data).__name__}")
@@ -266,12 +266,12 @@ def _bound(handlers: Handlers | None) -> dict[type[Request[Any]], Callable[..., 
 
 
 def _checked_identification(
-    given: MappingABC[str | int, str | bytes] | None,
+    identification: MappingABC[str | int, str | bytes] | None,
 ) -> dict[int, bytes]:
     """Return object id -> value, in ascending order."""
     numbers = {name: number for number, name in OBJECT_NAMES.items()}
     objects: dict[int, bytes] = {}
-    own = items_of("identification", "{object: value}", given)
+    own = items_of("identification", "{object: value}", identification)
     for key, value in [*DEFAULT_IDENTIFICATION.items(), *own]:
         if isinstance(key, str) and key not in numbers:
             raise ValueError(f"identification: {key!r} must be one of {', '.join(numbers)}")

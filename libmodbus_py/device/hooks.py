@@ -71,7 +71,7 @@ class Hook:
         fifos: Addresses | None = None,
     ) -> None:
         checked_callback("call", call)
-        given = {
+        addresses_of = {
             "coils": coils,
             "discrete_inputs": discrete_inputs,
             "holding_registers": holding_registers,
@@ -82,7 +82,7 @@ class Hook:
         self._call: Callable[[Access], object] = call
         places = {
             table: joined(checked_ranges(NAMES.get(table, table), addresses))
-            for table, addresses in given.items()
+            for table, addresses in addresses_of.items()
             if addresses is not None
         }
         self._places: dict[str, tuple[range, ...]] | None = places or None
@@ -153,9 +153,9 @@ def _hook(name: str, hook: HookLike | None) -> Hook | None:
         return None
     if not isinstance(hook, Hook) and not callable(hook):
         raise TypeError(f"{name} must be a function or a Hook, not {reprlib.repr(hook)}")
-    found = copy(hook) if isinstance(hook, Hook) else Hook(checked_callback(name, hook))
-    found._call = timed(name, found.call)
-    return found
+    own = copy(hook) if isinstance(hook, Hook) else Hook(checked_callback(name, hook))
+    own._call = timed(name, own.call)
+    return own
 
 
 def _call(hook: Hook | None, accesses: tuple[Access, ...]) -> None:
@@ -166,9 +166,9 @@ def _call(hook: Hook | None, accesses: tuple[Access, ...]) -> None:
 
 
 def _places(*hooks: Hook | None) -> dict[str, tuple[range, ...]]:
-    found = [each for each in hooks if each is not None]
+    used = [hook for hook in hooks if hook is not None]
     return {
-        table: joined(each for hook in found for each in hook.in_table(table)) for table in READABLE
+        table: joined(run for hook in used for run in hook.in_table(table)) for table in READABLE
     }
 
 
@@ -181,11 +181,11 @@ def timed(name: str, call: Callable[[Given], Result]) -> Callable[[Given], Resul
     checked_callback(name, call)
     is_known = False
 
-    def measured(given: Given) -> Result:
+    def measured(argument: Given) -> Result:
         nonlocal is_known
         start = time.monotonic()
         try:
-            result = call(given)
+            result = call(argument)
             return result if result is None else finished(name, result)
         finally:  # a call that fails may have taken long, too
             took = time.monotonic() - start

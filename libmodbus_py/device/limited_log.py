@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 from ..protocol.logs import HarmlessLogger
 
-__all__ = ["LimitedLog", "in_time"]
+__all__ = ["INTERVAL_S", "LimitedLog", "in_time"]
 
 INTERVAL_S = 60.0
+"""Seconds between two lines or events of the same kind."""
 
 MAX_REASONS = 100
 """Messages and reasons with lines of their own; further reasons share the line of their message."""
@@ -52,14 +53,14 @@ class LimitedLog:
             self._log_counts(now)
             if len(self._reasons) >= MAX_REASONS:
                 key = message, ""
-        known = self._reasons.setdefault(key, _Reason(message, now))
-        known.count, known.latest = known.count + 1, args
-        if now >= known.ends:
-            self._log(known, now)
+        entry = self._reasons.setdefault(key, _Reason(message, now))
+        entry.count, entry.latest = entry.count + 1, args
+        if now >= entry.ends:
+            self._log(entry, now)
         elif loop is not None and (timers := _timers.get(loop)) is not None:
-            key_of_timer = self, known.ends  # one timer for all reasons of that time
+            key_of_timer = self, entry.ends  # one timer for all reasons of that time
             if key_of_timer not in timers:
-                timers[key_of_timer] = loop.call_at(known.ends, self._end_minute, loop, known.ends)
+                timers[key_of_timer] = loop.call_at(entry.ends, self._end_minute, loop, entry.ends)
 
     def _end_minute(self, loop: asyncio.AbstractEventLoop, ends: float) -> None:
         del _timers[loop][self, ends]
@@ -67,20 +68,20 @@ class LimitedLog:
 
     def _log_counts(self, now: float) -> None:
         """Log what was counted in minutes that are over, and forget reasons without any."""
-        for key, known in list(self._reasons.items()):
-            if now >= known.ends:
-                if known.count:
-                    self._log(known, now)
+        for key, entry in list(self._reasons.items()):
+            if now >= entry.ends:
+                if entry.count:
+                    self._log(entry, now)
                 else:
                     self._reasons.pop(key, None)
 
-    def _log(self, known: _Reason, now: float) -> None:
-        if known.count == 1:
-            self._logger.warning(known.message, *known.latest)
+    def _log(self, entry: _Reason, now: float) -> None:
+        if entry.count == 1:
+            self._logger.warning(entry.message, *entry.latest)
         else:
-            text = f"{known.message}; %d since the last line like this"
-            self._logger.warning(text, *known.latest, known.count)
-        known.count, known.ends = 0, now + INTERVAL_S
+            text = f"{entry.message}; %d since the last line like this"
+            self._logger.warning(text, *entry.latest, entry.count)
+        entry.count, entry.ends = 0, now + INTERVAL_S
 
 
 _timers: dict[asyncio.AbstractEventLoop, dict[tuple[LimitedLog, float], asyncio.TimerHandle]] = {}

@@ -36,9 +36,6 @@ TABLE_NUMBERS: dict[str, int] = {
 }
 """The names of the C struct members of a table."""
 
-# The most ranges of a table with holes that its repr shows.
-SHOWN_RANGES = 8
-
 Cell = TypeVar("Cell", bool, int)
 
 Contents: TypeAlias = int | range | Iterable[range] | MappingABC[int, Iterable[int]]
@@ -58,12 +55,12 @@ class Table(ABC, Generic[Cell]):
 
     def __init__(self, name: str, contents: Contents, lock: threading.RLock) -> None:
         self._name = name
-        given = _values(name, contents) if isinstance(contents, MappingABC) else {}
+        first = _values(name, contents) if isinstance(contents, MappingABC) else {}
         if isinstance(contents, MappingABC):
-            contents = [range(at, at + len(values)) for at, values in given.items()]
+            contents = [range(at, at + len(values)) for at, values in first.items()]
         self._ranges: tuple[range, ...] = _ranges(name, contents)
         ranges = self._ranges
-        self._starts = [each.start for each in ranges]
+        self._starts = [run.start for run in ranges]
         self._addresses: range = range(ranges[0].start, ranges[-1].stop) if ranges else range(0)
         self._lock = lock
         size = len(self.addresses) * array(self.typecode).itemsize
@@ -71,7 +68,7 @@ class Table(ABC, Generic[Cell]):
         # default a forked child would write into its parent's tables.
         self._memory = mmap.mmap(-1, max(size, 1), mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         self._cells: memoryview = memoryview(self._memory)[:size].cast(self.typecode)
-        for at, values in given.items():
+        for at, values in first.items():
             self[at : at + len(values)] = values
 
     @property
@@ -114,13 +111,12 @@ class Table(ABC, Generic[Cell]):
 
     def __iter__(self) -> Iterator[Cell]:
         with self._lock:
-            return iter([value for each in self.ranges for value in self[each.start : each.stop]])
+            return iter([value for run in self.ranges for value in self[run.start : run.stop]])
 
     def __repr__(self) -> str:
-        shown = [_span(each) for each in self.ranges[:SHOWN_RANGES]] or ["empty"]
-        if len(self.ranges) > SHOWN_RANGES:
-            shown.append(f"{len(self.ranges) - SHOWN_RANGES} more")
-        return f"<{self.name} {', '.join(shown)}>"
+        spans = [_span(run) for run in self.ranges] or ["empty"]
+        spans[8:] = [f"{len(spans) - 8} more"] if len(spans) > 8 else []
+        return f"<{self.name} {', '.join(spans)}>"
 
     @overload
     def __getitem__(self, key: int) -> Cell: ...
@@ -173,8 +169,8 @@ class Table(ABC, Generic[Cell]):
         try:
             return index(value)  # type: ignore[arg-type]
         except TypeError:
-            given = type(value).__name__
-            raise TypeError(f"an address in {self!r} is an integer, not {given}") from None
+            kind = type(value).__name__
+            raise TypeError(f"an address in {self!r} is an integer, not {kind}") from None
 
 
 class BitTable(Table[bool]):
@@ -195,8 +191,8 @@ class BitTable(Table[bool]):
         try:
             return int(index(value) != 0)  # type: ignore[arg-type]
         except TypeError:
-            given = type(value).__name__
-            raise TypeError(f"{self.name}: a value is True or False, not {given}") from None
+            kind = type(value).__name__
+            raise TypeError(f"{self.name}: a value is True or False, not {kind}") from None
 
     def _from_cells(self, cells: memoryview) -> list[bool]:
         return [cell != 0 for cell in cells]
@@ -251,8 +247,8 @@ class RegisterTable(Table[int]):
         try:
             number = index(value)  # type: ignore[arg-type]
         except TypeError:
-            given = type(value).__name__
-            raise TypeError(f"{self.name}: a value is an integer, not {given}") from None
+            kind = type(value).__name__
+            raise TypeError(f"{self.name}: a value is an integer, not {kind}") from None
         if not 0 <= number <= 0xFFFF:
             raise ValueError(f"{self.name}: a value must be in 0..65535, not {number}")
         return number
@@ -386,17 +382,17 @@ call_in_children(_renew_locks)
 
 def runs(ranges: Sequence[range]) -> Any:
     """Return the edges of a runs_t, which the caller keeps alive; ranges in order, none empty."""
-    return ffi.new("uint16_t[]", [edge for each in ranges for edge in (each[0], each[-1])])
+    return ffi.new("uint16_t[]", [edge for run in ranges for edge in (run[0], run[-1])])
 
 
 def _span(addresses: range) -> str:
     return f"{addresses.start}..{addresses.stop - 1}"
 
 
-def _values(name: str, given: MappingABC[Any, Any]) -> dict[int, list[Any]]:
+def _values(name: str, contents: MappingABC[Any, Any]) -> dict[int, list[Any]]:
     """Return first address -> the values from there on."""
     values: dict[int, list[Any]] = {}
-    for key, items in given.items():
+    for key, items in contents.items():
         address = integer(f"{name}: an address", key, 0, TABLE_SIZE - 1)
         if not isinstance(items, Iterable):
             raise TypeError(f"{name}[{key}] must be a list of values, not {type(items).__name__}")
@@ -405,14 +401,14 @@ def _values(name: str, given: MappingABC[Any, Any]) -> dict[int, list[Any]]:
     return values
 
 
-def _ranges(name: str, given: Any) -> tuple[range, ...]:
+def _ranges(name: str, contents: Any) -> tuple[range, ...]:
     """Return the addresses that an argument stands for."""
-    if isinstance(given, int) and not isinstance(given, bool):
-        if not 0 <= given <= TABLE_SIZE:
-            raise ValueError(f"{name} must be in 0..{TABLE_SIZE}, not {given}")
-        given = range(given)
-    ranges = checked_ranges(name, given, "a count, ranges of addresses or {address: values}")
-    for before, each in pairwise(filter(None, ranges)):
-        if each.start < before.stop:
-            raise ValueError(f"{name}: {_span(each)} overlaps {_span(before)}")
+    if isinstance(contents, int) and not isinstance(contents, bool):
+        if not 0 <= contents <= TABLE_SIZE:
+            raise ValueError(f"{name} must be in 0..{TABLE_SIZE}, not {contents}")
+        contents = range(contents)
+    ranges = checked_ranges(name, contents, "a count, ranges of addresses or {address: values}")
+    for before, run in pairwise(filter(None, ranges)):
+        if run.start < before.stop:
+            raise ValueError(f"{name}: {_span(run)} overlaps {_span(before)}")
     return joined(ranges)

@@ -58,25 +58,25 @@ def known_point(points: MappingABC[str, Point], name: object) -> Point:
     raise KeyError(f"the device has no point {name!r}{close_to(name, points)}")
 
 
-def cells_after(point: Point, mapping: Mapping, written: Written = NOTHING) -> list[Any]:
+def cells_after(point: Point, mapping: Mapping, writes: Written = NOTHING) -> list[Any]:
     """Return the cells of a point, as they will be after a write."""
     table, cells = point.table, point.cells
-    found: list[Any] = getattr(mapping, table)[cells.start : cells.stop]
-    if not written:
-        return found
-    pairs = zip(cells, found, strict=True)
-    return [written.get((table, address), value) for address, value in pairs]
+    present: list[Any] = getattr(mapping, table)[cells.start : cells.stop]
+    if not writes:
+        return present
+    pairs = zip(cells, present, strict=True)
+    return [writes.get((table, address), value) for address, value in pairs]
 
 
 def source_after(
-    point: Point, points: MappingABC[str, Point], mapping: Mapping, written: Written = NOTHING
+    point: Point, points: MappingABC[str, Point], mapping: Mapping, writes: Written = NOTHING
 ) -> Any:
     """Return the value of what scales a point, as it will be after a write; None for no value."""
     from ..maps.point_plan import sources_of
 
     value = None
     for source in sources_of([point], points).values():  # each scales the next one
-        value = source.decode(cells_after(source, mapping, written), source=value)
+        value = source.decode(cells_after(source, mapping, writes), source=value)
     return value
 
 
@@ -168,27 +168,27 @@ class NamedValues:
         from ..maps.writing import check_overlaps
 
         if not isinstance(values, MappingABC):
-            given = type(values).__name__
-            raise WrongType("values", f"must be a mapping from names to values, not {given}")
+            kind = type(values).__name__
+            raise WrongType("values", f"must be a mapping from names to values, not {kind}")
         points = self.points
-        changed = {name: known_point(points, name) for name in values}
+        targets = {name: known_point(points, name) for name in values}
         # What scales comes first: the others are scaled by what its cells then hold.
-        scales = [name for name in sources_of(changed.values(), points) if name in changed]
+        scales = [name for name in sources_of(targets.values(), points) if name in targets]
         changes: list[tuple[Point, CellChange]] = []
-        written: dict[tuple[str, int], Any] = {}
+        writes: dict[tuple[str, int], Any] = {}
         with self.mapping as mapping:
-            for name in dict.fromkeys([*scales, *changed]):
-                point = changed[name]
-                source = source_after(point, points, mapping, written)
+            for name in dict.fromkeys([*scales, *targets]):
+                point = targets[name]
+                source = source_after(point, points, mapping, writes)
                 change = point.change(values[name], source=source)
                 changes.append((point, change))
-                after = change.over(cells_after(point, mapping, written))
+                after = change.over(cells_after(point, mapping, writes))
                 cells = zip(point.cells, after, strict=True)
-                written |= {(point.table, at): cell for at, cell in cells}
+                writes |= {(point.table, at): cell for at, cell in cells}
             check_overlaps(changes)
-            for point in changed.values():
+            for point in targets.values():
                 table = getattr(mapping, point.table)
-                table[point.cells.start : point.cells.stop] = cells_after(point, mapping, written)
+                table[point.cells.start : point.cells.stop] = cells_after(point, mapping, writes)
 
 
 class RuledCells(NamedTuple):
@@ -210,8 +210,8 @@ class PointIndex:
 
     def __init__(self, ruled: Iterable[RuledCells]) -> None:
         self._rows: defaultdict[TableOrFile, list[tuple[range, Point]]] = defaultdict(list)
-        for each in sorted(ruled, key=lambda each: each.cells.start):
-            self._rows[each.place].append((each.cells, each.point))
+        for rule in sorted(ruled, key=lambda rule: rule.cells.start):
+            self._rows[rule.place].append((rule.cells, rule.point))
 
     def touched(self, access: Access) -> list[Point]:
         """Return the points that an access touches, in the order of their addresses."""
@@ -235,68 +235,68 @@ class PointRules:
         ruled: Iterable[RuledCells],
         points: Callable[[], MappingABC[str, Point]] = dict,  # all, with those that scale others
     ) -> None:
-        given = list(ruled)
+        rules = list(ruled)
         self._points = points
-        self._unreadable = _refused(given, "write")
-        self._unwritable = _refused(given, "read")
+        self._unreadable = _refused(rules, "write")
+        self._unwritable = _refused(rules, "read")
         bounded = [
-            each
-            for each in given
-            if each.point.has_bounds and each.access != "read" and each.point.is_writable
-            if each.place[0] in TABLES
+            rule
+            for rule in rules
+            if rule.point.has_bounds and rule.access != "read" and rule.point.is_writable
+            if rule.place[0] in TABLES
         ]
         self._bounded = PointIndex(bounded)
         self.reads: dict[str, Ranges] = _by_table(self._unreadable.items())
-        in_bounds = [(each.place, (each.cells,)) for each in bounded]
+        in_bounds = [(rule.place, (rule.cells,)) for rule in bounded]
         self.writes: dict[str, Ranges] = _by_table([*self._unwritable.items(), *in_bounds])
 
     def check(self, touched: Touched, mapping: Mapping) -> None:
         """Refuse accesses to existing addresses that break a rule. Hold the mapping's lock."""
-        for accesses, refused, verb in (
+        for accesses, forbidden, verb in (
             (touched.writes, self._unwritable, "written"),
             (touched.reads, self._unreadable, "read"),
         ):
-            for each in accesses:
-                ranges = refused.get((each.table, each.file), ())
-                if touches(ranges, each.address, each.count):
-                    span = f"{each.table} {each.address}..{each.address + each.count - 1}"
+            for access in accesses:
+                ranges = forbidden.get((access.table, access.file), ())
+                if touches(ranges, access.address, access.count):
+                    span = f"{access.table} {access.address}..{access.address + access.count - 1}"
                     raise IllegalDataAddress(f"{span} cannot all be {verb}")
-        bounded = [point for each in touched.writes for point in self._bounded.touched(each)]
+        bounded = [point for access in touched.writes for point in self._bounded.touched(access)]
         if not bounded:
             return
         from ..maps.writing import check_cells
 
         # A request may write only some of the cells of a point.
-        written = {
+        writes = {
             (write.table, address): value
             for write in touched.writes
             for address, value in enumerate(write.values, write.address)
         }
         try:
             for point in bounded:
-                source = source_after(point, self._points(), mapping, written)
-                check_cells(point, cells_after(point, mapping, written), source=source)
+                source = source_after(point, self._points(), mapping, writes)
+                check_cells(point, cells_after(point, mapping, writes), source=source)
         except ValueError as error:
             raise IllegalDataValue(str(error)) from None
 
 
 def _refused(ruled: Iterable[RuledCells], refusing: str) -> dict[TableOrFile, Ranges]:
     """Return the cells whose points all have one access, by place."""
-    refused: defaultdict[TableOrFile, list[range]] = defaultdict(list)
+    refusing_ranges: defaultdict[TableOrFile, list[range]] = defaultdict(list)
     others: defaultdict[TableOrFile, list[range]] = defaultdict(list)
-    for each in ruled:
-        if each.access is not None:
-            (refused if each.access == refusing else others)[each.place].append(each.cells)
+    for rule in ruled:
+        if rule.access is not None:
+            (refusing_ranges if rule.access == refusing else others)[rule.place].append(rule.cells)
     return {
-        place: left
-        for place, ranges in refused.items()
-        if (left := without(joined(ranges), joined(others[place])))
+        place: rest
+        for place, ranges in refusing_ranges.items()
+        if (rest := without(joined(ranges), joined(others[place])))
     }
 
 
-def _by_table(found: Iterable[tuple[TableOrFile, Ranges]]) -> dict[str, Ranges]:
+def _by_table(places: Iterable[tuple[TableOrFile, Ranges]]) -> dict[str, Ranges]:
     """Return the cells by table; of "file" the numbers of the files."""
     tables: defaultdict[str, list[range]] = defaultdict(list)
-    for (table, file), ranges in found:
+    for (table, file), ranges in places:
         tables[table] += ranges if table in TABLES else [range(file, file + 1)]
     return {table: joined(ranges) for table, ranges in tables.items()}

@@ -43,8 +43,8 @@ class RecordFile:
         if isinstance(records, int) and not isinstance(records, bool):
             records = [0] * integer("records", records, 0, RECORDS_PER_FILE)
         if not isinstance(records, Iterable) or isinstance(records, str):
-            expected = "a number of records, a list of values or {record: value}"
-            raise WrongType("records", f"must be {expected}, not {reprlib.repr(records)}")
+            kinds = "a number of records, a list of values or {record: value}"
+            raise WrongType("records", f"must be {kinds}, not {reprlib.repr(records)}")
         if not isinstance(records, MappingABC):
             records = dict(enumerate(records))
         numbers = [integer("record", record, 0, RECORDS_PER_FILE - 1) for record in records]
@@ -191,8 +191,8 @@ class Queues(UserDict[int, FifoQueue]):
             self.data[key] = registers
 
 
-def items_of(name: str, expected: str, given: Any) -> Iterable[tuple[Any, Any]]:
+def items_of(name: str, form: str, mapping: Any) -> Iterable[tuple[Any, Any]]:
     """Return the items of an argument that must be a mapping; None has none."""
-    if given is not None and not isinstance(given, MappingABC):
-        raise WrongType(name, f"must be {expected}, not {reprlib.repr(given)}")
-    return (given or {}).items()
+    if mapping is not None and not isinstance(mapping, MappingABC):
+        raise WrongType(name, f"must be {form}, not {reprlib.repr(mapping)}")
+    return (mapping or {}).items()

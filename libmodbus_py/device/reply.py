@@ -21,9 +21,6 @@ _HEADER = struct.Struct(">HHHB")
 
 _NOWHERE: dict[str, Sequence[range]] = {}
 
-# Bytes for the answers to one chunk; requests without room are answered in a further call.
-ROOM = 65536
-
 # The outcome of a chunk, as `Device.answer_chunk` returns it. A plain tuple: a class would take as
 # long as the rest of Python here.
 Answered = tuple[int, bytes, int, int]
@@ -48,9 +45,9 @@ class Watched:
         self._edges = []  # kept alive
         for places, ranges in ((self.struct.reads, reads), (self.struct.writes, writes)):
             for table, number in TABLE_NUMBERS.items():
-                found = ranges.get(table, ())
-                self._edges.append(runs(found))
-                places[number] = (len(found), self._edges[-1])
+                addresses = ranges.get(table, ())
+                self._edges.append(runs(addresses))
+                places[number] = (len(addresses), self._edges[-1])
 
 
 class Replier:
@@ -59,7 +56,8 @@ class Replier:
     _pair: tuple[socket.socket, ...] = ()
 
     def __init__(self) -> None:
-        self._answers = ffi.new("uint8_t[]", ROOM)
+        # Those to one chunk; requests without room are answered in a further call.
+        self._answers = ffi.new("uint8_t[]", 1 << 16)
         self.answers: Any = ffi.cast("char *", self._answers)  # which unpack to bytes
         # For a request that may be answered without being counted.
         self.unused_tally: Any = make_tally()
@@ -91,7 +89,7 @@ class Replier:
         self.struct.context = self._context
         self.struct.outlet = outer.fileno()
         self.struct.answers = self._answers
-        self.struct.room = ROOM
+        self.struct.room = len(self._answers)
 
 
 _local = threading.local()
@@ -100,10 +98,10 @@ _local = threading.local()
 def replier() -> Replier:
     """Return the replier of this thread."""
     try:
-        made: Replier = _local.replier
+        own: Replier = _local.replier
     except AttributeError:
-        made = _local.replier = Replier()
-    return made
+        own = _local.replier = Replier()
+    return own
 
 
 def answer_in_c(

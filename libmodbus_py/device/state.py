@@ -36,8 +36,7 @@ from ..protocol.json_text import JSON, each_once
 from ..protocol.mistakes import Path, WrongType, WrongValue, inside
 from ..protocol.tables import TABLE_SIZE, TABLES, joined, touches
 from ..system import open_file
-from .access import Access, TableOrFile
-from .caller import values_at
+from .access import Access, TableOrFile, values_at
 from .mapping import Mapping
 from .records import Files
 
@@ -48,6 +47,7 @@ if TYPE_CHECKING:
 # fmt: off
 __all__ = [
     "fingerprint", "load_state", "read_text", "remove_leftovers", "replace_file", "state_text",
+    "unit_text",
 ]
 # fmt: on
 
@@ -88,16 +88,16 @@ Cells = dict[TableOrFile, "tuple[int, array[int]]"]
 def _views(device: Stateful) -> dict[TableOrFile, tuple[int, memoryview]]:
     tables = {(name, 0): getattr(device.mapping, name) for name in TABLES}
     files = {("file", number): (0, file.view) for number, file in device.files.items()}
-    return {place: (each.addresses.start, each.view) for place, each in tables.items()} | files
+    return {place: (table.addresses.start, table.view) for place, table in tables.items()} | files
 
 
 def fingerprint(device: Stateful) -> bytes:
     """Return a digest of all values, so that only changed ones are encoded."""
-    found = hashlib.blake2b(digest_size=16, usedforsecurity=False)
+    digest = hashlib.blake2b(digest_size=16, usedforsecurity=False)
     with device.mapping:
         for _, view in _views(device).values():
-            found.update(view)
-    return found.digest()
+            digest.update(view)
+    return digest.digest()
 
 
 def _present(device: Stateful) -> Cells:
@@ -109,20 +109,22 @@ def _present(device: Stateful) -> Cells:
 def _with_values(device: Stateful, values: Iterable[Access]) -> Cells:
     """Return the first values, with others in their place. Hold the mapping's lock."""
     views = _views(device).items()
-    found = {place: (at, array(view.format, bytes(view.nbytes))) for place, (at, view) in views}
-    for each in (*device.first_values(), *values):
-        start, cells = found[each.table, each.file]
-        at = each.address - start
-        cells[at : at + each.count] = array(cells.typecode, each.values)
-    return found
+    cells_of = {place: (at, array(view.format, bytes(view.nbytes))) for place, (at, view) in views}
+    for value in (*device.first_values(), *values):
+        start, cells = cells_of[value.table, value.file]
+        at = value.address - start
+        cells[at : at + value.count] = array(cells.typecode, value.values)
+    return cells_of
 
 
-def _differences(wanted: Cells, others: Cells) -> Iterator[Access]:
+def _differences(present: Cells, others: Cells) -> Iterator[Access]:
     """Yield the runs of cells that differ from others."""
-    for (table, file), (start, cells) in wanted.items():
+    for (table, file), (start, cells) in present.items():
+        if cells == others[table, file][1]:  # most are, and to compare each cell takes long
+            continue
         pairs = enumerate(zip(cells, others[table, file][1], strict=True))
-        changed = [at for at, (value, other) in pairs if value != other]
-        for _, group in groupby(enumerate(changed), lambda each: each[1] - each[0]):
+        places = [at for at, (value, other) in pairs if value != other]
+        for _, group in groupby(enumerate(places), lambda item: item[1] - item[0]):
             run = [at for _, at in group]
             values = tuple(cells[run[0] : run[-1] + 1])
             yield Access(table, start + run[0], len(run), values, file)
@@ -142,35 +144,36 @@ def _set_values(device: Stateful, values: Iterable[Access]) -> None:
 # --- to text ----------------------------------------------------------------------------------
 
 
-def state_text(devices: Devices) -> str:
-    """Return the text of a file; units without values are left out."""
-    units = []
-    for unit, device in devices.items():
-        with device.mapping:
-            present, first = _present(device), _with_values(device, ())
-        if found := _unit_object(device, _differences(present, first)):
-            name = EVERY if unit is None else str(unit)
-            units.append(f"{JSON.encode(name)}: {JSON.encode(found)}")
-    body = ",\n".join(units)
+def state_text(units: Iterable[str]) -> str:
+    """Return the text of a file; `units`: each as of `unit_text`, which may be empty."""
+    body = ",\n".join(filter(None, units))
     return f'{{"libmodbus-py": "{KIND}", "version": {VERSION}, "units": {{\n{body}\n}}}}\n'
 
 
+def unit_text(unit: int | None, device: Stateful) -> str:
+    """Return the part of a unit in the text of a file; empty if it has only first values."""
+    with device.mapping:
+        present, first = _present(device), _with_values(device, ())
+    values = _unit_object(device, _differences(present, first))
+    return f'"{EVERY if unit is None else unit}": {JSON.encode(values)}' if values else ""
+
+
 def _unit_object(device: Stateful, values: Iterable[Access]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    content: dict[str, Any] = {}
     cells: dict[str, list[range]] = {}
-    for each in values:
-        cells.setdefault(each.table, []).append(range(each.address, each.address + each.count))
-        runs = found.setdefault("files" if each.table == "file" else each.table, {})
-        if each.table == "file":
-            runs = runs.setdefault(str(each.file), {})
-        runs[str(each.address)] = each.values
-    changed = {table: joined(ranges) for table, ranges in cells.items()}
+    for value in values:
+        cells.setdefault(value.table, []).append(range(value.address, value.address + value.count))
+        runs = content.setdefault("files" if value.table == "file" else value.table, {})
+        if value.table == "file":
+            runs = runs.setdefault(str(value.file), {})
+        runs[str(value.address)] = value.values
+    ranges_of = {table: joined(ranges) for table, ranges in cells.items()}
     points = {
         name: _meaning(point)
         for name, point in sorted(device.points.items())
-        if touches(changed.get(point.table, ()), point.address, len(point.cells))
+        if touches(ranges_of.get(point.table, ()), point.address, len(point.cells))
     }
-    return {"points": points, **found} if points else found
+    return {"points": points, **content} if points else content
 
 
 def _meaning(point: Point) -> list[Any]:
@@ -203,8 +206,8 @@ def _parsed(text: str) -> object:
         raise WrongValue((), "not JSON: too deep") from None
 
 
-def _checked_units(found: object, devices: Devices) -> dict[int | None, list[Access]]:
-    head = _object((), found)
+def _checked_units(content: object, devices: Devices) -> dict[int | None, list[Access]]:
+    head = _object((), content)
     if head.get("libmodbus-py") != KIND:
         raise WrongValue("libmodbus-py", f'must be "{KIND}": this is not a file of values')
     version = integer("version", head.get("version"), 1, 1 << 31)
@@ -230,8 +233,8 @@ def _checked_unit(unit: object, device: Stateful) -> Iterator[Access]:
         if point is None:
             raise WrongValue.about(("points", name), "the device has no such point")
         if meaning != _meaning(point):
-            expected = f"must be {shown(_meaning(point))}, as in the device"
-            raise WrongValue(("points", name), f"{expected}, not {shown(meaning)}")
+            rule = f"must be {shown(_meaning(point))}, as in the device"
+            raise WrongValue(("points", name), f"{rule}, not {shown(meaning)}")
     for number, records in _object(("files",), keys.pop("files", {})).items():
         file = _number(("files", number), number)
         yield from _checked_runs(("files", number), records, ("file", file), device)
@@ -239,11 +242,11 @@ def _checked_unit(unit: object, device: Stateful) -> Iterator[Access]:
         yield from _checked_runs((table,), runs, (table, 0), device)
 
 
-def _checked_runs(path: Path, found: object, place: TableOrFile, device: Stateful) -> list[Access]:
+def _checked_runs(path: Path, items: object, place: TableOrFile, device: Stateful) -> list[Access]:
     table, file = place
     most = 1 if table in TABLES and TABLES[table].is_bits else 0xFFFF
     runs = []
-    for key, values in _object(path, found).items():
+    for key, values in _object(path, items).items():
         address = _number((*path, key), key)
         if not isinstance(values, list) or not values:
             raise WrongType((*path, key), "must be a list that is not empty")
@@ -262,14 +265,14 @@ def _checked_runs(path: Path, found: object, place: TableOrFile, device: Statefu
     return runs
 
 
-def _object(path: Path, found: object, keys: Iterable[str] | None = None) -> dict[str, Any]:
+def _object(path: Path, content: object, keys: Iterable[str] | None = None) -> dict[str, Any]:
     """Return an object of JSON; if `keys` are passed, it may have no others."""
-    if not isinstance(found, dict):
-        raise WrongType(path, f"must be an object, not {shown(found)}")
-    for key in found:
+    if not isinstance(content, dict):
+        raise WrongType(path, f"must be an object, not {shown(content)}")
+    for key in content:
         if keys is not None and key not in keys:
             raise WrongValue.about((*path, key), f"no such key; allowed are {', '.join(keys)}")
-    return found
+    return content
 
 
 def _number(path: Path, key: str) -> int:

@@ -14,8 +14,7 @@ In the order in which a request goes through::
     peer         Peer: one connection; Turns: all of them in one poller
     tls          TlsSession: a session within TLS, and the role of the client
     audit        Audit: who wrote what, and who was refused
-    service      the interface between endpoints and what answers; `Interceptor` is what answers
-                 some units in place of their devices
+    service      the interface between endpoints and what answers
     sessions     ByFrame: asks devices frame by frame; ByChunk: Modbus/TCP by the chunk, in C,
                  and single requests of many peers together
     framed       the base of sessions: finds frames, without their own echo

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from ..device.caller import Executed, ValueChange
+from ..device.access import Executed, ValueChange
+from ..device.limited_log import INTERVAL_S
 from ..protocol.checks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
 from ..protocol.json_text import json_line
@@ -37,9 +38,6 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 
 REMEMBERED_MAX = 1000
 """Events that wait while they cannot be written; and disallowed hosts that were seen."""
-
-QUIET_S = 60.0
-"""Seconds after which a disallowed host that comes again is another event."""
 
 ROOM_BYTES = 65_536
 """Bytes that a disk must have left before a change: more than the longest event."""
@@ -93,11 +91,11 @@ class AuditEvent:
 
     def json(self) -> str:
         """Return the event as one line of JSON, without the newline."""
-        found = dataclasses.asdict(dataclasses.replace(self, changes=()))
-        found["time"] = time_text(self.time.timestamp())
-        found["changes"] = [_change(each) for each in self.changes]
+        fields = dataclasses.asdict(dataclasses.replace(self, changes=()))
+        fields["time"] = time_text(self.time.timestamp())
+        fields["changes"] = [_change(change) for change in self.changes]
         return json_line(
-            {key: value for key, value in found.items() if value not in (None, "", [])}
+            {key: value for key, value in fields.items() if value not in (None, "", [])}
         )
 
 
@@ -192,7 +190,7 @@ class Audit:
     def note_disallowed(self, host: str, peer: str) -> None:
         """Record a connection or datagram from a network that is not served, once a minute."""
         now = time.monotonic()
-        if now < self._disallowed.get(host, -QUIET_S) + QUIET_S:
+        if now < self._disallowed.get(host, -INTERVAL_S) + INTERVAL_S:
             return
         self._disallowed.pop(host, None)
         if len(self._disallowed) >= REMEMBERED_MAX:
@@ -240,9 +238,9 @@ def _result(response: bytes, *, is_broadcast: bool) -> str:
     return str(ExceptionResponse.of(response[1])) if len(response) > 1 else "no answer"
 
 
-def audit_of(given: Audit | OnAudited) -> Audit:
+def audit_of(audit: Audit | OnAudited) -> Audit:
     """Return an audit; a function becomes one. Raises TypeError."""
-    return given if isinstance(given, Audit) else Audit(given)
+    return audit if isinstance(audit, Audit) else Audit(audit)
 
 
 @named_arguments
@@ -283,8 +281,8 @@ class AuditFile:
         line = event.json().encode() + b"\n"
         if self._is_cut:  # an earlier line was: this one must not be taken for its rest
             line = b"\n" + line
-        written = os.write(self._descriptor, line)
-        self._is_cut = written < len(line)
+        size = os.write(self._descriptor, line)
+        self._is_cut = size < len(line)
         if self._is_cut:
             raise OSError(f"{os.fspath(self._path)}: the disk is full")
 
@@ -318,10 +316,10 @@ class AuditFile:
         """Return what has the path, which is the open file; else raise OSError or ValueError."""
         if self._failure is not None:
             raise self._failure.with_traceback(None)
-        named = os.stat(self._path)
-        if not os.path.samestat(named, self._own):
+        status = os.stat(self._path)
+        if not os.path.samestat(status, self._own):
             raise self._error(errno.ESTALE, "another file has this path; open it again")
-        return named
+        return status
 
     def _error(self, number: int, text: str = "") -> OSError:
         return OSError(number, text or os.strerror(number), os.fspath(self._path))

@@ -16,9 +16,11 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from ..ports.trace import Trace
 from ..protocol.checks import integer
 from ..protocol.framing import Frame, Framer, TcpFramer
-from .service import Intercepted
+from .limits import ServerStatistics
+from .service import Channel
 
 # fmt: off
 __all__ = [
@@ -93,8 +95,8 @@ class Faults:
         self._by_unit: dict[int | None, list[CountedFault]] = {}
         for unit, given_faults in faults.items():
             key = None if unit is None else integer("faults: unit", unit, 0, 255)
-            known = [] if before is None else list(before._by_unit.get(key, ()))
-            self._by_unit[key] = [_counted(fault, known) for fault in given_faults]
+            others = [] if before is None else list(before._by_unit.get(key, ()))
+            self._by_unit[key] = [_counted(fault, others) for fault in given_faults]
         for alias, unit in (aliases or {}).items():
             if unit in self._by_unit:
                 self._by_unit.setdefault(alias, self._by_unit[unit])
@@ -103,29 +105,27 @@ class Faults:
         return any(self._by_unit.values())
 
     def concerns(self, unit: int) -> bool:
+        """Return True if answers of a unit may have faults."""
         return bool(self._by_unit.get(unit) or self._by_unit.get(None))
-
-    def intercept(self, session: Intercepted) -> FaultyAnswers:
-        return FaultyAnswers(session)
 
     def due(self, request: Frame, *, has_transaction: bool) -> ServerFault | None:
         """Count a request that is going to be answered, and return its fault, or None."""
         due = [
-            each
-            for each in (*self._by_unit.get(request.unit, ()), *self._by_unit.get(None, ()))
-            if each.fault.concerns(request, has_transaction=has_transaction)
-            and each.counter.is_due()
+            counted
+            for counted in (*self._by_unit.get(request.unit, ()), *self._by_unit.get(None, ()))
+            if counted.fault.concerns(request, has_transaction=has_transaction)
+            and counted.counter.is_due()
         ]
         return due[0].counter.happening() if due else None
 
 
-def _counted(fault: object, known: list[CountedFault]) -> CountedFault:
+def _counted(fault: object, others: list[CountedFault]) -> CountedFault:
     """Return the known counter of an equal fault, each once, or a new one."""
     if not isinstance(fault, ServerFault):
         raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {fault!r}")
-    for at, each in enumerate(known):
-        if each.fault == fault:
-            return known.pop(at)
+    for at, other in enumerate(others):
+        if other.fault == fault:
+            return others.pop(at)
     return CountedFault(fault, fault.counter())
 
 
@@ -136,10 +136,38 @@ def _sent(fault: ServerFault | None, answer: Frame, framer: Framer) -> list[Frag
     return [Fragment(0, adu, traced=((adu, answer),))]
 
 
-class FaultyAnswers:
-    """The answers of one session: in order, late, wrong, in fragments or not at all."""
+class FaultySession(Protocol):
+    """A session whose answers may have faults."""
 
-    def __init__(self, session: Intercepted) -> None:
+    framer: Framer
+    channel: Channel
+    trace: Trace | None
+    statistics: ServerStatistics
+
+    @property
+    def faults(self) -> Faults | None: ...
+
+    def is_answered(self, request: Frame) -> bool:
+        """Return True if a request to this unit and with this function is answered."""
+        ...
+
+    def answer(self, request: Frame, code: int = 0) -> Frame | None:
+        """Execute or refuse a request; the answer is not counted or traced yet."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes of answers."""
+
+
+class FaultyAnswers:
+    """
+    The answers of one session: in order, late, wrong, in fragments or not at all.
+
+    Attributes:
+        is_waiting: True while answers are to be sent later; nothing is received meanwhile.
+        is_over: True once a fault has closed the connection; nothing is executed any more.
+    """
+
+    def __init__(self, session: FaultySession) -> None:
         self.is_waiting: bool = False
         self.is_over: bool = False
         self._session = session
@@ -151,8 +179,8 @@ class FaultyAnswers:
         """Execute a request, and deliver its answer as the fault that is due makes it."""
         session = self._session
         fault: ServerFault | None = None
-        faults = session.interceptor
-        if isinstance(faults, Faults) and session.is_answered(request):
+        faults = session.faults
+        if faults is not None and session.is_answered(request):
             has_transaction = isinstance(session.framer, TcpFramer)
             fault = faults.due(request, has_transaction=has_transaction)
         answer = session.answer(request, 0 if fault is None else fault.code or 0)
@@ -260,10 +288,10 @@ class FaultSwitch:
         Raises:
             TypeError, ValueError: an argument is wrong; nothing has changed.
         """
-        made = [FaultState(unit, fault, is_given=False) for fault in faults]
+        states = [FaultState(unit, fault, is_given=False) for fault in faults]
         with self._changing:
-            self._change([*made, *self._states])
-        return _Switched(self, made)
+            self._change([*states, *self._states])
+        return _Switched(self, states)
 
     def states(self) -> list[FaultState]:
         """Return all faults, on or off: those switched on last come first, the given ones last."""
@@ -287,7 +315,7 @@ class FaultSwitch:
     def giving(self, faults: FaultsByUnit) -> Iterator[FaultsByUnit]:
         """Replace the faults given to the server if the block applies all that are on then."""
         with self._changing:
-            states = [each for each in self._states if not each.is_given]
+            states = [state for state in self._states if not state.is_given]
             for unit, given in faults.items():
                 states += [FaultState(unit, fault, is_given=True) for fault in given]
             yield _that_are_on(states)
@@ -296,7 +324,7 @@ class FaultSwitch:
     def remove(self, states: list[FaultState]) -> None:
         """Remove faults that were switched on; may be called any number of times."""
         with self._changing:
-            self._change([each for each in self._states if each not in states])
+            self._change([state for state in self._states if state not in states])
 
     def _change(self, states: list[FaultState]) -> None:
         self._apply(_that_are_on(states))
@@ -305,9 +333,9 @@ class FaultSwitch:
 
 def _that_are_on(states: list[FaultState]) -> FaultsByUnit:
     faults: FaultsByUnit = {}
-    for each in states:
-        if each.is_on:
-            faults.setdefault(each.unit, []).append(each.fault)
+    for state in states:
+        if state.is_on:
+            faults.setdefault(state.unit, []).append(state.fault)
     return faults
 
 

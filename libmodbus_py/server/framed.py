@@ -18,11 +18,11 @@ from ..protocol.rtu import may_be
 from .limits import ServerStatistics
 from .service import Channel, SessionState
 
-__all__ = ["FOUND_AT_ONCE", "Framed", "SessionSettings"]
+__all__ = ["FRAMES_AT_ONCE", "Framed", "SessionSettings"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-FOUND_AT_ONCE = 4
+FRAMES_AT_ONCE = 4
 """Requests of one of many connections that Python answers before others have their turn."""
 
 ECHO_DELAY = 0.05
@@ -77,23 +77,21 @@ class Framed(ABC):
         self._timer: asyncio.TimerHandle | None = None
         self._unsearched = b""
         self._is_quiet = False  # True if silence followed the unsearched bytes
-        self._held: tuple[Frame, bytes] | None = None  # the answer to the last request so far
-        self._is_heard = True  # True once the silence after the latest bytes is awaited
-        self._found: list[Frame | FrameError] = []
-        self._last_answer = (
-            b""  # the answer before, on a serial line, if its echo would be a request
-        )
+        # The answer to the last request so far.
+        self._pending_answer: tuple[Frame, bytes] | None = None
+        self._is_silence_awaited = True  # True once the silence after the latest bytes is awaited
+        self._frames: list[Frame | FrameError] = []
+        # The answer before, on a serial line, if its echo would be a request.
+        self._last_answer = b""
         self._returns_until = 0.0  # the time (loop.time) until which its echo can come
         self._heard_at = 0.0  # the time of the latest bytes behind it
         self._suspect: Frame | None = None  # a request that may be this echo
-        self._echo_timer: asyncio.TimerHandle | None = (
-            None  # ends the wait for the echo of one byte
-        )
+        # Ends the wait for the echo of one byte.
+        self._echo_timer: asyncio.TimerHandle | None = None
         self._is_echo_ruled_out = False  # True once it has not come
-        self._open_request: Frame | None = (
-            None  # a request of which one byte of the answer was sent
-        )
-        self._owed: Collection[object] = ()  # requests whose answers are still to come
+        # A request of which one byte of the answer was sent.
+        self._open_request: Frame | None = None
+        self._unanswered: Collection[object] = ()  # requests whose answers are still to come
         self._has_ended = False
 
     @property
@@ -106,12 +104,12 @@ class Framed(ABC):
             # A line has noise, and silence ends a frame that has begun.
             if self.framer.quiet is None and self.framer.rest:
                 return SessionState.UNFINISHED
-        return SessionState.OWING if self._owed else SessionState.READING
+        return SessionState.OWING if self._unanswered else SessionState.READING
 
     @property
     def _is_behind(self) -> bool:
         is_lost = not self.framer.in_step
-        return bool(self._found or self._unsearched or self._is_quiet or is_lost)
+        return bool(self._frames or self._unsearched or self._is_quiet or is_lost)
 
     @property
     def is_held(self) -> bool:
@@ -125,25 +123,25 @@ class Framed(ABC):
             if self._last_answer:
                 self._heard_at = asyncio.get_running_loop().time()
             self._unsearched += data if self._echo is None else self._without_echo(self._echo, data)
-            self._is_heard = False
+            self._is_silence_awaited = False
         if self._suspect is not None and not self._is_echo_heard(data):
             return 0
-        if not self._found and self.framer.in_step:
+        if not self._frames and self.framer.in_step:
             self._search()
-        most = FOUND_AT_ONCE if self._settings.has_turns else len(self._found)
-        now, self._found = self._found[:most], self._found[most:]
+        most = FRAMES_AT_ONCE if self._settings.has_turns else len(self._frames)
+        now, self._frames = self._frames[:most], self._frames[most:]
         requests = self.take(now)
-        if self._held is not None and not (self._found or self._unsearched):
-            self._send(*self._held)
-            self._held = None
-        if not (self._found or self.framer.in_step):
+        if self._pending_answer is not None and not (self._frames or self._unsearched):
+            self._send(*self._pending_answer)
+            self._pending_answer = None
+        if not (self._frames or self.framer.in_step):
             self._unsearched = b""
             if not requests:  # else the silence counts first
                 raise FrameError("stream out of step")
         if self._is_behind:
             self.channel.follow()
-        elif self.framer.quiet and self._is_unfinished and not self._is_heard:
-            self._is_heard = True
+        elif self.framer.quiet and self._is_unfinished and not self._is_silence_awaited:
+            self._is_silence_awaited = True
             loop = asyncio.get_running_loop()
             self._timer = loop.call_later(self.framer.quiet, self._note_silence)
         return requests
@@ -153,27 +151,27 @@ class Framed(ABC):
         """True if silence would show the end of what was received."""
         return bool(self.framer.pending) or (self._echo is not None and self._echo.is_holding)
 
-    def take(self, found: list[Frame | FrameError]) -> int:
+    def take(self, frames: list[Frame | FrameError]) -> int:
         """Answer the frames that were found, and return the number of requests."""
         requests = 0
-        for at, each in enumerate(found):
-            if isinstance(each, FrameError):
-                self.note_damage(each)
+        for at, frame in enumerate(frames):
+            if isinstance(frame, FrameError):
+                self.note_damage(frame)
                 continue
-            self._held = None  # its client has given up waiting for it
-            if self._may_be_echo(each):
-                self._found = [*found[at + 1 :], *self._found]
-                self._ask_line(each)
+            self._pending_answer = None  # its client has given up waiting for it
+            if self._may_be_echo(frame):
+                self._frames = [*frames[at + 1 :], *self._frames]
+                self._ask_line(frame)
                 break
             self._last_answer = b""
-            if each is not self._open_request:
+            if frame is not self._open_request:
                 self._open_request = None
-            if isinstance(each, Overheard):
-                self.note_overheard(each)
+            if isinstance(frame, Overheard):
+                self.note_overheard(frame)
             else:
                 requests += 1
                 self.statistics.requests += 1  # before the client can see an answer
-                self._take_one(each)
+                self._take_one(frame)
         return requests
 
     def end(self) -> None:
@@ -183,9 +181,9 @@ class Framed(ABC):
         for timer in (self._timer, self._echo_timer):
             if timer is not None:
                 timer.cancel()
-        self._release_held()
+        self._release_echo()
         self.tell_rest(self._unsearched)
-        self._unsearched, self._found = b"", []
+        self._unsearched, self._frames = b"", []
 
     def close(self) -> None:
         self.end()
@@ -202,32 +200,32 @@ class Framed(ABC):
     def _search(self) -> None:
         if self._unsearched or not self._is_quiet:
             data, self._unsearched = self._unsearched, b""
-            self._found = self.framer.scan(data)
+            self._frames = self.framer.scan(data)
             if self._settings.endpoint.is_datagram:
-                self._found += self.framer.scan_silence()
+                self._frames += self.framer.scan_silence()
                 self._end_datagram()
         else:
             self._is_quiet = False
-            self._found = self.framer.scan_silence()
+            self._frames = self.framer.scan_silence()
         if self.trace is not None:
-            self.tell_received(self._found)
+            self.tell_received(self._frames)
 
     def _end_datagram(self) -> None:
         """Note what could begin a longer frame: its rest does not come in another datagram."""
         rest = self.framer.end()
-        is_damaged = bool(self._found) and isinstance(self._found[-1], FrameError)
+        is_damaged = bool(self._frames) and isinstance(self._frames[-1], FrameError)
         if rest and not is_damaged:  # else it belongs to that damage
-            self._found.append(FrameError("an unfinished frame", received=rest))
+            self._frames.append(FrameError("an unfinished frame", received=rest))
 
-    def tell_received(self, found: Iterable[Frame | FrameError]) -> None:
+    def tell_received(self, frames: Iterable[Frame | FrameError]) -> None:
         """Report the frames and damage that were found to the trace."""
         if self.trace is not None:
-            for each in found:
-                if isinstance(each, FrameError):
-                    self.trace.tell("received", each.received)
+            for frame in frames:
+                if isinstance(frame, FrameError):
+                    self.trace.tell("received", frame.received)
                 else:
-                    adu = self.framer.encode(each)
-                    self.trace.tell("received", adu, each.unit, each.pdu[0])
+                    adu = self.framer.encode(frame)
+                    self.trace.tell("received", adu, frame.unit, frame.pdu[0])
 
     def tell_rest(self, unsearched: bytes) -> None:
         """Report received bytes that are not answered any more to the trace."""
@@ -240,7 +238,7 @@ class Framed(ABC):
     def _note_silence(self) -> None:
         """Make the channel call `receive` in its turn, so that the requests are counted."""
         self._timer = None
-        self._release_held()
+        self._release_echo()
         self._is_quiet = True
         self.channel.follow()
 
@@ -293,7 +291,7 @@ class Framed(ABC):
         assert self._suspect is not None
         self._echo_timer, self._is_echo_ruled_out = None, True
         self._open_request, self._suspect = self._suspect, None
-        self._found.insert(0, self._open_request)
+        self._frames.insert(0, self._open_request)
         self.channel.follow()
 
     def _without_echo(self, echo: Echo, data: bytes) -> bytes:
@@ -306,7 +304,7 @@ class Framed(ABC):
                 self._echo = None
         return data
 
-    def _release_held(self) -> None:
+    def _release_echo(self) -> None:
         """Take what was held back for the beginning of an echo, because nothing follows."""
         if self._echo is not None:
             self._unsearched += self._echo.release()
@@ -331,7 +329,7 @@ class Framed(ABC):
         """
         adu = self.framer.encode(answer)
         if self.framer.has_broadcast:
-            self._held = answer, adu
+            self._pending_answer = answer, adu
         else:
             self._send(answer, adu)
 

@@ -36,9 +36,6 @@ __all__ = [
 # Descriptors that are reserved for the rest of the process, unless max_connections is given.
 SPARE_DESCRIPTORS = 64
 
-# The least number of connections per address, even if there are few in all.
-LEAST_OF_ADDRESS = 8
-
 # Addresses without a connection that are remembered, so that they cannot evade their limit; on UDP
 # as many answers that may come back, and delayed ones. A sender of datagrams can forge any number.
 REMEMBERED_MAX = 4096
@@ -138,7 +135,7 @@ class Limits:
         """Return the number of connections that one address may have now."""
         if self.connections_per_address is not None:
             return self.connections_per_address
-        return max(LEAST_OF_ADDRESS, self.connections() // 10)
+        return max(8, self.connections() // 10)
 
 
 def _plain_host(host: str) -> str:
@@ -178,8 +175,8 @@ def _networks(allow: Iterable[str]) -> tuple[IPv4Network | IPv6Network, ...]:
     except ValueError as error:
         raise WrongValue.about("allow", f"{error}") from None
     except TypeError:
-        given = type(allow).__name__
-        raise WrongType("allow", f"must be a list of networks, not {given}") from None
+        kind = type(allow).__name__
+        raise WrongType("allow", f"must be a list of networks, not {kind}") from None
 
 
 class Allowance:

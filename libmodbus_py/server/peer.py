@@ -321,23 +321,25 @@ class Peer:
         if self._descriptor < 0:
             return
         try:
-            sent = self._socket.send(self._unsent)
+            size = self._socket.send(self._unsent)
         except (BlockingIOError, InterruptedError):
-            sent = 0
+            size = 0
         except OSError:
             self.close()
             return
-        if sent < len(self._unsent):
-            self._wait_to_send(sent)
+        if size < len(self._unsent):
+            self._wait_to_send(size)
         else:
             self._unsent = b""
             if self._is_sending:
-                self._finish_sending()
+                self._is_sending = self._is_full = False
+                self._watch()
+                self.follow()
         if self._is_closing:
             self._close_if_done()
 
-    def _wait_to_send(self, sent: int) -> None:
-        self._unsent = bytearray(self._unsent[sent:])
+    def _wait_to_send(self, size: int) -> None:
+        self._unsent = bytearray(self._unsent[size:])
         if not self._is_sending:
             self._is_sending = True
             self._watch()
@@ -351,11 +353,6 @@ class Peer:
                 "%s: not read until it takes its answers (max_unsent)", self.address
             )
             self.follow()
-
-    def _finish_sending(self) -> None:
-        self._is_sending = self._is_full = False
-        self._watch()
-        self.follow()
 
     def end(self) -> None:
         """Close the connection when all requests are answered, and the answers sent."""

@@ -37,9 +37,6 @@ __all__ = ["Peers", "TcpServer", "bound"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# Room for more descriptors is made when they are needed.
-ROOM_AT_MOST = 16_384
-
 # Seconds without accepting when the process has no descriptors left.
 RETRY_AFTER = 0.1
 
@@ -58,7 +55,8 @@ class Peers(Turns):
     ) -> None:
         self._most = limits.connections()
         poller = make_poller()
-        reserve_descriptors(poller.fileno(), min(self._most, ROOM_AT_MOST) + SPARE_DESCRIPTORS // 2)
+        # For more, the table grows when they are needed.
+        reserve_descriptors(poller.fileno(), min(self._most, 1 << 14) + SPARE_DESCRIPTORS // 2)
         super().__init__(limits, statistics, poller, log or LimitedLog(logger))
         self.auditor = auditor
         self._end = end or self.close
@@ -148,14 +146,14 @@ class Peers(Turns):
     def _sweep(self) -> None:
         self._sweeping = None
         now = self.loop.time()
-        for peer in [each for each, at in self.deadlines.items() if at <= now]:
+        for peer in [peer for peer, at in self.deadlines.items() if at <= now]:
             self.statistics.closed_slow += 1
             message = "%s: closed: a frame, or taking the last answers, took %g s (frame_timeout)"
             self.log.warning(message, peer.address, self.limits.frame_timeout)
             peer.close()
         if (idle := self.limits.idle_timeout) is not None:
             since = now - idle
-            for peer in [each for each in self._connections if each.idle_since <= since]:
+            for peer in [peer for peer in self._connections if peer.idle_since <= since]:
                 self.statistics.closed_idle += 1
                 logger.info("%s: closed: no request for %g s (idle_timeout)", peer.address, idle)
                 peer.close()
@@ -313,12 +311,12 @@ async def bound(
 ) -> tuple[list[socket.socket], Endpoint]:
     """Return a socket for each address of an endpoint's host, and the endpoint with its port."""
     try:
-        wanted = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
-        sockets = bind_all(await look_up(wanted), endpoint.port, make)
+        question = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
+        sockets = bind_all(await look_up(question), endpoint.port, make)
     except OSError as error:
         raise ModbusConnectionError(
             f"cannot listen on {endpoint}: {reason(error)}", errno=error.errno
         ) from error
-    for each in sockets:
-        each.setblocking(False)
+    for listener in sockets:
+        listener.setblocking(False)
     return sockets, replace(endpoint, port=sockets[0].getsockname()[1])

@@ -26,10 +26,6 @@ __all__ = ["SerialServer"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# Bytes of answers that may wait while the line is turned round, as many as a driver keeps; then the
-# oldest are dropped, for which no client waits any more.
-MAX_UNSENT = 4096
-
 
 class SerialServer:
     """
@@ -122,7 +118,8 @@ class SerialServer:
     def write(self, data: bytes) -> None:
         """Send an answer after the silence that ends the request (serial line, 2.5.1.1)."""
         self._unsent.append(data)
-        while sum(map(len, self._unsent)) > MAX_UNSENT:
+        # As much as a driver keeps may wait; no client waits any more for the oldest answers.
+        while sum(map(len, self._unsent)) > 4096:
             self._unsent.popleft()
         if self._timer is None:
             self._send_after_silence()

@@ -60,7 +60,8 @@ class Server(Serving):
             Modbus/TCP is not answered in C.
         state: the path of a file that keeps the values of the devices. They are loaded when the
             server starts, and a thread writes those that differ from the first ones at most 0.5 s
-            after a change, and at the end, so that no client waits for the disk.
+            after a change (later only where a write takes over 0.08 s), and at the end, so that
+            no client waits for the disk.
 
     Attributes:
         statistics: counters of all endpoints, kept up to date.
@@ -93,7 +94,7 @@ class Server(Serving):
         self._unknown_unit: UnknownUnit = unknown_unit
         self._own_unit = own_unit
         self._answering_now: list[tuple[asyncio.AbstractEventLoop, Devices]] = []
-        self._counted: Faults | None = None
+        self._faults: Faults | None = None
         self.fault_switch: FaultSwitch = FaultSwitch(
             lambda faults: self._serve(self._devices, faults)
         )
@@ -107,7 +108,7 @@ class Server(Serving):
     @property
     def faults(self) -> Mapping[int | None, list[ServerFault]]:
         """The faults that were passed, or set by `replace`."""
-        return self._given
+        return self._fault_lists
 
     def replace(
         self,
@@ -134,10 +135,10 @@ class Server(Serving):
         if faults is not None and not isinstance(faults, Mapping):
             given_type = type(faults).__name__
             raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {given_type}")
-        given = {unit: _listed(unit, each) for unit, each in (faults or {}).items()}
-        with self.fault_switch.giving(given) as faults_on:
+        lists = {unit: _listed(unit, each) for unit, each in (faults or {}).items()}
+        with self.fault_switch.giving(lists) as faults_on:
             self._serve(devices, faults_on)
-        self._given = given
+        self._fault_lists = lists
 
     def check_devices(self, devices: Device | Mapping[int, Device]) -> None:
         """Raise TypeError or ValueError if `replace` would do so for these devices."""
@@ -145,26 +146,21 @@ class Server(Serving):
 
     def _serve(self, devices: Device | Mapping[int, Device], faults: FaultsByUnit) -> None:
         units = self._units_of(devices)
-        self._counted = Faults(faults, self._counted, units.aliases)
-        units.interceptor = self._counted or None
-        self._devices = devices
-        self._serve_units(units)
+        self._faults = Faults(faults, self._faults, units.aliases)
+        units.faults = self._faults or None
+        self._devices, self._units = devices, units
+        for loop, answering in list(self._answering_now):  # in each, between two requests
+            if loop is _running_loop():
+                answering.change(units)
+            else:
+                with contextlib.suppress(RuntimeError):  # the loop has just ended
+                    loop.call_soon_threadsafe(self._renew, answering)
 
     def _units_of(self, devices: Device | Mapping[int, Device]) -> Units:
         """Return devices as the units of this server, or raise TypeError or ValueError."""
         return Units(
             devices, self._unknown_unit, self._own_unit, self._note_unauthorized, self._auditor
         )
-
-    def _serve_units(self, units: Units) -> None:
-        """Answer from these units from now on, in each loop between two requests."""
-        self._units = units
-        for loop, answering in list(self._answering_now):
-            if loop is _running_loop():
-                answering.change(units)
-            else:
-                with contextlib.suppress(RuntimeError):  # the loop has just ended
-                    loop.call_soon_threadsafe(self._renew, answering)
 
     def _renew(self, answering: Devices) -> None:
         answering.change(self._units)
@@ -197,8 +193,8 @@ class Devices:
     def change(self, units: Units) -> None:
         """Replace the units from the next request on, on all connections; in their loop."""
         self._units = units
-        for each in self._of_endpoints:
-            each.change(units)
+        for endpoint_units in self._of_endpoints:
+            endpoint_units.change(units)
 
     def sessions(
         self, endpoint: Endpoint, statistics: ServerStatistics, later: Later | None = None
@@ -220,8 +216,8 @@ class Devices:
 
 def _listed(unit: int | None, faults: object) -> list[Any]:
     if isinstance(faults, str) or not isinstance(faults, Iterable):
-        given = type(faults).__name__
-        raise TypeError(f"faults[{unit!r}] must be a list of faults, not {given}")
+        kind = type(faults).__name__
+        raise TypeError(f"faults[{unit!r}] must be a list of faults, not {kind}")
     return list(faults)
 
 

@@ -13,7 +13,6 @@ from ..ports.endpoint import Endpoint
 from ..ports.hosts import reason
 from ..ports.trace import Trace
 from ..protocol.errors import ModbusConnectionError
-from ..protocol.framing import Frame, Framer
 from .limits import ServerStatistics
 
 if TYPE_CHECKING:
@@ -24,9 +23,6 @@ __all__ = [
     "TURN_EVENTS",
     "UNREAD",
     "Channel",
-    "Intercepted",
-    "Interception",
-    "Interceptor",
     "Later",
     "MakeSession",
     "Service",
@@ -139,66 +135,6 @@ class Service(Protocol):
         for connections that are read together.
         """
         ...
-
-
-class Interceptor(Protocol):
-    """Answers the requests to some units in place of their devices, such as late or wrongly."""
-
-    def concerns(self, unit: int) -> bool:
-        """Return True if it answers the requests to a unit."""
-        ...
-
-    def intercept(self, session: Intercepted) -> Interception:
-        """Return what answers all further requests of one session."""
-        ...
-
-
-class Intercepted(Protocol):
-    """A session, as its interception uses it."""
-
-    framer: Framer
-    channel: Channel
-    trace: Trace | None
-    statistics: ServerStatistics
-
-    @property
-    def interceptor(self) -> Interceptor | None: ...
-
-    def is_answered(self, request: Frame) -> bool:
-        """Return True if a request to this unit and with this function is answered."""
-        ...
-
-    def answer(self, request: Frame, code: int = 0) -> Frame | None:
-        """
-        Execute a request, or refuse it with an exception; the answer is not counted or traced yet.
-        """
-        ...
-
-    def write(self, data: bytes) -> None:
-        """Send bytes of answers."""
-
-
-class Interception(Protocol):
-    """
-    Answers the requests of one session.
-
-    Attributes:
-        is_waiting: True while answers are to be sent later; nothing is received meanwhile. The
-            channel's `follow` is called whenever it has changed.
-        is_over: True once it closed the connection; nothing is executed any more.
-    """
-
-    @property
-    def is_waiting(self) -> bool: ...
-
-    @property
-    def is_over(self) -> bool: ...
-
-    def answer(self, request: Frame) -> None:
-        """Answer a request, now or later; or not."""
-
-    def close(self) -> None:
-        """Drop answers that were not sent."""
 
 
 @contextlib.contextmanager

@@ -147,14 +147,14 @@ class Serving(ABC):
                     )
                 stack.callback(peers.close)
                 stack.enter_context(in_time())
-                opened = []
+                listening = []
                 for endpoint in endpoints:
-                    server = self._made(endpoint, service, peers, sources, stack.close)
+                    server = self._make_endpoint(endpoint, service, peers, sources, stack.close)
                     stack.callback(server.close)
                     with explained(f"cannot listen on {endpoint}"):
-                        opened.append(await server.open())
-                self._listening = opened
-                running = Running([str(endpoint) for endpoint in opened])
+                        listening.append(await server.open())
+                self._listening = listening
+                running = Running([str(endpoint) for endpoint in listening])
                 for url in running.urls:
                     logger.info("listening on %s", url)
                     if auditor is not None:
@@ -162,7 +162,7 @@ class Serving(ABC):
                         stack.callback(auditor.note_own, "stop", url)
                 yield running
 
-    def _made(
+    def _make_endpoint(
         self,
         endpoint: Endpoint,
         service: Service,
@@ -289,24 +289,24 @@ class Traces:
     """The functions that are called with ADUs; they can change, in any thread."""
 
     def __init__(self, first: OnTraced | None) -> None:
-        self._all: tuple[Harmless, ...] = () if first is None else (Harmless(first),)
+        self._all: tuple[OnTraced, ...] = () if first is None else (_harmless(first),)
 
     def __bool__(self) -> bool:
         return bool(self._all)
 
     def __call__(self, traced: Traced) -> None:
-        for each in self._all:
-            each(traced)
+        for callback in self._all:
+            callback(traced)
 
     @contextlib.contextmanager
     def with_another(self, callback: OnTraced) -> Iterator[None]:
         """Call another function, too, while the block runs."""
-        another = Harmless(callback)
+        another = _harmless(callback)
         self._all += (another,)
         try:
             yield
         finally:
-            self._all = tuple(each for each in self._all if each is not another)
+            self._all = tuple(other for other in self._all if other is not another)
 
 
 class TracedService:
@@ -322,35 +322,36 @@ class TracedService:
         make = self._service.sessions(endpoint, statistics, later)
         url, traces = str(endpoint), self._traces
 
-        def made(channel: Channel) -> Session:
+        def make_traced(channel: Channel) -> Session:
             is_on = is_traced(traces or None)
             channel.trace = Trace(url, traces, channel.address) if is_on else None
             return make(channel)
 
-        return made
+        return make_traced
 
 
-class Harmless:
+def _harmless(callback: OnTraced) -> OnTraced:
     """
-    A callback whose exceptions cost no client an answer.
+    Return a callback whose exceptions cost no client an answer.
 
     A failure is logged once, and a long duration once: a client must not be able to
     fill the log. SystemExit and KeyboardInterrupt leave the loop when this turn is over.
     """
+    call = timed("trace", callback)
+    has_failed = False
 
-    def __init__(self, callback: OnTraced) -> None:
-        self._call = timed("trace", callback)
-        self._has_failed = False
-
-    def __call__(self, traced: Traced) -> None:
+    def harmless(traced: Traced) -> None:
+        nonlocal has_failed
         try:
-            self._call(traced)
+            call(traced)
         except ENDS as error:
             asyncio.get_running_loop().call_soon(_raise, error)
         except BaseException:
-            if not self._has_failed:
-                self._has_failed = True
+            if not has_failed:
+                has_failed = True
                 logger.exception("trace(%s) failed; this is logged once", traced)
+
+    return harmless
 
 
 def _raise(error: BaseException) -> NoReturn:

@@ -24,9 +24,10 @@ from ..protocol.framing import (
     mbap,
     split,
 )
-from .framed import FOUND_AT_ONCE, Framed, SessionSettings
+from .faults import Faults, FaultyAnswers
+from .framed import FRAMES_AT_ONCE, Framed, SessionSettings
 from .limits import ServerStatistics
-from .service import Channel, Interception, Interceptor, Later, SessionState
+from .service import Channel, Later, SessionState
 from .units import SerialUnits, TcpUnits
 
 __all__ = ["ByChunk", "ByFrame", "Singles"]
@@ -42,28 +43,28 @@ class ByFrame(Framed):
     ) -> None:
         super().__init__(settings, channel, units.has)
         self._units = units
-        self._interception: Interception | None = None  # None until a unit has one
+        self._faulty: FaultyAnswers | None = None  # None until a unit has faults
         self._is_ascii = isinstance(self.framer, AsciiFramer)
         self._follow_delimiter()
 
     @property
     def is_held(self) -> bool:
-        return self._interception is not None and self._interception.is_waiting
+        return self._faulty is not None and self._faulty.is_waiting
 
     @property
     def is_over(self) -> bool:
-        """True once an interception has closed the connection: nothing is executed any more."""
-        return self._interception is not None and self._interception.is_over
+        """True once a fault has closed the connection: nothing is executed any more."""
+        return self._faulty is not None and self._faulty.is_over
 
     @property
-    def interceptor(self) -> Interceptor | None:
-        return self._units.interceptor
+    def faults(self) -> Faults | None:
+        return self._units.faults
 
     def close(self) -> None:
         super().close()
-        if self._interception is not None:
-            self._interception.close()
-            self._interception = None  # it refers to this session
+        if self._faulty is not None:
+            self._faulty.close()
+            self._faulty = None  # it refers to this session
 
     def note_damage(self, error: FrameError) -> None:
         super().note_damage(error)
@@ -73,12 +74,12 @@ class ByFrame(Framed):
         self._units.note_overheard()
 
     def _take_one(self, request: Frame) -> None:
-        interception, interceptor = self._interception, self._units.interceptor
-        if interception is None and interceptor is not None and interceptor.concerns(request.unit):
-            interception = self._interception = interceptor.intercept(self)
-        if interception is not None:  # all later answers go behind one that it has delayed
-            if not interception.is_over:
-                interception.answer(request)
+        faulty, faults = self._faulty, self._units.faults
+        if faulty is None and faults is not None and faults.concerns(request.unit):
+            faulty = self._faulty = FaultyAnswers(self)
+        if faulty is not None:  # all later answers go behind one that it has delayed
+            if not faulty.is_over:
+                faulty.answer(request)
         elif (answer := self.answer(request)) is not None:
             self._reply(answer)
         if self._is_ascii:
@@ -88,7 +89,7 @@ class ByFrame(Framed):
         return self._units.answer(request, self.channel, code)
 
     def is_answered(self, request: Frame) -> bool:
-        """See `Intercepted`."""
+        """See `FaultySession`."""
         return self._units.is_answered(request)
 
     def _follow_delimiter(self) -> None:
@@ -104,7 +105,7 @@ class ByChunk(ByFrame):
         self, settings: SessionSettings, units: TcpUnits, channel: Channel, singles: Singles
     ) -> None:
         super().__init__(settings, units, channel)
-        self._in_c = units
+        self._tcp_units = units
         self._singles = singles
         self._pending = b""  # the beginning of a frame, or bytes that were not searched yet
         self._has_more = False  # True if requests in these bytes wait for the next turn
@@ -113,7 +114,7 @@ class ByChunk(ByFrame):
     def state(self) -> SessionState:
         if self._has_more:
             return SessionState.BEHIND
-        if self._interception is not None and self._interception.is_waiting:
+        if self._faulty is not None and self._faulty.is_waiting:
             return SessionState.HELD
         return SessionState.UNFINISHED if self._pending else SessionState.READING
 
@@ -129,41 +130,41 @@ class ByChunk(ByFrame):
         """As `receive`, without the help of other sessions."""
         data = self._pending + data
         before = self.statistics.requests
-        start, size, taken, is_lost = 0, len(data), 0, False
+        start, size, count, is_lost = 0, len(data), 0, False
         try:
-            while (start := self._answer_in_c(data, start)) < size and taken < FOUND_AT_ONCE:
-                found: list[Frame | FrameError] = []
-                end = cut(data, start, found, 1)
+            while (start := self._answer_in_c(data, start)) < size and count < FRAMES_AT_ONCE:
+                frames: list[Frame | FrameError] = []
+                end = cut(data, start, frames, 1)
                 if end == start:
-                    taken = 0
+                    count = 0
                     break
-                self.take_one(found[0])
+                self.take_one(frames[0])
                 start = size if self.is_over else end
-                taken += 1
+                count += 1
         except FrameError as error:
             is_lost = self.statistics.requests > before
             if not is_lost:  # else the requests before it count first
                 self.take_one(error)
                 raise
         self._pending = data[start:]
-        self._has_more = start < size and (taken == FOUND_AT_ONCE or is_lost)
+        self._has_more = start < size and (count == FRAMES_AT_ONCE or is_lost)
         if self._has_more:
             self.channel.follow()
         return self.statistics.requests - before
 
-    def take_one(self, found: Frame | FrameError) -> None:
+    def take_one(self, frame: Frame | FrameError) -> None:
         """Answer a request without C, or note damage."""
         if (
-            isinstance(found, FrameError)
-            or self._in_c.interceptor is not None
-            or self._interception is not None
+            isinstance(frame, FrameError)
+            or self._tcp_units.faults is not None
+            or self._faulty is not None
             or self.trace is not None
         ):
-            self.tell_received([found])
-            self.take([found])
+            self.tell_received([frame])
+            self.take([frame])
             return
         self.statistics.requests += 1
-        if (answer := self._in_c.answer(found, self.channel)) is not None:
+        if (answer := self._tcp_units.answer(frame, self.channel)) is not None:
             self.statistics.refused += answer.pdu[0] >> 7
             self.channel.write(mbap(answer.transaction, answer.unit, answer.pdu))
 
@@ -175,17 +176,17 @@ class ByChunk(ByFrame):
         """Answer the requests from `start` on, up to the first that C leaves; return its start."""
         while len(data) - start > FUNCTION and not self.is_held:
             unit = data[start + UNIT]
-            device = self._in_c.in_c[unit]
+            device = self._tcp_units.in_c[unit]
             if device is None or data[start + FUNCTION] not in device.in_c:
                 break
-            end, answers, requests, refused = device.answer_chunk(data, start, unit)
+            end, answers, requests, refusals = device.answer_chunk(data, start, unit)
             if end == start:
                 break
             if (trace := self.trace) is not None:
                 _tell(trace, data[start:end], answers)
             self.channel.write(answers)
             self.statistics.requests += requests
-            self.statistics.refused += refused
+            self.statistics.refused += refusals
             start = end
         return start
 
@@ -222,9 +223,9 @@ class Singles:
             unit, count = chunk[start + UNIT], 0
             device = self._units.in_c[unit]
             if device is not None and chunk[start + FUNCTION] in device.in_c:
-                start, answers, count, refused = device.answer_chunk(chunk, start, unit)
+                start, answers, count, refusals = device.answer_chunk(chunk, start, unit)
                 self._statistics.requests += count
-                self._statistics.refused += refused
+                self._statistics.refused += refusals
                 if count == 1:
                     waiting[first][0].channel.write(answers)
                 elif count:

@@ -76,7 +76,8 @@ class Handshakes:
         # By address, the one whose turn is next first.
         self._line: dict[str, dict[TlsSession, None]] = {}
         self._next_step: asyncio.Handle | None = None
-        self._established: dict[TlsSession, None] = {}
+        # Those whose certificates are checked.
+        self.established: dict[TlsSession, None] = {}
         self._next_check: asyncio.TimerHandle | None = None
         self._place = ""
 
@@ -91,10 +92,6 @@ class Handshakes:
         if self._next_check is not None:
             self._next_check.cancel()
             self._next_check = None
-
-    def acceptance(self) -> Acceptance:
-        """Return what checks later whether a client's certificate is still good."""
-        return Acceptance(lambda: self.security.loaded)
 
     def begin(self, session: TlsSession) -> Tunnel:
         """Return the tunnel of a connection that has sent its first bytes."""
@@ -111,14 +108,6 @@ class Handshakes:
         self._count -= _removed(self._half_open, session)
         _removed(self._line, session)
 
-    def establish(self, session: TlsSession) -> None:
-        """Check the certificate of a connection from now on."""
-        self._established[session] = None
-
-    def forget(self, session: TlsSession) -> None:
-        """Stop checking the certificate of a closed connection; may be called repeatedly."""
-        self._established.pop(session, None)
-
     def _check_certificates(self) -> None:
         self._next_check = self.loop.call_later(self._interval, self._check_certificates)
         security = self.security
@@ -128,7 +117,7 @@ class Handshakes:
         self._own = security.own
         if security.ends is not None:
             self.statistics.certificate_ends[self._place] = security.ends
-        for session in list(self._established):
+        for session in list(self.established):
             session.check_certificate()
 
     def line_up(self, session: TlsSession) -> None:
@@ -189,7 +178,6 @@ class TlsSession:
         self._handshakes = handshakes
         self._make = make
         self._tunnel: Tunnel | None = None
-        self._acceptance = handshakes.acceptance()
         self._records = Records()
         self._inner: Session | None = None
         self._has_more = False  # True if bytes were received that were not processed yet
@@ -214,8 +202,9 @@ class TlsSession:
     def receive(self, data: bytes) -> int:
         tunnel, inner = self._tunnel, self._inner
         if tunnel is None:
-            self._acceptance = self._handshakes.acceptance()
-            tunnel = self._tunnel = self._handshakes.begin(self)
+            handshakes = self._handshakes
+            self._acceptance = Acceptance(lambda: handshakes.security.loaded)
+            tunnel = self._tunnel = handshakes.begin(self)
         is_one = False
         if data:
             tunnel.feed(data)
@@ -247,7 +236,7 @@ class TlsSession:
         self._has_more = False
         self._timer.cancel()
         self._handshakes.end(self)
-        self._handshakes.forget(self)
+        self._handshakes.established.pop(self, None)
 
     # --- the handshake --------------------------------------------------------------------------
 
@@ -301,7 +290,7 @@ class TlsSession:
         if (auditor := self._handshakes.auditor) is not None:
             self.holder = holder_of(tunnel.certificate)
             auditor.note_peer("logon", self.address, "ok", self.holder, self.role)
-        self._handshakes.establish(self)
+        self._handshakes.established[self] = None
         self._inner = self._make(self)
         self._has_more = tunnel.has_more
 
@@ -347,15 +336,15 @@ class TlsSession:
         """
         Pass a slice of the received bytes on; `is_one`: it is one record, with nothing behind it.
         """
-        requests, left = 0, READ_BYTES
+        requests, room = 0, READ_BYTES
         self._has_more = False
         try:
-            while data := tunnel.receive(left):
+            while data := tunnel.receive(room):
                 requests += inner.receive(data)
                 if is_one or not tunnel.has_more:
                     return requests
-                left -= len(data)
-                if left <= 0 or inner.state in UNREAD:
+                room -= len(data)
+                if room <= 0 or inner.state in UNREAD:
                     self._has_more = True
                     self._wire.follow()
                     return requests

@@ -54,9 +54,6 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 # client may use any.
 RETURNS_PER_SECOND = 10
 
-# An answer can be seven times as long as its request, and go to a host that never asked.
-USUAL_RATE = 1000.0
-
 
 class UdpServer:
     """Answers the datagrams to one address."""
@@ -84,22 +81,22 @@ class UdpServer:
         """Open the sockets, and return the endpoint with its port."""
         self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, bound_datagrams)
         self._make_session = self._service.sessions(endpoint, self._statistics)
-        for made in self._sockets:
-            self._loop.add_reader(made.fileno(), self._read, made)
+        for listener in self._sockets:
+            self._loop.add_reader(listener.fileno(), self._read, listener)
         return endpoint
 
     def close(self) -> None:
         for session in list(self._waiting):
             session.close()
         self._waiting.clear()
-        for made in self._sockets:
-            self._loop.remove_reader(made.fileno())
-            made.close()
+        for listener in self._sockets:
+            self._loop.remove_reader(listener.fileno())
+            listener.close()
         self._sockets.clear()
 
     def abandon(self) -> None:
-        for made in self._sockets:
-            made.close()
+        for listener in self._sockets:
+            listener.close()
         self._sockets.clear()
 
     def _read(self, local: socket.socket) -> None:
@@ -188,12 +185,14 @@ class Sources:
         self._statistics = statistics
         self._auditor = auditor
         self._loop = asyncio.get_running_loop()
-        self._addresses: Addresses[Paused] = Addresses(limits.requests_per_second or USUAL_RATE)
+        # An answer can be seven times as long as its request, and go to a host that never asked.
+        self._rate = limits.requests_per_second or 1000.0
+        self._addresses: Addresses[Paused] = Addresses(self._rate)
         self._returns: OrderedDict[int, Allowance] = OrderedDict()
 
     def admit(self, datagram: bytes, source: tuple[str, int]) -> bool:
         """Return True if a datagram is to be answered; count it if not."""
-        host, rate = source[0], self._limits.requests_per_second or USUAL_RATE
+        host = source[0]
         if not self._limits.allows(host):
             self._statistics.disallowed += 1
             name = host_and_port(*source[:2])
@@ -207,7 +206,7 @@ class Sources:
         elif self._is_too_fast(host):
             self._statistics.throttled += 1
             message = "%s: datagrams are dropped: more than %g a second (requests_per_second)"
-            self.log.warning(message, host_and_port(*source[:2]), rate)
+            self.log.warning(message, host_and_port(*source[:2]), self._rate)
         else:
             return True
         return False
@@ -269,7 +268,7 @@ class AllAddresses(socket.socket):
         """Return a datagram, and the address for `sendto`. Raises OSError."""
         data, control, _, address = self.recvmsg(arguments[0], ROOM)
         source = DatagramSource(address)
-        source.control = [_choice(*each) for each in control]
+        source.control = [_choice(*item) for item in control]
         return data, source
 
     def sendto(self, data: Any, *arguments: Any) -> int:
@@ -295,16 +294,16 @@ def _choice(level: int, kind: int, info: bytes) -> tuple[int, int, bytes]:
 def bound_datagrams(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
     """Return a UDP socket that is bound to an address, or raise OSError."""
     has_all = ip_address(address[0].partition("%")[0]).is_unspecified
-    made = (AllAddresses if has_all else socket.socket)(family, socket.SOCK_DGRAM)
+    listener = (AllAddresses if has_all else socket.socket)(family, socket.SOCK_DGRAM)
     try:
         if family == socket.AF_INET6:
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
         if has_all and family == socket.AF_INET6:
-            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_RECVPKTINFO, 1)
+            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_RECVPKTINFO, 1)
         elif has_all:
-            made.setsockopt(socket.IPPROTO_IP, IP_PKTINFO, 1)
-        made.bind(address)
+            listener.setsockopt(socket.IPPROTO_IP, IP_PKTINFO, 1)
+        listener.bind(address)
     except OSError:
-        made.close()
+        listener.close()
         raise
-    return made
+    return listener

@@ -10,14 +10,15 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Literal, get_args
 
-from ..device.caller import Auditor, Caller
+from ..device.access import Auditor, Caller
 from ..device.device import Device
 from ..device.event_log import EventLog
 from ..protocol.checks import integer
 from ..protocol.errors import GatewayTargetFailedToRespond
 from ..protocol.framing import LINE_FEED, Frame
 from ..protocol.pdu import Diagnostics
-from .service import Channel, Interceptor
+from .faults import Faults
+from .service import Channel
 
 __all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units", "UnknownUnit"]
 
@@ -32,16 +33,11 @@ UnknownUnit = Literal["refuse", "silent"]
 UNKNOWN_UNIT_POLICIES: tuple[UnknownUnit, ...] = get_args(UnknownUnit)
 
 
-SERVER_ITSELF = (0, 0xFF)
-"""The units that address the server itself on TCP and UDP (messaging guide, 4.4.2)."""
-
-
 class Units:
     """
     The devices, by unit.
 
-    `aliases` are further units that a device answers on TCP and UDP; the `interceptor` answers the
-    requests to some units in place of their devices.
+    `aliases` are further units that a device answers on TCP and UDP; `faults`: those of answers.
     """
 
     def __init__(
@@ -54,10 +50,10 @@ class Units:
     ) -> None:
         self.on_unauthorized = on_unauthorized
         self.auditor = auditor
-        self.interceptor: Interceptor | None = None
+        self.faults: Faults | None = None
         if unknown not in UNKNOWN_UNIT_POLICIES:
-            allowed = ", ".join(UNKNOWN_UNIT_POLICIES)
-            raise ValueError(f"unknown_unit must be one of {allowed}, not {unknown!r}")
+            policies = ", ".join(UNKNOWN_UNIT_POLICIES)
+            raise ValueError(f"unknown_unit must be one of {policies}, not {unknown!r}")
         self.unknown = unknown
         self.any: Device | None = devices if isinstance(devices, Device) else None
         self.devices: dict[int, Device] = {}
@@ -67,8 +63,8 @@ class Units:
                 raise ValueError("own_unit cannot be given where one device answers every unit")
             return
         if not isinstance(devices, Mapping):
-            given = type(devices).__name__
-            raise TypeError(f"devices must be a Device or {{unit: Device}}, not {given}")
+            kind = type(devices).__name__
+            raise TypeError(f"devices must be a Device or {{unit: Device}}, not {kind}")
         for unit, device in devices.items():
             if not isinstance(device, Device):
                 raise TypeError(f"devices[{unit!r}] must be a Device, not {type(device).__name__}")
@@ -85,9 +81,10 @@ class Units:
 
     def _answer_as(self, unit: int) -> None:
         if unit not in self.devices:
-            known = ", ".join(map(str, sorted(self.devices))) or "none"
-            raise ValueError(f"own_unit must be a unit that has a device ({known}), not {unit}")
-        self.aliases = {each: unit for each in SERVER_ITSELF if each not in self.devices}
+            units = ", ".join(map(str, sorted(self.devices))) or "none"
+            raise ValueError(f"own_unit must be a unit that has a device ({units}), not {unit}")
+        # Both address the server itself on TCP and UDP (messaging guide, 4.4.2).
+        self.aliases = {alias: unit for alias in (0, 255) if alias not in self.devices}
 
 
 class TcpUnits:
@@ -103,8 +100,8 @@ class TcpUnits:
     def change(self, units: Units) -> None:
         """Replace the units from the next request on."""
         self._shared = units
-        self.interceptor: Interceptor | None = units.interceptor
-        own = {each: units.devices[unit] for each, unit in units.aliases.items()}
+        self.faults: Faults | None = units.faults
+        own = {alias: units.devices[unit] for alias, unit in units.aliases.items()}
         self._devices: dict[int, Device] = own | units.devices
         self._refuses = units.unknown == "refuse"
         self.in_c: list[Device | None] = [
@@ -113,8 +110,8 @@ class TcpUnits:
 
     def _is_for_python(self, unit: int) -> bool:
         """Return True if C, which reports no write, may answer no request to a unit."""
-        is_intercepted = self.interceptor is not None and self.interceptor.concerns(unit)
-        return is_intercepted or self._shared.auditor is not None
+        has_faults = self.faults is not None and self.faults.concerns(unit)
+        return has_faults or self._shared.auditor is not None
 
     def device(self, unit: int) -> Device | None:
         """Return the device of a unit, if there is one."""
@@ -159,11 +156,11 @@ class SerialLine:
     def change(self, units: Units) -> None:
         """Replace the units from the next request on; notes about the line stay with their unit."""
         self.shared = units
-        given = units.devices if units.any is None else {EVERY_UNIT: units.any}
+        devices = units.devices if units.any is None else {EVERY_UNIT: units.any}
         before = {unit: log for unit, (_, log) in self.stations.items()}
         self.stations = {
             unit: (device, before.get(unit) or EventLog(is_serial=True))
-            for unit, device in given.items()
+            for unit, device in devices.items()
         }
 
 
@@ -188,13 +185,13 @@ class SerialUnits:
         Return the units as one connection has them: with counters and events of the line, but
         listen-only mode and a changed delimiter affect this connection only.
         """
-        made = copy(self)
-        made._own = {}
-        return made
+        units = copy(self)
+        units._own = {}
+        return units
 
     @property
-    def interceptor(self) -> Interceptor | None:
-        return self._line.shared.interceptor
+    def faults(self) -> Faults | None:
+        return self._line.shared.faults
 
     def has(self, unit: int) -> bool:
         """Return True if a device of this server answers requests to a unit."""

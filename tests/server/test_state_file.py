@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -153,6 +154,19 @@ def test_only_changes_are_written(folder: Path) -> None:
     file._write()
     assert os.stat(folder / "state").st_ino != first
     close(file)
+
+
+def test_a_slow_write_is_followed_by_a_pause_four_times_as_long(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pauses: list[float] = []
+    clock = SimpleNamespace(monotonic=iter([0, 2, 10, 10.01]).__next__)
+    monkeypatch.setattr(state_file, "time", clock)
+    monkeypatch.setattr(state_file, "WRITE_EVERY", 0.1)
+    file: Any = StateFile(str(folder / "state"), dict)
+    file._is_closed.wait = lambda pause: pauses.append(pause) or len(pauses) > 2
+    file._run()
+    assert pauses == [0.1, 8, 0.1]
 
 
 def test_it_is_written_while_it_is_served(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
-from ...device.access import Who, touched
+from ...device.access import Auditor, Caller, Executed, Who, changes_of, touched
 from ...device.authorization import (
     Allow,
     Asked,
@@ -18,7 +18,6 @@ from ...device.authorization import (
     UnauthorizedError,
     what_is_asked,
 )
-from ...device.caller import Auditor, Caller, Executed, changes_of
 from ...device.device import Device
 from ...device.limited_log import LimitedLog
 from ...ports.endpoint import Endpoint
@@ -305,7 +304,7 @@ class ForwardingSession(Framed):
         self.is_line: bool = endpoint.is_serial
         self._dispatcher = dispatcher
         self.asked: dict[Forwarded, GatewayLine | Broadcast] = {}
-        self._owed = self.asked
+        self._unanswered = self.asked
 
     def caller(self, unit: int) -> Caller:
         """Return the origin of a request to a unit."""

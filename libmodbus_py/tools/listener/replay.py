@@ -11,7 +11,7 @@ from collections.abc import Container, Iterator
 from typing import Any, NamedTuple
 
 from ...client.blocking import Client
-from ...device.caller import Caller
+from ...device.access import Caller
 from ...device.device import Device
 from ...device.mapping import Mapping
 from ...protocol.errors import (

@@ -20,7 +20,6 @@ from ...protocol.errors import ExceptionResponse
 from ...protocol.logs import HarmlessLogger
 from ...protocol.tables import TABLES
 from ...server.server import Server
-from ...server.units import SERVER_ITSELF
 from ..simulator.simulated import SimulatedDevice
 from .samples import Samples, samples_of_each
 from .text import point_text
@@ -143,7 +142,7 @@ class ShownServer(NamedTuple):
         if None in self.units:
             return [None]
         # The server itself is its only device (messaging guide, 4.4.2).
-        if len(self.units) == 1 and number in SERVER_ITSELF and not is_line:
+        if len(self.units) == 1 and number in (0, 255) and not is_line:
             return list(self.units)
         return [number] if number in self.units else []
 

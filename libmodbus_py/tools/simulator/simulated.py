@@ -8,8 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ...device.access import Access
-from ...device.caller import values_at
+from ...device.access import Access, values_at
 from ...device.device import Device
 from ...device.hooks import Hook
 from ...device.mapping import Mapping as Tables

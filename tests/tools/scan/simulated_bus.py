@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from typing import Any, NamedTuple
 
 from libmodbus_py import Device, Server, framing
-from libmodbus_py.device.caller import Caller
+from libmodbus_py.device.access import Caller
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.lines import MemorySerialPort, Party
