@@ -5,8 +5,8 @@ Run the demonstration and the tests of bytes, devices and maps on other processo
 
 32 bits, another alignment, and the other order of bytes. Debian's packages for them are unpacked
 below `build/processors`, 200 MB each, and qemu-user runs their Python; the C code is compiled here.
-It needs qemu-user-static, and gcc and libc6-dev-cross for each processor. Tests that start other
-programs are left out.
+What is missing is installed: qemu-user-static, and for each processor gcc and the files of libc.
+Tests that start other programs are left out.
 """
 
 from __future__ import annotations
@@ -44,6 +44,19 @@ def run(*command: object, **options: Any) -> None:
     subprocess.run(list(map(str, command)), check=True, **options)
 
 
+def install(names: list[str]) -> None:
+    """Install what Debian has to compile and run for processors, with sudo if need be."""
+    programs = {PROCESSORS[names[0]].qemu: "qemu-user-static"}
+    for name in names:
+        triplet = PROCESSORS[name].triplet
+        programs[f"{triplet}-gcc"] = f"gcc-{triplet} libc6-dev-{name}-cross"
+    missing = [packages for program, packages in programs.items() if not shutil.which(program)]
+    if missing:
+        apt = [*["sudo"] * (os.getuid() != 0), "apt-get", "-q", "-y", "--no-install-recommends"]
+        run(*apt, "update", stdout=subprocess.DEVNULL)
+        run(*apt, "install", *" ".join(missing).split(), stdout=subprocess.DEVNULL)
+
+
 def unpack(name: str) -> Path:
     """Return a folder with Debian's Python and libmodbus for a processor."""
     folder = BUILD / name
@@ -72,8 +85,9 @@ def build(name: str, root: Path) -> Path:
     """Return a copy of this clone with the C modules of a processor."""
     clone = root / "clone"
     shutil.rmtree(clone, ignore_errors=True)
-    made_here = [line.strip("/") for line in (ROOT / ".gitignore").read_text().splitlines()]
-    shutil.copytree(ROOT, clone, ignore=shutil.ignore_patterns(*made_here, ".git"))
+    ignored = {line.strip("/") for line in (ROOT / ".gitignore").read_text().splitlines()}
+    ignored.remove("*.egg-info")  # of which pytest takes the plugin, and the modules it rewrites
+    shutil.copytree(ROOT, clone, ignore=shutil.ignore_patterns(*ignored, ".git"))
     triplet = PROCESSORS[name].triplet
     modules = runpy.run_path(str(ROOT / "build_ffi.py"))
     (include,) = root.glob("usr/include/python3*")
@@ -100,12 +114,13 @@ def try_on(name: str) -> None:
 
 
 def main() -> None:
-    site = BUILD / "site"
+    names, site = sys.argv[1:] or [*PROCESSORS], BUILD / "site"
+    install(names)
     if not site.exists():
         pip = [sys.executable, "-m", "pip", "install", "-q", "--disable-pip-version-check"]
         pip += ["--python-version=3.11", "--only-binary=:all:", "--platform=any"]
         run(*pip, "--target", site, *TESTS)
-    for name in sys.argv[1:] or PROCESSORS:
+    for name in names:
         try_on(name)
 
 

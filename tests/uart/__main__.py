@@ -26,12 +26,11 @@ UARTS = ("iobase=0x3f8,irq=4", "iobase=0x2f8,irq=3", "iobase=0x3e8,irq=5", "ioba
 
 
 class Cable:
-    """Brings each byte to the other ends when a line would do it, but for what it damages."""
+    """Brings each byte to the other ends when a line would, but for what it damages."""
 
     def __init__(self, ends: list[socket.socket]) -> None:
-        self._ends = ends
         self._bytes: dict[socket.socket, deque[tuple[float, int]]] = {end: deque() for end in ends}
-        self._free_at = dict.fromkeys(ends, 0.0)
+        self._sends = dict.fromkeys(ends, (0.0, 0.0))  # since when, and until when
         self._random = random.Random(1)
 
     def set(self, text: str) -> None:
@@ -42,29 +41,34 @@ class Cable:
         """Wait for the next byte of anyone, and return whether the console has one."""
         due = [waiting[0][0] for waiting in self._bytes.values() if waiting]
         timeout = max(0.0, min(due) - time.monotonic()) if due else None
-        readable = select.select([console, *self._ends], [], [], timeout)[0]
+        readable = select.select([console, *self._bytes], [], [], timeout)[0]
         now = time.monotonic()
+        for end in self._bytes.keys() & readable:
+            self._take(end, end.recv(4096), now)
         for end, waiting in self._bytes.items():
-            if end in readable:
-                self._send(end, end.recv(4096), now)
             data = bytearray()
             while waiting and waiting[0][0] <= now:
-                data.append(waiting.popleft()[1])
-            for other in self._ends if data else ():
-                if other is not end:
-                    with contextlib.suppress(BlockingIOError):  # a port that nobody has open
-                        other.send(data, socket.MSG_DONTWAIT)
+                data.append(waiting[0][1] ^ self._is_disturbed(end, waiting[0][0]))
+                waiting.popleft()
+            for other in self._bytes.keys() - {end} if data else ():
+                with contextlib.suppress(BlockingIOError):  # a port that nobody has open
+                    other.send(data, socket.MSG_DONTWAIT)
         return console in readable
 
-    def _send(self, end: socket.socket, data: bytes, now: float) -> None:
+    def _take(self, end: socket.socket, data: bytes, now: float) -> None:
+        since, until = self._sends[end]
+        since, until = (since, until) if until > now else (now, now)
         for byte in data:
-            start = max(now, self._free_at[end])
             changed, lost, doubled = (self._random.random() < share for share in self._shares)
-            # Two who send at the same time damage each other.
-            changed |= any(at > start for other, at in self._free_at.items() if other is not end)
-            self._free_at[end] = start + self._character
+            until += self._character
             byte ^= changed << self._random.randrange(8)
-            self._bytes[end].extend([(self._free_at[end], byte)] * (0 if lost else 1 + doubled))
+            self._bytes[end].extend([(until, byte)] * (0 if lost else 1 + doubled))
+        self._sends[end] = since, until
+
+    def _is_disturbed(self, end: socket.socket, due: float) -> bool:
+        """Return True if another end sent at the time of a byte."""
+        sends = (self._sends[other] for other in self._sends.keys() - {end})
+        return any(since < due and until > due - self._character for since, until in sends)
 
 
 def main() -> int:
@@ -88,7 +92,7 @@ def main() -> int:
                 if not (data := console.recv(4096)):
                     break
                 *lines, text = (text + data).split(b"\n")
-                for line in filter(None, map(str.strip, map(bytes.decode, lines))):
+                for line in filter(None, map(str.rstrip, map(bytes.decode, lines))):
                     if line.startswith("cable "):
                         cable.set(line.removeprefix("cable "))
                         console.sendall(b"\n")  # now the guest goes on

@@ -5,7 +5,7 @@ mkdir -p build/uart
 cd build/uart
 if [ ! -e vmlinuz ]; then
     name=$(apt-cache depends linux-image-cloud-amd64 | sed -n 's/.*Depends: //p' | head -n 1)
-    apt-get download -q "$name"
+    apt-get download -qq -o APT::Sandbox::User=root "$name"
     dpkg-deb -x "$name"_*.deb .
     mv boot/vmlinuz-* vmlinuz
 fi
