@@ -125,22 +125,22 @@ class TcpStreams:
             return []
         if segment is None:
             return []
-        key, done = frozenset((segment.source, segment.target)), list[Transaction]()
+        key, transactions = frozenset((segment.source, segment.target)), list[Transaction]()
         is_new = segment.flags & FIN_SYN == SYN and not segment.flags & ACK
         if is_new and key in self._connections and not self._connections[key].is_as(segment):
-            done = self._connections.pop(key).end()
+            transactions = self._connections.pop(key).end()
         if key not in self._connections:
             self._count += 1
             self._connections[key] = TcpConnection(self._count, self._on_heard, segment)
-        done += self._connections[key].take(segment, packet.at)
+        transactions += self._connections[key].take(segment, packet.at)
         if segment.flags & RST:
-            done += self._connections.pop(key).end()
-        return done
+            transactions += self._connections.pop(key).end()
+        return transactions
 
     def end(self) -> list[Transaction]:
         """Return the transactions that the end of the capture ends."""
         connections, self._connections = self._connections, {}
-        return [each for connection in connections.values() for each in connection.end()]
+        return [row for stream in connections.values() for row in stream.end()]
 
 
 class TcpConnection:
@@ -172,31 +172,31 @@ class TcpConnection:
 
     def end(self) -> list[Transaction]:
         """Return what the last frames end, and the requests without a response."""
-        done = []
+        transactions = []
         for end, direction in self._directions.items():
-            done += self._paired(direction.rest(), is_response=end == self._server)
+            transactions += self._paired(direction.rest(), is_response=end == self._server)
         requests, self._open = self._open, {}
-        return done + [_transaction(*request, None) for request in requests.values()]
+        return transactions + [_transaction(*request, None) for request in requests.values()]
 
     def _paired(
         self, frames: Iterator[tuple[float, int, Frame]], *, is_response: bool
     ) -> list[Transaction]:
-        done = []
+        transactions = []
         for at, transaction, frame in frames:
             part: Part = "response" if is_response else "request"
             self._on_heard(self._number, Heard(at, at, part, frame))
             request = self._open.pop(transaction, None)
             if not is_response:
                 if request is not None:  # its id is used again
-                    done.append(_transaction(*request, None))
+                    transactions.append(_transaction(*request, None))
                 self._open[transaction] = (at, frame)
             elif request is not None and request[1].unit == frame.unit:
-                done.append(_transaction(*request, (at, frame)))
+                transactions.append(_transaction(*request, (at, frame)))
             else:
-                done.append(unasked(at, frame))
+                transactions.append(unasked(at, frame))
                 if request is not None:
                     self._open[transaction] = request
-        return done
+        return transactions
 
 
 def _transaction(began: float, request: Frame, response: tuple[float, Frame] | None) -> Transaction:

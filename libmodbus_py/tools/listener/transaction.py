@@ -83,9 +83,9 @@ class Transaction:
 
     def __str__(self) -> str:
         where = "" if self.unit is None else f"unit {self.unit}: "
-        asked = "" if self.request is None else f"{self.request} "
+        question = "" if self.request is None else f"{self.request} "
         again = f" (repeat {self.repeats})" if self.repeats else ""
-        return f"{where}{asked}-> {self.outcome()}{again}"
+        return f"{where}{question}-> {self.outcome()}{again}"
 
     def outcome(self, show: Callable[[Any], str] = repr) -> str:
         """
@@ -206,7 +206,7 @@ class UnitSummary:
         functions = ", ".join(f"{code} ({count})" for code, count in sorted(self.functions.items()))
         errors = ", ".join(f"{count} {name}" for name, count in self.errors.most_common())
         times = (self.times.shortest, self.times.mean, self.times.longest)
-        took = " / ".join(f"{each * 1000:.1f}" for each in times) + " ms (shortest, mean, longest)"
+        took = " / ".join(f"{time * 1000:.1f}" for time in times) + " ms (shortest, mean, longest)"
         return (
             f"{self.transactions} transactions, {self.repeats} repeats\n"
             f"  functions     {functions or '-'}\n"

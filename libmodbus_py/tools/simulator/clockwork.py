@@ -86,18 +86,18 @@ class Clockwork:
         self._start = clock()
         self.seed: int = random.getrandbits(64)  # of random moves without a seed of their own
         self._points: dict[str, list[SimulatedPoint]] = {table: [] for table in TABLES}
-        for each in sorted(points, key=lambda each: each.span.start):
-            self._points[each.table].append(each)
+        for point in sorted(points, key=lambda point: point.span.start):
+            self._points[point.table].append(point)
         self._moving: dict[tuple[str, range], tuple[SimulatedPoint, Compute]] = {}
         self._held: set[tuple[str, range]] = set()
-        for each in [each for points in self._points.values() for each in points]:
-            if each.behaviour is not None:
-                with inside(*each.source):
-                    if (source := each.point.scale_from) is not None:
+        for point in [point for points in self._points.values() for point in points]:
+            if point.behaviour is not None:
+                with inside(*point.source):
+                    if (source := point.point.scale_from) is not None:
                         raise ValueError(f"a point that {source} scales does not move")
-                    kind, settings = each.behaviour
-                    compute = BEHAVIOURS[kind](each, self, **settings)
-                    self._moving[each.table, each.span] = each, compute
+                    kind, settings = point.behaviour
+                    compute = BEHAVIOURS[kind](point, self, **settings)
+                    self._moving[point.table, point.span] = point, compute
 
     def go_on_from(self, before: Clockwork) -> None:
         """Continue with the start, the seed and the held values of another clockwork."""
@@ -107,8 +107,8 @@ class Clockwork:
     def find(self, table: str, address: int) -> SimulatedPoint | None:
         """Return the point that has an address."""
         points = self._points[table]
-        at = bisect_right(points, address, key=lambda each: each.span.start)
-        return next((each for each in points[at - 1 :: -1] if at and address in each.span), None)
+        at = bisect_right(points, address, key=lambda point: point.span.start)
+        return next((point for point in points[at - 1 :: -1] if at and address in point.span), None)
 
     def _with(self, table: str, cells: range) -> set[tuple[str, range]]:
         """Return the keys of the moving points that have some of these cells."""
@@ -120,8 +120,8 @@ class Clockwork:
 
     def movement(self, table: str, cells: range) -> bool | None:
         """Return True if a value with some of these cells moves, False if all are held, or None."""
-        found = self._with(table, cells)
-        return bool(found - self._held) if found else None
+        points = self._with(table, cells)
+        return bool(points - self._held) if points else None
 
     def hold(self, table: str, cells: range, *, is_on: bool) -> None:
         """Hold the moving values that have some of these cells, or let them move again."""
@@ -134,29 +134,29 @@ class Clockwork:
         """Compute the values that are about to be read."""
         now, stop = self._clock() - self._start, address + count
         for key in self._with(table, range(address, stop)):
-            each, _ = self._moving[key]
-            size, start = each.point.read.size, each.span.start
+            point, _ = self._moving[key]
+            size, start = point.point.read.size, point.span.start
             first = max(address - start, 0) // size
-            for index in range(first, (min(stop, each.span.stop) - start - 1) // size + 1):
-                self._refresh(each, index, now)
+            for index in range(first, (min(stop, point.span.stop) - start - 1) // size + 1):
+                self._refresh(point, index, now)
 
-    def value(self, each: SimulatedPoint, index: int, now: float) -> Any:
+    def value(self, point: SimulatedPoint, index: int, now: float) -> Any:
         """Return one value of a point, nan for none, or raise ServerDeviceFailure."""
-        self._refresh(each, index, now)
-        cells = getattr(self._mapping, each.table)[each.slice_of(index)]
+        self._refresh(point, index, now)
+        cells = getattr(self._mapping, point.table)[point.slice_of(index)]
         numbers = list(map(int, cells))
-        (raw,) = each.point.meaning.raws_in(numbers)
+        (raw,) = point.point.meaning.raws_in(numbers)
         if isinstance(raw, NoValue):
             raise ServerDeviceFailure(str(raw))
-        (found,) = each.point.values_in(numbers)
-        return math.nan if found is None else found
+        (value,) = point.point.values_in(numbers)
+        return math.nan if value is None else value
 
-    def _refresh(self, each: SimulatedPoint, index: int, now: float) -> None:
-        key = each.table, each.span
+    def _refresh(self, point: SimulatedPoint, index: int, now: float) -> None:
+        key = point.table, point.span
         if key in self._moving and key not in self._held:
-            value = _nearest(each.point, self._moving[key][1](index, now))
-            table = getattr(self._mapping, each.table)
-            table[each.slice_of(index)] = each.point.cells_for([value])
+            value = _nearest(point.point, self._moving[key][1](index, now))
+            table = getattr(self._mapping, point.table)
+            table[point.slice_of(index)] = point.point.cells_for([value])
 
 
 def _nearest(point: Point, value: Any) -> Any:
@@ -185,10 +185,10 @@ def _limits(simulated: SimulatedPoint, **numbers: Number) -> tuple[Number, Numbe
     low, high = point.limits
     if low is None or high is None:
         raise ValueError(f"only numbers can move by themselves, not {point.type_name}")
-    for name, given in numbers.items():
-        number(name, given, -LARGEST, LARGEST)
-        if not low <= given <= high:
-            raise WrongValue(name, f"must be in {low}..{high} for {point.type_name}, not {given}")
+    for name, limit in numbers.items():
+        number(name, limit, -LARGEST, LARGEST)
+        if not low <= limit <= high:
+            raise WrongValue(name, f"must be in {low}..{high} for {point.type_name}, not {limit}")
     return low, high
 
 
@@ -270,9 +270,9 @@ def random_walk(
     def compute(index: int, now: float) -> Number:
         own = _mixed(_mixed(others.seed, origin) if seed is None else seed, index)
         move = int(now / interval)
-        line, done = divmod(move, moves_of_line)
+        line, step = divmod(move, moves_of_line)
         here, there = _share(own, line), _share(own, line + 1)
-        way = here + (there - here) * done / moves_of_line
+        way = here + (there - here) * step / moves_of_line
         return min(max(middle + reach * way + deviation * _share(own + 1, move), low), high)
 
     return compute

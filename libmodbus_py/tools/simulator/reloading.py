@@ -64,17 +64,17 @@ class Reloader:
         self._asked.set()
 
     async def _run(self) -> None:
-        seen = self._read
+        signatures = self._read
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._look_every):
                     await self._asked.wait()
             is_asked = self._asked.is_set()
             self._asked.clear()
-            before, seen = seen, self._signatures()
-            if is_asked or seen == before != self._read:
+            before, signatures = signatures, self._signatures()
+            if is_asked or signatures == before != self._read:
                 await self._read_again()
-                seen = self._read
+                signatures = self._read
 
     async def _read_again(self) -> None:
         before = self._signatures()
@@ -106,10 +106,10 @@ class Reloader:
 
     def _signatures(self) -> dict[str, tuple[int, ...]]:
         """Return what changes of the files when they are written or replaced, by path."""
-        found: dict[str, tuple[int, ...]] = {}
+        signatures: dict[str, tuple[int, ...]] = {}
         for path in (self._path, *self._maps):
-            found[path] = ()
+            signatures[path] = ()
             with contextlib.suppress(OSError, ValueError):
                 facts = os.stat(path)
-                found[path] = facts.st_mtime_ns, facts.st_size, facts.st_ino
-        return found
+                signatures[path] = facts.st_mtime_ns, facts.st_size, facts.st_ino
+        return signatures

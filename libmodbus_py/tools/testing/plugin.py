@@ -80,7 +80,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
 
 def _told(server: RecordingServer) -> str:
     """Return the transactions of a server as lines."""
-    lines = [_line(each) for each in server.transactions]
+    lines = [_line(transaction) for transaction in server.transactions]
     if not lines:
         return f"{server.url} none"
     left_out = [f"... {len(lines) - SHOWN} earlier ones"] * (len(lines) > SHOWN)
