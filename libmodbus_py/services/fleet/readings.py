@@ -43,7 +43,7 @@ class Reading(NamedTuple):
         device: the name of the device.
         name: the name of the point in the map of the device.
         value: the scaled value; None unless the quality is "good".
-        unit: the unit of the value, such as "V".
+        units: the units of the value, such as "V".
         quality: "good"; "bad" if the device refused the request or the value is invalid; "down"
             if the device did not answer; "offline" if the point is not polled any more, because it
             was removed, or because a worker lost its lease.
@@ -61,7 +61,7 @@ class Reading(NamedTuple):
     device: str
     name: str
     value: Any
-    unit: str
+    units: str
     quality: Quality
     reason: str = ""
     id: int = 0

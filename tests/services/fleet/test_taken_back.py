@@ -26,7 +26,7 @@ def offline(readings: Sequence[Reading], device: str) -> list[tuple[str, object,
     own = [each for each in readings if each.device == device]
     first = next((at for at, each in enumerate(own) if each.quality == "offline"), len(own))
     assert all(each.quality == "offline" for each in own[first:])
-    return [(each.name, each.value, each.unit) for each in own[first:]]
+    return [(each.name, each.value, each.units) for each in own[first:]]
 
 
 @in_simulated_time

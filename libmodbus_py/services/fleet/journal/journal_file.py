@@ -310,8 +310,8 @@ class JournalFile:
         [[device]] = self._used.execute("SELECT id FROM device WHERE (name, labels) = (?, ?)", row)
         rows = self._used.execute(NEWEST_POINTS, (device, device)).fetchall()
         number = rows[0][0] if rows else 0
-        names = [(point, unit) for _, point, unit in rows]
-        new = [(reading.name, reading.unit) for reading in poll.readings]
+        names = [(point, units) for _, point, units in rows]
+        new = [(reading.name, reading.units) for reading in poll.readings]
         if not {*new} <= {*names}:
             [[number]] = self._used.execute("SELECT ifnull(max(id), 0) + 1 FROM point")
             names = [*dict.fromkeys([*new, *names])]
@@ -342,7 +342,7 @@ class JournalFile:
         if number not in self._lists:
             points = self._used.execute(POINTS, (number,)).fetchall()
             name, labels, *_ = points[0]
-            names = [(point, unit) for *_, point, unit in points]
+            names = [(point, units) for *_, point, units in points]
             self._lists[number] = name, json.loads(labels) or NO_LABELS, names
         return self._lists[number]
 

@@ -100,7 +100,7 @@ class JournalPoll(NamedTuple):
 
 
 class Points(NamedTuple):
-    """The positions in a list of points of a device, by name and unit; the first one has `id`."""
+    """The positions in a list of points of a device, by name and units; the first one has `id`."""
 
     id: int
     device: int
@@ -138,7 +138,7 @@ def numbered(readings: Iterable[Reading], first: int) -> Iterator[JournalPoll]:
 def encoded(poll: JournalPoll, points: Points) -> Row:
     """Return a poll as a row; raise KeyError if a reading is of none of the points."""
     readings = poll.readings
-    positions = [points.positions[reading.name, reading.unit] for reading in readings]
+    positions = [points.positions[reading.name, reading.units] for reading in readings]
     values = [reading.value for reading in readings]
     if not _SIMPLE.issuperset(map(type, values)):
         values = [plain(value) for value in values]
@@ -171,8 +171,8 @@ def decoded(
     positions = range(row.readings) if row.chosen is None else json.loads(row.chosen)
     trouble = json.loads(row.trouble) if row.trouble else {}
     readings = [
-        Reading(row.time, device, name, value, unit, "good", "", row.id + at, labels)
-        for at, ((name, unit), value) in enumerate(
+        Reading(row.time, device, name, value, units, "good", "", row.id + at, labels)
+        for at, ((name, units), value) in enumerate(
             zip([names[position] for position in positions], values, strict=True)
         )
     ]

@@ -20,7 +20,7 @@ from .output import ReadingsRefused
 __all__ = ["COLUMNS", "as_csv", "as_json", "object_text", "poll_messages"]
 
 
-COLUMNS: tuple[str, ...] = Reading._fields[:-2]
+COLUMNS: tuple[str, ...] = "time", "device", "name", "value", "unit", "quality", "reason"
 """The columns of CSV: what a reading has, but for its id and its labels."""
 
 _json = JSON.encode
@@ -49,9 +49,9 @@ def as_json(readings: Iterable[Reading]) -> bytes:
 
 def _fields(reading: Reading, with_labels: bool = True) -> str:
     """Return the end of an object of JSON, formatted directly: others are too slow."""
-    time, _, _, value, unit, quality, reason, number, labels = reading
+    time, _, _, value, units, quality, reason, number, labels = reading
     return (
-        f'"time": "{_time_text(time)}", "value": {_number(value)}, "unit": {_quoted(unit)},'
+        f'"time": "{_time_text(time)}", "value": {_number(value)}, "unit": {_quoted(units)},'
         f' "quality": "{quality}"'
         + (f', "reason": {_quoted(reason)}' if reason else "")
         + (f', "id": {number}' if number else "")
