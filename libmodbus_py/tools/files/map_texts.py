@@ -33,14 +33,16 @@ _DEFAULTS = {field.name: field.default for field in fields(Point) if field.init}
 def toml_text(points: Iterable[Point]) -> str:
     """Return points as TOML: a table for each, with the arguments that are not defaults."""
     return "\n".join(
-        "\n".join(["[[point]]", *(f"{key} = {_shown(value)}" for key, value in _said(point)), ""])
+        "\n".join(
+            ["[[point]]", *(f"{key} = {_shown(value)}" for key, value in _arguments(point)), ""]
+        )
         for point in points
     )
 
 
 def csv_text(points: Iterable[Point]) -> str:
     """Return points as CSV: a line for each."""
-    rows = [dict(_said(point)) for point in points]
+    rows = [dict(_arguments(point)) for point in points]
     columns = [key for key in _DEFAULTS if any(key in keys for keys in rows)]
     return csv_rows([columns, *([_cell(keys.get(key, "")) for key in columns] for keys in rows)])
 
@@ -62,7 +64,7 @@ def _cell(value: Any) -> Any:
     return "; ".join(f"{key} = {name}" for key, name in value.items())
 
 
-def _said(point: Point) -> list[tuple[str, Any]]:
+def _arguments(point: Point) -> list[tuple[str, Any]]:
     return [
         (key, value)
         for key, default in _DEFAULTS.items()

@@ -249,7 +249,7 @@ class Listener:
 
     def _add(self, transactions: list[Transaction]) -> None:
         for transaction in transactions:
-            self.summary.note(transaction)
+            self.summary.add_transaction(transaction)
         self._ready += transactions
 
 

@@ -147,7 +147,7 @@ class _Cell:
     lowest: int | None = None
     highest: int | None = None
 
-    def note(self, value: int) -> None:
+    def add_value(self, value: int) -> None:
         self.lowest = value if self.lowest is None else min(self.lowest, value)
         self.highest = value if self.highest is None else max(self.highest, value)
 
@@ -168,7 +168,7 @@ class LearnedMap:
     def __init__(self) -> None:
         self._cells: dict[tuple[int, str, int], _Cell] = {}
 
-    def note(self, transaction: Transaction) -> None:
+    def add_transaction(self, transaction: Transaction) -> None:
         """Add the cells of a transaction."""
         for table, addresses, values, is_written in _cells_of(transaction):
             if table not in TABLES:
@@ -178,7 +178,7 @@ class LearnedMap:
                 cell.is_written |= is_written
                 cell.is_read |= not is_written
             for address, value in zip(addresses, values, strict=False):
-                self._cells[transaction.unit or 0, table, address].note(int(value))
+                self._cells[transaction.unit or 0, table, address].add_value(int(value))
 
     def points(self) -> list[Point]:
         """Return a point for each cell, whose group is its unit; its description, its values."""

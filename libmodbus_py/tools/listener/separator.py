@@ -93,7 +93,7 @@ class _RtuHearing:
         self._times: list[float] = []  # when each piece arrived
         self._damage: Damage | None = None  # more bytes may belong to it
 
-    def hear(self, data: bytes, at: float) -> Found:
+    def split(self, data: bytes, at: float) -> Found:
         # At most one for each byte that waits for the rest of its frame.
         self._offsets.append(self._start + len(self._data))
         self._times.append(at)
@@ -145,13 +145,13 @@ class _AsciiHearing:
     def quiet(self) -> float:
         return self.framer.quiet
 
-    def hear(self, data: bytes, at: float) -> Found:
+    def split(self, data: bytes, at: float) -> Found:
         self._at = at
         began = at if self._began is None else self._began
         items = self.framer.scan(data)
         if not items and not self.framer.pending:  # skipped bytes, such as those before a colon
             yield Damage(began, at, data[:MAX_RECEIVED])
-        yield from self._heard(items, began)
+        yield from self._candidates(items, began)
         if not self.framer.pending:
             self._began = None
         elif self._began is None or items:
@@ -159,10 +159,10 @@ class _AsciiHearing:
 
     def silence(self, *, is_over: bool) -> Found:
         began = self._at if self._began is None else self._began
-        yield from self._heard(self.framer.scan_silence(), began)
+        yield from self._candidates(self.framer.scan_silence(), began)
         self._began = None
 
-    def _heard(self, items: list[Frame | FrameError], began: float) -> Found:
+    def _candidates(self, items: list[Frame | FrameError], began: float) -> Found:
         for item in items:
             if isinstance(item, FrameError):
                 yield Damage(began, self._at, item.received)
@@ -222,7 +222,7 @@ class Separator:
         self._pairing = Pairing()
         self._times = _LearntTimes()
         self._is_certain = True  # the open request cannot be a response
-        self._held: Heard | None = None  # a request that may turn out to be a response
+        self._last_request: Heard | None = None  # a request that may turn out to be a response
         self._hearings: dict[Direction | None, _RtuHearing | _AsciiHearing] = {}
         self._last: dict[Direction | None, float] = {}
         self._is_quiet: set[Direction | None] = set()
@@ -241,15 +241,15 @@ class Separator:
         if data:
             self._last[direction] = at
             self._is_quiet.discard(direction)
-            self._take(direction, self._hearing(direction).hear(data, at))
-        return self._given()
+            self._take(direction, self._hearing(direction).split(data, at))
+        return self._new_transactions()
 
     def tick(self, at: float) -> list[Transaction]:
         """Note that no more bytes arrived until this time; otherwise like `feed`."""
         self._wait(at)
         self._pairing.tick(at)
         self._release()
-        return self._given()
+        return self._new_transactions()
 
     def end(self) -> list[Transaction]:
         """Note that no more bytes will arrive; otherwise like `feed`."""
@@ -258,12 +258,12 @@ class Separator:
         self._last.clear()
         self._pairing.tick(math.inf)
         self._release()
-        return self._given()
+        return self._new_transactions()
 
     def take(self, item: Candidate | Damage) -> list[Transaction]:
         """Take a frame or damaged bytes that were separated before; otherwise like `feed`."""
         self._name(item)
-        return self._given()
+        return self._new_transactions()
 
     def _wait(self, at: float) -> None:
         for direction, last in list(self._last.items()):
@@ -283,7 +283,7 @@ class Separator:
             else:
                 self._name(item._replace(may_ask=asks, may_answer=not asks))
 
-    def _given(self) -> list[Transaction]:
+    def _new_transactions(self) -> list[Transaction]:
         pairs, self._pairing.done = self._pairing.done, []
         return pairs
 
@@ -300,16 +300,16 @@ class Separator:
         began, ended = item.began, item.ended
         self._pairing.tick(began)
         if isinstance(item, Damage):
-            self._note(Heard(began, ended, "damage", None, item.data))
+            self._report(Heard(began, ended, "damage", None, item.data))
             self._pairing.damage(*item)
         elif not _has_function(item):
             part: Part = "response" if item.may_answer else "request"
-            self._note(Heard(began, ended, part, item.frame))
+            self._report(Heard(began, ended, part, item.frame))
             self._pairing.misuse(began, ended, item.frame)
         elif self._is_request(item):
             self._take_request(item)
         else:
-            self._note(Heard(began, ended, "response", item.frame))
+            self._report(Heard(began, ended, "response", item.frame))
             request = self._pairing.due
             outcome = self._pairing.answer(began, ended, item.frame)
             if request is not None and outcome is not None and outcome.kind != "invalid":
@@ -318,11 +318,11 @@ class Separator:
     def _release(self) -> None:
         """Release the held request: after it is given up, it cannot turn out to be a response."""
         if self._pairing.due is None:
-            self._note(None)
+            self._report(None)
 
-    def _note(self, event: Heard | None) -> None:
+    def _report(self, event: Heard | None) -> None:
         """Call `on_heard` in the order of the line: first with the request that was held."""
-        former, self._held = self._held, None
+        former, self._last_request = self._last_request, None
         for item in (former, event):
             if item is not None:
                 self._on_heard(item)
@@ -360,14 +360,16 @@ class Separator:
         before, began = self._pairing.due, candidate.began
         if before is not None and before.spoiled is None:
             if not self._is_certain and self._is_soon(before, began):  # it was a response
-                self._held = self._held and self._held._replace(part="response")
+                self._last_request = self._last_request and self._last_request._replace(
+                    part="response"
+                )
                 self._pairing.withdraw(before)
             elif self._is_certain and not candidate.may_answer:
                 # Times are not learnt from guesses, because they decide the next guess.
                 self._times.timeouts.append(began - before.ended)
         event = Heard(began, candidate.ended, "request", candidate.frame)
-        self._note(None if candidate.may_answer else event)
-        self._held = event if candidate.may_answer else None
+        self._report(None if candidate.may_answer else event)
+        self._last_request = event if candidate.may_answer else None
         self._is_certain = not candidate.may_answer
         self._pairing.ask(began, candidate.ended, candidate.frame)
         self._release()

@@ -171,7 +171,7 @@ class AnswerTimes:
     def mean(self) -> float:
         return self.total / self.count if self.count else 0.0
 
-    def note(self, seconds: float) -> None:
+    def add_time(self, seconds: float) -> None:
         """Count one more."""
         self.shortest = min(self.shortest, seconds) if self.count else seconds
         self.longest = max(self.longest, seconds)
@@ -189,7 +189,7 @@ class UnitSummary:
     repeats: int = 0
     times: AnswerTimes = field(default_factory=AnswerTimes)
 
-    def note(self, transaction: Transaction) -> None:
+    def add_transaction(self, transaction: Transaction) -> None:
         """Count a transaction of this unit; the request of a late response is counted already."""
         if transaction.kind not in ("late", "unasked"):
             self.transactions += 1
@@ -200,7 +200,7 @@ class UnitSummary:
         elif transaction.kind not in ("answered", "broadcast"):
             self.errors[transaction.kind] += 1
         if transaction.kind in ("answered", "exception") and transaction.duration is not None:
-            self.times.note(transaction.duration)
+            self.times.add_time(transaction.duration)
 
     def __str__(self) -> str:
         functions = ", ".join(f"{code} ({count})" for code, count in sorted(self.functions.items()))
@@ -233,12 +233,12 @@ class Summary:
     def transactions(self) -> int:
         return sum(unit.transactions for unit in self.units.values())
 
-    def note(self, transaction: Transaction) -> None:
+    def add_transaction(self, transaction: Transaction) -> None:
         """Count one more."""
         if transaction.unit is None:
             self.damaged += 1
         else:
-            self.units.setdefault(transaction.unit, UnitSummary()).note(transaction)
+            self.units.setdefault(transaction.unit, UnitSummary()).add_transaction(transaction)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the counts as a dict that JSON can represent; times are in seconds."""

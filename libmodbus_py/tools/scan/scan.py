@@ -205,7 +205,7 @@ class _PlaceScan:
                         break
                 is_over = self.is_left or units[-1] == self._units[-1]
                 if self._alike and not self._others and is_over:
-                    yield self._found(prober, *self._alike[0], is_any=True)
+                    yield self._found_unit(prober, *self._alike[0], is_any=True)
         except ModbusConnectionError as error:
             # A setting that this port refuses does not affect the others.
             if prober.is_closed or not self.place.endpoint.is_serial or error.errno != errno.EINVAL:
@@ -221,13 +221,13 @@ class _PlaceScan:
             self.is_left = answer.exception is None
         else:
             self._others += 1
-            yield self._found(prober, unit, answer)
+            yield self._found_unit(prober, unit, answer)
         for late, answer in prober.late():
             self._latest = max(self._latest, answer.took)
             if late in self._units:
                 self._nothing.pop(late, None)
                 self._others += 1
-                yield replace(self._found(prober, late, answer), is_late=True)
+                yield replace(self._found_unit(prober, late, answer), is_late=True)
 
     def _answers_of_none(self, prober: Prober) -> set[int | None]:
         """Return the answer of units that cannot exist: a server that ignores the unit has one."""
@@ -238,7 +238,7 @@ class _PlaceScan:
             self._impossible = set(codes) if len(codes) == 2 and len(set(codes)) == 1 else set()
         return self._impossible
 
-    def _found(self, prober: Prober, unit: int, answer: Answer, is_any: bool = False) -> Found:
+    def _found_unit(self, prober: Prober, unit: int, answer: Answer, is_any: bool = False) -> Found:
         return Found(
             unit,
             self.place.url(unit),

@@ -40,7 +40,7 @@ from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import TABLES, joined
 from ..faults.fault import LONGEST, Fault
 from ..files.rights import roles
-from .clockwork import Clockwork
+from .movements import Movements
 from .points import CONTENTS, DEFAULTS, Maps, points_of
 from .simulated import SimulatedDevice, Simulation
 
@@ -280,7 +280,7 @@ def _device(
         description=unit.get("description", ""),
         definition=(*definition, [point.point for point in points if point.is_mapped]),
         contents=points,
-        clockwork=Clockwork(mapping, in_tables, clock),
+        movements=Movements(mapping, in_tables, clock),
         files=records,
         fifos=fifos,
         identification=unit.get("identification"),

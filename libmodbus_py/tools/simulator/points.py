@@ -22,8 +22,8 @@ from ...protocol.mistakes import Path, WrongValue, inside, path_text
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLES
 from ...protocol.values import value_type
-from .clockwork import BEHAVIOURS, SimulatedPoint
 from .example_files import map_file
+from .movements import BEHAVIOURS, SimulatedPoint
 
 __all__ = ["CONTENTS", "DEFAULTS", "Maps", "points_of"]
 

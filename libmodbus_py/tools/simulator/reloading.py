@@ -45,7 +45,7 @@ class Reloader:
         self._look_every = LOOK_EVERY_S if is_watching else None
         self._tell = tell
         self._hooks = hooks
-        self._asked = asyncio.Event()
+        self._demand = asyncio.Event()
         self._of_others: Sequence[str] = ()
         self._maps: Sequence[str] = simulation.files
         self._read = self._signatures()
@@ -61,16 +61,16 @@ class Reloader:
     def ask(self, of_others: Sequence[str] = ()) -> None:
         """Request a reading, in the loop of the server; its line ends with those of other files."""
         self._of_others = of_others
-        self._asked.set()
+        self._demand.set()
 
     async def _run(self) -> None:
         signatures = self._read
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._look_every):
-                    await self._asked.wait()
-            is_asked = self._asked.is_set()
-            self._asked.clear()
+                    await self._demand.wait()
+            is_asked = self._demand.is_set()
+            self._demand.clear()
             before, signatures = signatures, self._signatures()
             if is_asked or signatures == before != self._read:
                 await self._read_again()

@@ -20,7 +20,7 @@ from ...maps.register_map import RegisterMap
 from ...protocol.mistakes import WrongValue, placed
 from ...protocol.tables import TABLES
 from ..faults.fault import Fault
-from .clockwork import Clockwork, SimulatedPoint
+from .movements import Movements, SimulatedPoint
 
 __all__ = ["SimulatedDevice", "Simulation"]
 
@@ -44,7 +44,7 @@ class SimulatedDevice(Device):
         description: str,
         definition: object,
         contents: list[SimulatedPoint],
-        clockwork: Clockwork,
+        movements: Movements,
         **options: Any,
     ) -> None:
         self._contents = contents
@@ -52,7 +52,7 @@ class SimulatedDevice(Device):
         points = [
             # A value that moves could be written, but would be lost at the next read.
             replace(point.point, access="read")
-            if clockwork.movement(point.table, point.span)
+            if movements.movement(point.table, point.span)
             else point.point
             for point in contents
             if point.table in TABLES
@@ -65,7 +65,7 @@ class SimulatedDevice(Device):
         self.name: str = name
         self.description: str = description
         self._definition = definition
-        self._clockwork = clockwork
+        self._movements = movements
         self._first_fifos = {address: tuple(queue) for address, queue in self.fifos.items()}
 
     def _ruled_cells(self) -> Iterable[RuledCells]:
@@ -90,15 +90,15 @@ class SimulatedDevice(Device):
 
     def _refresh(self, *points: Point) -> None:
         for point in points:
-            self._clockwork.refresh(point.table, point.address, len(point.cells))
+            self._movements.refresh(point.table, point.address, len(point.cells))
 
     def _refresh_access(self, access: Access) -> None:
-        self._clockwork.refresh(access.table, access.address, access.count)
+        self._movements.refresh(access.table, access.address, access.count)
 
     def movement(self, point: Point) -> bool | None:
         """Return True if a point moves, False if it is held, None if it never moves."""
         with self.mapping:
-            return self._clockwork.movement(point.table, point.cells)
+            return self._movements.movement(point.table, point.cells)
 
     def hold(self, point: Point, *, is_on: bool) -> None:
         """
@@ -111,7 +111,7 @@ class SimulatedDevice(Device):
             if self.movement(point) is None:
                 raise WrongValue.about(point.name, "never moves by itself")
             self._refresh(point)
-            self._clockwork.hold(point.table, point.cells, is_on=is_on)
+            self._movements.hold(point.table, point.cells, is_on=is_on)
 
     def set_first_values(self) -> None:
         """Set the values that the device file gives; errors have the path of their key."""
@@ -152,7 +152,7 @@ class SimulatedDevice(Device):
 
     def go_on_from(self, before: SimulatedDevice) -> None:
         """Take over values that clients wrote into ranges and queues alike in both files."""
-        self._clockwork.go_on_from(before._clockwork)
+        self._movements.go_on_from(before._movements)
         self.diagnostic_register: int = before.diagnostic_register
         identities = {point.identity for point in before._contents}
         with before.mapping, self.mapping:

@@ -73,12 +73,12 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
     report: pytest.TestReport = (yield).get_result()
     servers = item.stash.get(SERVERS, [])
     if servers and report.failed:
-        report.sections.append(("modbus transactions", "\n".join(map(_told, servers))))
+        report.sections.append(("modbus transactions", "\n".join(map(_report, servers))))
     if servers and report.when == "teardown":
         del item.stash[SERVERS]
 
 
-def _told(server: RecordingServer) -> str:
+def _report(server: RecordingServer) -> str:
     """Return the transactions of a server as lines."""
     lines = [_line(transaction) for transaction in server.transactions]
     if not lines:

@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from libmodbus_py import Client, IllegalDataAddress, Point, Server, pdu
 from libmodbus_py.tools.faults.fault import KINDS, PLACES, Fault
 from libmodbus_py.tools.simulator import example_files
-from libmodbus_py.tools.simulator.clockwork import BEHAVIOURS
 from libmodbus_py.tools.simulator.device_file import (
     FIFO,
     FILE,
@@ -27,6 +26,7 @@ from libmodbus_py.tools.simulator.device_file import (
     load,
     parse,
 )
+from libmodbus_py.tools.simulator.movements import BEHAVIOURS
 from libmodbus_py.tools.simulator.points import CONTENTS, DEFAULTS
 from tests.support.golden import Refused
 

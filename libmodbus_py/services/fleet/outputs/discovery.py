@@ -122,7 +122,7 @@ class Discovery:
         self.published = dict(self.devices)
         self._current, self._unread = {*self.devices}, {*self.devices}
 
-    def hear(self, topic: str) -> None:
+    def add_topic(self, topic: str) -> None:
         """Note a configuration that the broker retained before the start."""
         self._retained.add(topic)
 
@@ -163,7 +163,7 @@ class Discovery:
             for topic, entity in after.items():
                 yield Message(topic, json_text(entity).encode())
 
-    def keep(
+    def keep_devices(
         self,
         devices: Mapping[str, DeviceConfig | None],
         readings: Sequence[Reading],
@@ -180,7 +180,7 @@ class Discovery:
                 if self.devices.get(name) is device:  # not changed meanwhile
                     self._current.add(name)
 
-    def again(self) -> Iterator[Message]:
+    def last_messages(self) -> Iterator[Message]:
         """Yield the configurations that were published, which the broker may have lost."""
         return self.messages(
             {name: config for name, config in self.published.items() if name in self.devices}

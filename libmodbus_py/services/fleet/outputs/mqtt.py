@@ -180,7 +180,7 @@ class Mqtt(Output):
 
     async def open_output(self) -> None:
         connection = self._connection
-        await connection.open(self._hear)
+        await connection.open(self._take_message)
         if self.takes_commands:  # before "online", at which programs may send commands
             await connection.subscribe(f"{self._point.filter}/set")
         if self._status:
@@ -196,8 +196,8 @@ class Mqtt(Output):
         self._losses += 1
         if self._losses <= MOST_LOSSES:
             last = chain(
-                () if self._discovery is None else self._discovery.again(),
-                self._messages.again(),
+                () if self._discovery is None else self._discovery.last_messages(),
+                self._messages.last_messages(),
                 self._states.messages(self._states.published),
             )
             await connection.publish_all(last)
@@ -217,20 +217,20 @@ class Mqtt(Output):
             messages = chain(deletions, self._discovery.messages(devices), messages)
         await self._connection.publish_all(messages)
         if self._discovery is not None:
-            self._discovery.keep(devices, readings, leftovers)
-        self._messages.keep()
-        self._states.keep(changes, readings)
+            self._discovery.keep_devices(devices, readings, leftovers)
+        self._messages.keep_readings()
+        self._states.keep_states(changes, readings)
 
     async def close_output(self) -> None:
         await self._connection.close(self._offline)
 
     async def _begin_discovery(self) -> None:
-        """Publish all configurations soon, and hear of those that an earlier run left."""
+        """Publish all configurations soon, and ask for those that an earlier run left."""
         if self._discovery is not None and self._discovery.devices:  # a worker has none at first
             self._discovery.start()
-            await self._connection.hear_retained(self._discovery.filter, self._discovery.hear)
+            await self._connection.read_retained(self._discovery.filter, self._discovery.add_topic)
 
-    async def _hear(self, message: aiomqtt.Message) -> None:
+    async def _take_message(self, message: aiomqtt.Message) -> None:
         """Answer a command, or the last will of another worker or of an earlier connection."""
         topic = str(message.topic)
         if topic == self._status:
@@ -316,13 +316,13 @@ class Messages:
             ]
             yield from self._messages(former, values)
 
-    def keep(self) -> None:
+    def keep_readings(self) -> None:
         """Keep the readings of the last messages: they were published."""
         self._kept.update(self._ahead)
         for key in [key for key, last in self._ahead.items() if not last]:
             self._kept.pop(key, None)
 
-    def again(self) -> Iterator[Message]:
+    def last_messages(self) -> Iterator[Message]:
         """Yield the messages with the last values."""
         for last in self._kept.values():
             yield from self._messages(self._topic_of(last), [*last.values()])
@@ -384,7 +384,7 @@ class DeviceStates:
                 yield Message(former, OFFLINE)
             yield Message(topic, ONLINE if answers else OFFLINE)
 
-    def keep(self, published: dict[str, State], readings: Sequence[Reading]) -> None:
+    def keep_states(self, published: dict[str, State], readings: Sequence[Reading]) -> None:
         """Keep states that were published, and forget devices that are not polled any more."""
         self.published |= published
         for reading in readings:

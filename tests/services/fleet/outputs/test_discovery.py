@@ -411,7 +411,7 @@ def messages_of(known: Discovery, device: DeviceConfig, quality: Any) -> list[by
     readings = [Reading(0.0, device.name, name, 1, "", quality) for name in device.names]
     changed = known.changed(readings)
     payloads = [each.payload for each in known.messages(changed)]
-    known.keep(changed, readings, set())
+    known.keep_devices(changed, readings, set())
     return payloads
 
 
@@ -422,7 +422,7 @@ def test_a_device_that_another_worker_polls_keeps_its_entities() -> None:
     assert messages_of(known, device, "offline") == []  # the lease was lost
     known.describe({})  # it is passed on
     assert messages_of(known, device, "good") == []  # readings that waited
-    assert list(known.again()) == []
+    assert list(known.last_messages()) == []
     known.describe({"a": replace(device)})
     assert len(messages_of(known, device, "good")) == 3  # the other may have deleted them
     assert messages_of(known, device, "good") == []
@@ -440,14 +440,14 @@ def test_a_device_that_goes_while_it_is_published_is_deleted() -> None:
     readings = [Reading(0.0, "a", "power", 1, "", "good")]
     changed = known.changed(readings)
     known.describe({})
-    known.keep(changed, readings, set())
+    known.keep_devices(changed, readings, set())
     assert messages_of(known, device, "offline") == [b""] * 3
 
 
 def test_what_another_poller_may_have_announced_is_never_deleted_later() -> None:
     known = discovery()
     known.describe({"a": meter("a", "tcp://192.0.2.1")})
-    known.hear("homeassistant/sensor/x/y/config")
+    known.add_topic("homeassistant/sensor/x/y/config")
     assert known.leftovers(is_alone=True) == {"homeassistant/sensor/x/y/config"}
     assert known.leftovers(is_alone=False) == set()
     assert known.leftovers(is_alone=True) == set()  # the connection was lost, and is there again

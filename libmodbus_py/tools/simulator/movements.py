@@ -1,5 +1,5 @@
 """
-The points of simulated devices, and the clockwork that computes those that move.
+The points of simulated devices, and the values of those that move.
 
 A moving value is computed from the time since the start when it is read, so an idle simulator takes
 no processor time.
@@ -23,7 +23,7 @@ from ...protocol.errors import ServerDeviceFailure
 from ...protocol.mistakes import Path, WrongValue, inside
 from ...protocol.tables import TABLES
 
-__all__ = ["BEHAVIOURS", "Clockwork", "SimulatedPoint"]
+__all__ = ["BEHAVIOURS", "Movements", "SimulatedPoint"]
 
 Compute = Callable[[int, float], Any]
 """Function that returns the value with this index in a point, at seconds since the start."""
@@ -72,7 +72,7 @@ class SimulatedPoint:
         return (self.area, self.span, meaning, self.behaviour and self.behaviour[0], self.cells)
 
 
-class Clockwork:
+class Movements:
     """Keeps the moving values of a mapping up to date, as far as they are read."""
 
     def __init__(
@@ -89,7 +89,7 @@ class Clockwork:
         for point in sorted(points, key=lambda point: point.span.start):
             self._points[point.table].append(point)
         self._moving: dict[tuple[str, range], tuple[SimulatedPoint, Compute]] = {}
-        self._held: set[tuple[str, range]] = set()
+        self._holds: set[tuple[str, range]] = set()
         for point in [point for points in self._points.values() for point in points]:
             if point.behaviour is not None:
                 with inside(*point.source):
@@ -99,10 +99,10 @@ class Clockwork:
                     compute = BEHAVIOURS[kind](point, self, **settings)
                     self._moving[point.table, point.span] = point, compute
 
-    def go_on_from(self, before: Clockwork) -> None:
-        """Continue with the start, the seed and the held values of another clockwork."""
+    def go_on_from(self, before: Movements) -> None:
+        """Continue with the start, the seed and the held values of those before."""
         self._start, self.seed = before._start, before.seed
-        self._held = before._held & self._moving.keys()
+        self._holds = before._holds & self._moving.keys()
 
     def find(self, table: str, address: int) -> SimulatedPoint | None:
         """Return the point that has an address."""
@@ -121,14 +121,14 @@ class Clockwork:
     def movement(self, table: str, cells: range) -> bool | None:
         """Return True if a value with some of these cells moves, False if all are held, or None."""
         points = self._with(table, cells)
-        return bool(points - self._held) if points else None
+        return bool(points - self._holds) if points else None
 
     def hold(self, table: str, cells: range, *, is_on: bool) -> None:
         """Hold the moving values that have some of these cells, or let them move again."""
         if is_on:
-            self._held |= self._with(table, cells)
+            self._holds |= self._with(table, cells)
         else:
-            self._held -= self._with(table, cells)
+            self._holds -= self._with(table, cells)
 
     def refresh(self, table: str, address: int, count: int) -> None:
         """Compute the values that are about to be read."""
@@ -153,7 +153,7 @@ class Clockwork:
 
     def _refresh(self, point: SimulatedPoint, index: int, now: float) -> None:
         key = point.table, point.span
-        if key in self._moving and key not in self._held:
+        if key in self._moving and key not in self._holds:
             value = _nearest(point.point, self._moving[key][1](index, now))
             table = getattr(self._mapping, point.table)
             table[point.slice_of(index)] = point.point.cells_for([value])
@@ -200,7 +200,7 @@ def _check_span(point: SimulatedPoint, low: Number, high: Number) -> None:
 
 def counter(
     point: SimulatedPoint,
-    others: Clockwork,
+    others: Movements,
     step: Number = 1,
     interval: float = 1.0,
     start: Number = 0,
@@ -230,7 +230,7 @@ def counter(
 
 
 def sine(
-    point: SimulatedPoint, others: Clockwork, low: Number, high: Number, period: float
+    point: SimulatedPoint, others: Movements, low: Number, high: Number, period: float
 ) -> Compute:
     """Swing between two values in a period of seconds, from the middle upwards at first."""
     _check_span(point, low, high)
@@ -245,7 +245,7 @@ def sine(
 
 def random_walk(
     point: SimulatedPoint,
-    others: Clockwork,
+    others: Movements,
     low: Number,
     high: Number,
     step: Number,
@@ -292,7 +292,7 @@ def _mixed(seed: int, number: int) -> int:
 
 
 def copy(
-    point: SimulatedPoint, others: Clockwork, address: int, table: str, scale: Number = 1
+    point: SimulatedPoint, others: Movements, address: int, table: str, scale: Number = 1
 ) -> Compute:
     """Follow the values from an address on, each times `scale`, in the range of the type."""
     number("scale", scale, -LARGEST, LARGEST)
@@ -317,7 +317,7 @@ def copy(
     return compute
 
 
-def _source(others: Clockwork, index: int, address: int, table: str) -> tuple[SimulatedPoint, int]:
+def _source(others: Movements, index: int, address: int, table: str) -> tuple[SimulatedPoint, int]:
     """Return the point that one value of a copy follows, and the index in it."""
     integer("address", address, 0, 0xFFFF)
     if table not in TABLES:
@@ -338,4 +338,4 @@ BEHAVIOURS: dict[str, Callable[..., Compute]] = {
     "random_walk": random_walk,
     "copy": copy,
 }
-"""The key of a movement -> begins it, with its keys as arguments behind point and clockwork."""
+"""The key of a movement -> begins it; its keys are arguments behind point and movements."""
