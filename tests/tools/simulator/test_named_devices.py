@@ -267,7 +267,7 @@ def test_a_page_shows_and_sets_what_points_mean(made: Write) -> None:
     unit = ShownUnit(None, device)
 
     def texts() -> list[str]:
-        return [row[0] for row in point_rows(unit, 0, 100).values()]
+        return [row["text"] for row in point_rows(unit, 0, 100).values()]
 
     assert texts() == ["230.5", "-1", "on", "on", "5", "door=0 alarm=1", "- (Missing)"]
     for name, text in (("mode", "2"), ("state", "off"), ("flags", "door=1"), ("v_sf", "0")):
