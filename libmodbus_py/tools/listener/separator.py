@@ -222,7 +222,7 @@ class Separator:
         self._pairing = Pairing()
         self._times = _LearntTimes()
         self._is_certain = True  # the open request cannot be a response
-        self._last_request: Heard | None = None  # a request that may turn out to be a response
+        self._doubtful: Heard | None = None  # a request that may turn out to be a response
         self._hearings: dict[Direction | None, _RtuHearing | _AsciiHearing] = {}
         self._last: dict[Direction | None, float] = {}
         self._is_quiet: set[Direction | None] = set()
@@ -322,7 +322,7 @@ class Separator:
 
     def _report(self, event: Heard | None) -> None:
         """Call `on_heard` in the order of the line: first with the request that was held."""
-        former, self._last_request = self._last_request, None
+        former, self._doubtful = self._doubtful, None
         for item in (former, event):
             if item is not None:
                 self._on_heard(item)
@@ -360,16 +360,14 @@ class Separator:
         before, began = self._pairing.due, candidate.began
         if before is not None and before.spoiled is None:
             if not self._is_certain and self._is_soon(before, began):  # it was a response
-                self._last_request = self._last_request and self._last_request._replace(
-                    part="response"
-                )
+                self._doubtful = self._doubtful and self._doubtful._replace(part="response")
                 self._pairing.withdraw(before)
             elif self._is_certain and not candidate.may_answer:
                 # Times are not learnt from guesses, because they decide the next guess.
                 self._times.timeouts.append(began - before.ended)
         event = Heard(began, candidate.ended, "request", candidate.frame)
         self._report(None if candidate.may_answer else event)
-        self._last_request = event if candidate.may_answer else None
+        self._doubtful = event if candidate.may_answer else None
         self._is_certain = not candidate.may_answer
         self._pairing.ask(began, candidate.ended, candidate.frame)
         self._release()

@@ -108,7 +108,7 @@ async def all_operations(connecting: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize("kind", WAYS)
-def test_every_operation_over_everything(kind: str) -> None:
+def test_every_operation_works_over_every_transport(kind: str) -> None:
     with contextlib.ExitStack() as stack:
         at: Any = None
         where = f"{kind}://{HOST}:0"
@@ -266,7 +266,7 @@ def test_other_wrong_arguments() -> None:
             connection.for_unit(unit)
 
 
-def test_nobody_there_is_said_in_one_line() -> None:
+def test_an_unreachable_device_is_an_error_of_one_line() -> None:
     with refusing() as bound:
         connection = tcp(bound.getsockname()[1])
         error = run(asked(connection, seven))

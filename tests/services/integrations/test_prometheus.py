@@ -306,7 +306,9 @@ def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(
     stays.close()
 
 
-def test_what_is_neither_client_nor_server_is_refused(registry: CollectorRegistry) -> None:
+def test_an_object_that_is_neither_client_nor_server_is_refused(
+    registry: CollectorRegistry,
+) -> None:
     server = Server(DEVICE)
     for wrong in (DEVICE, None, "tcp://127.0.0.1"):
         with pytest.raises(TypeError, match="objects must be clients, servers, gateways or fleets"):
@@ -402,7 +404,7 @@ def test_metrics_are_exposed_while_the_block_runs(registry: CollectorRegistry, h
         urllib.request.urlopen(url, timeout=5)
 
 
-def test_those_who_stall_keep_nobody_waiting(
+def test_a_scrape_that_stalls_delays_no_other(
     registry: CollectorRegistry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two servers of one program, and each has clients that never finish their request."""

@@ -148,7 +148,7 @@ LAST = [Fragment(0, b"12", is_last=True)]
         ),
     ],
 )
-def test_what_is_sent_when(
+def test_fragments_of_a_fault_are_sent_at_their_times(
     stage: Stage, steps: list[Step], lengths: list[int], waits: list[bool]
 ) -> None:
     written: list[bytes] = []
@@ -176,7 +176,7 @@ def test_what_is_sent_when(
 
 @pytest.mark.parametrize("length", [None, 5, 512])
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_what_comes_before_the_connection_closes(
+def test_a_fault_sends_its_part_before_it_closes_the_connection(
     stage: Stage, scheme: str, length: int | None
 ) -> None:
     fault = Fault("disconnect", function=3, length=length)
@@ -191,7 +191,7 @@ def test_what_comes_before_the_connection_closes(
         assert connection.receive(100) == before + answer[: length or 0]
 
 
-def test_what_is_asked_behind_a_closed_connection_is_not_executed(stage: Stage) -> None:
+def test_a_request_behind_one_that_closes_the_connection_is_not_executed(stage: Stage) -> None:
     units = {1: made_device(), 2: made_device()}
     write = b"\x06\0\x01\0\x09"
     fault = Fault("disconnect", function=3)

@@ -141,7 +141,7 @@ def test_removed_devices_take_no_room() -> None:
     ids=["values", "states of devices", "a message for each poll"],
 )
 @in_real_time
-async def test_what_a_broker_retained_is_there_again_each_time_it_returns(
+async def test_retained_messages_are_published_again_after_each_reconnection(
     broker: Broker,
     caplog: pytest.LogCaptureFixture,
     options: Any,
