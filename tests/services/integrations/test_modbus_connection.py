@@ -16,7 +16,7 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.protocol.framing import crc16
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.peers import FakeServer, FakeUnit, echo, mbap, refusing
 from tests.support.scripted import run
 
@@ -280,14 +280,14 @@ def test_an_unreachable_device_is_an_error_of_one_line() -> None:
 # --- TLS ----------------------------------------------------------------------------------------
 
 
-def test_tls_with_certificates_of_both(papers: Papers) -> None:
-    own = papers.files(certificates.client())
-    with Server(device(), security=papers.server()).background(f"tls://{HOST}:0") as running:
+def test_tls_with_certificates_of_both(pki: Pki) -> None:
+    own = pki.files(certificates.client())
+    with Server(device(), security=pki.server()).background(f"tls://{HOST}:0") as running:
         port = int(running.urls[0].rpartition(":")[2])
         params = theirs.ModbusTlsParams(
             host=HOST,
             port=port,
-            verify=str(papers.ca),
+            verify=str(pki.ca),
             client_cert=str(own.cert),
             client_key=str(own.key),
         )

@@ -53,7 +53,7 @@ from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.sockets import DELAY
 from tests.support.cases import each_case
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.commands import Started, run
 from tests.support.names import NEEDS_IPV6
 from tests.support.peers import echo, until
@@ -222,7 +222,7 @@ def test_names_and_texts_follow_the_rules_of_prometheus(registry: CollectorRegis
 def test_the_end_of_a_certificate_is_a_metric_while_its_endpoint_is_open(
     registry: CollectorRegistry, tmp_path: Path
 ) -> None:
-    security = Papers(tmp_path).server()
+    security = Pki(tmp_path).server()
     server = Server(Device(Mapping()), security=security)
     collect(server, registry=registry)
     name = "modbus_server_certificate_end_timestamp_seconds"

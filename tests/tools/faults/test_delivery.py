@@ -19,7 +19,7 @@ from libmodbus_py.server.faults import (
 )
 from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage, Talker
-from tests.support.certificates import Papers, secured
+from tests.support.certificates import Pki, secured
 from tests.support.chunks import FakeChannel
 from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
 
@@ -231,7 +231,7 @@ def test_garbage_and_disconnects_of_datagrams(stage: Stage) -> None:
 def test_a_disconnect_closes_a_tunnel(tmp_path: Path) -> None:
     server = Server({1: made_device()}, faults={1: [Fault("disconnect", every=2, length=5)]})
     with (
-        secured(server, Papers(tmp_path)) as url,
+        secured(server, Pki(tmp_path)) as url,
         Client(url, unit=1, timeout=5) as client,
     ):
         assert client.read_holding_registers(0, 1) == [555]

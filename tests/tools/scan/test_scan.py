@@ -14,7 +14,7 @@ from libmodbus_py import Client, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.scan import Found, Scan, scan, search
 from tests.simulation.network import Network
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.golden import Refused
 from tests.support.interop import UNIT, program
 from tests.support.peers import FakeServer, dead, mbap, refusing, url_of
@@ -332,12 +332,12 @@ def test_wrong_arguments_are_refused_before_anything_is_sent(refused: Refused) -
 
 
 def test_units_are_found_over_tls(tmp_path: Path) -> None:
-    papers = Papers(tmp_path)
-    server = Server({1: meter(), 9: meter()}, security=papers.server())
-    stranger = papers.security(certificates.self_signed())
+    pki = Pki(tmp_path)
+    server = Server({1: meter(), 9: meter()}, security=pki.server())
+    stranger = pki.security(certificates.self_signed())
     with server.background("tls://127.0.0.1:0") as running:
         url = running.urls[0]
-        assert [each.unit for each in all_of(scan(url, security=papers.client()))] == [1, 9]
+        assert [each.unit for each in all_of(scan(url, security=pki.client()))] == [1, 9]
         with pytest.raises(ModbusConnectionError):  # at once, not 248 times
             next(scan(url, security=stranger, timeout=PATIENT))
         assert server.statistics.accepted < 9
