@@ -106,9 +106,7 @@ class TestLease:
 
 
 class TestSlots:
-    def test_a_worker_that_stood_still_waits_a_lease_before_it_records_that_others_ended(
-        self,
-    ) -> None:
+    def test_who_stood_still_waits_a_lease_before_it_says_that_others_ended(self) -> None:
         one = OneWorker(LINE)
         one.member("o.1", 0.0)
         one.hold(LINE, "o.1")
