@@ -35,7 +35,7 @@ from tests.support.attacks import (
     descriptor_limit,
     receive,
 )
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 
 # --- the innocent ------------------------------------------------------------------------
 
@@ -70,16 +70,16 @@ class Innocent:
     A client that reads what it wrote, every two milliseconds.
 
     Args:
-        papers: for TLS.
+        pki: for TLS.
     """
 
     FIRST = 1000
     VALUES = tuple(range(40_000, 40_010))
     PERIOD = 0.002
 
-    def __init__(self, port: int, papers: Papers | None = None) -> None:
+    def __init__(self, port: int, pki: Pki | None = None) -> None:
         self._port = port
-        self._papers = papers
+        self._pki = pki
         self._transaction = 0
         self._connection = self._connect()
         data = struct.pack(f">{len(self.VALUES)}H", *self.VALUES)
@@ -123,10 +123,10 @@ class Innocent:
 
     def _connect(self) -> socket.socket:
         connection = connect(self._port)
-        if self._papers is None:
+        if self._pki is None:
             return connection
-        context = ssl.create_default_context(cafile=str(self._papers.ca))
-        files = self._papers.files(certificates.client())
+        context = ssl.create_default_context(cafile=str(self._pki.ca))
+        files = self._pki.files(certificates.client())
         context.load_cert_chain(files.cert, files.key)
         return context.wrap_socket(connection, server_hostname="localhost")
 

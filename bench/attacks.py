@@ -89,9 +89,9 @@ def measure(attack: Attack, seconds: float) -> tuple[Polled, Polled]:
     os.sched_setaffinity(0, PROCESSORS)
     with (
         tempfile.TemporaryDirectory() as directory,
-        contextlib.nullcontext(attack.papers(Path(directory))) as papers,
-        ServerProcess(papers=papers, attacked=attack.scheme) as server,
-        Innocent(server.port, papers) as innocent,
+        contextlib.nullcontext(attack.pki(Path(directory))) as pki,
+        ServerProcess(pki=pki, attacked=attack.scheme) as server,
+        Innocent(server.port, pki) as innocent,
         AttackerProcess(attack, server.attacked_port) as attackers,
     ):
         stand_for_others(server.pid, attackers.pid)

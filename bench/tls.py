@@ -43,16 +43,16 @@ class Tls:
 
 def measure_tls(folder: Path, interpreter: str, rounds: int, seconds: float) -> Tls:
     """Measure both in turns; the medians of all rounds."""
-    papers = folder / "papers"
+    pki = folder / "pki"
     authority = make("benchmark", is_authority=True)
     identities = {
         "ca": authority,
         "server": make("server", authority, hosts=["127.0.0.1"]),
         "client": make("client", authority),
     }
-    write(papers, identities)
+    write(pki, identities)
     secret = "&".join(
-        f"{name}={papers / file}"
+        f"{name}={pki / file}"
         for name, file in (("cert", "server.pem"), ("key", "server-key.pem"), ("ca", "ca.pem"))
     )
     with ExitStack() as stack:
@@ -65,7 +65,7 @@ def measure_tls(folder: Path, interpreter: str, rounds: int, seconds: float) -> 
                 [
                     tuple(
                         cost_of_requests(*place, client, connections, depth, seconds)
-                        for place, client in zip(places, (None, context(papers)), strict=True)
+                        for place, client in zip(places, (None, context(pki)), strict=True)
                     )
                     for _ in range(rounds)
                 ]
@@ -73,7 +73,7 @@ def measure_tls(folder: Path, interpreter: str, rounds: int, seconds: float) -> 
             for connections, depth in LOADS
         }
         handshakes = {
-            kind: cost_of_handshakes(*places[1], papers, kind, seconds) for kind in HANDSHAKES
+            kind: cost_of_handshakes(*places[1], pki, kind, seconds) for kind in HANDSHAKES
         }
     return Tls(requests, handshakes)
 
@@ -90,9 +90,9 @@ def start(stack: ExitStack, interpreter: str, url: str) -> tuple[int, int]:
     return int(child.read_line().rpartition(":")[2]), child.pid
 
 
-def context(papers: Path, version: ssl.TLSVersion | None = None) -> ssl.SSLContext:
-    made = ssl.create_default_context(cafile=papers / "ca.pem")
-    made.load_cert_chain(papers / "client.pem", papers / "client-key.pem")
+def context(pki: Path, version: ssl.TLSVersion | None = None) -> ssl.SSLContext:
+    made = ssl.create_default_context(cafile=pki / "ca.pem")
+    made.load_cert_chain(pki / "client.pem", pki / "client-key.pem")
     if version is not None:
         made.minimum_version = made.maximum_version = version
     return made
@@ -135,9 +135,9 @@ def ask(clients: list[socket.socket], depth: int) -> None:
             left -= len(client.recv(left))
 
 
-def cost_of_handshakes(port: int, pid: int, papers: Path, kind: str, seconds: float) -> float:
+def cost_of_handshakes(port: int, pid: int, pki: Path, kind: str, seconds: float) -> float:
     version, _, resumed = kind.partition(", ")
-    client = context(papers, VERSIONS[version])
+    client = context(pki, VERSIONS[version])
     session = handshake(port, client, None)
     count, before, end = 0, processor_time(pid), time.monotonic() + seconds
     while time.monotonic() < end:

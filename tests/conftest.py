@@ -15,7 +15,7 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.client.history import forget_lines
 from tests.simulation.stage import Stage
 from tests.support.c_programs import SOURCES, compile_c
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.clients import KINDS, Connect, connecting
 from tests.support.leaks import freeze
 from tests.support.transports import serving
@@ -98,9 +98,9 @@ def stage() -> Iterator[Stage]:
 
 
 @pytest.fixture
-def papers(tmp_path: Path) -> Papers:
+def pki(tmp_path: Path) -> Pki:
     """Certificates of an authority, servers and clients, made when they are asked for."""
-    return Papers(tmp_path / "papers")
+    return Pki(tmp_path / "pki")
 
 
 @pytest.fixture(params=["tcp", "rtu+tcp", "ascii+tcp", "tls", "rtu", "ascii"])

@@ -52,9 +52,9 @@ class Issued:
             return "authority"
         if role := role_of(self.certificate.public_bytes(serialization.Encoding.DER)):
             return f"role {role}"
-        for each in self.certificate.extensions:
-            if isinstance(each.value, x509.SubjectAlternativeName):
-                return ", ".join(str(name.value) for name in each.value)
+        for extension in self.certificate.extensions:
+            if isinstance(extension.value, x509.SubjectAlternativeName):
+                return ", ".join(str(name.value) for name in extension.value)
         return "no role"
 
 
@@ -89,11 +89,11 @@ class Authority:
             raise ValueError(f"{self.list_path}: no revocation list in PEM format") from None
         if not revoked.is_signature_valid(self.identity.key.public_key()):
             raise ValueError(f"{self.list_path} is not signed by {self._directory / 'ca.pem'}")
-        self._revoked = {each.serial_number: each for each in revoked}
+        self._revoked = {entry.serial_number: entry for entry in revoked}
         self.list_ends = time_in(revoked, "next_update")
-        for each in revoked.extensions:
-            if isinstance(each.value, x509.CRLNumber):
-                self._number = each.value.crl_number
+        for extension in revoked.extensions:
+            if isinstance(extension.value, x509.CRLNumber):
+                self._number = extension.value.crl_number
 
     def issued(self) -> dict[str, Issued]:
         """
@@ -112,12 +112,13 @@ class Authority:
         issued = {}
         for name, path in paths.items():
             try:
-                each = x509.load_pem_x509_certificate(path.read_bytes())
+                certificate = x509.load_pem_x509_certificate(path.read_bytes())
             except ValueError:
                 raise ValueError(f"{path}: no certificate in PEM format") from None
             # Not the issuer, because authorities of one command have one name.
-            if self._issuer_key in [extension.value for extension in each.extensions]:
-                issued[name] = Issued(name, path, each, each.serial_number in self._revoked)
+            if self._issuer_key in [extension.value for extension in certificate.extensions]:
+                is_revoked = certificate.serial_number in self._revoked
+                issued[name] = Issued(name, path, certificate, is_revoked)
         return issued
 
     def renew(self, names: Iterable[str] = (), days: float | None = None) -> list[Path]:
@@ -140,7 +141,7 @@ class Authority:
             if issued[name].is_revoked:  # others may know its key, which would be the same
                 raise ValueError(f"{name!r} is revoked, and its key with it: make another one")
         every = [*names] or [
-            each.name for each in issued.values() if each.name != AUTHORITY and not each.is_revoked
+            row.name for row in issued.values() if row.name != AUTHORITY and not row.is_revoked
         ]
         for name in every:
             old = issued[name]
@@ -160,8 +161,8 @@ class Authority:
             not_valid_before=begin,
             not_valid_after=begin + (before if days is None else timedelta(days=days)),
         )
-        for each in old.extensions:
-            builder = builder.add_extension(each.value, each.critical)
+        for extension in old.extensions:
+            builder = builder.add_extension(extension.value, extension.critical)
         return builder.sign(self.identity.key, hashes.SHA256())
 
     def revoke(self, names: Iterable[str]) -> list[str]:
@@ -197,8 +198,8 @@ class Authority:
             .add_extension(x509.CRLNumber(self._number + 1), critical=False)
             .add_extension(self._issuer_key, critical=False)
         )
-        for each in self._revoked.values():
-            builder = builder.add_revoked_certificate(each)
+        for entry in self._revoked.values():
+            builder = builder.add_revoked_certificate(entry)
         signed = builder.sign(self.identity.key, hashes.SHA256())
         replace_file(self.list_path, signed.public_bytes(serialization.Encoding.PEM).decode())
         self.list_path.chmod(0o644)
@@ -207,7 +208,7 @@ class Authority:
 
     def _copy(self, path: Path) -> None:
         """Write a file of the authority into the folders of its machines, too."""
-        for folder in {each.parent for each in self._directory.glob("*/server.pem")}:
+        for folder in {path.parent for path in self._directory.glob("*/server.pem")}:
             replace_file(folder / path.name, path.read_text())
             (folder / path.name).chmod(0o644)
 

@@ -64,7 +64,7 @@ class Identity:
     def pem(self) -> bytes:
         """The certificate and its issuers."""
         chain = (self.certificate, *self.issuers)
-        return b"".join(each.public_bytes(serialization.Encoding.PEM) for each in chain)
+        return b"".join(part.public_bytes(serialization.Encoding.PEM) for part in chain)
 
     def key_pem(self, password: bytes | None = None) -> bytes:
         """Return the private key (PKCS #8), encrypted if a password is given."""
@@ -189,11 +189,11 @@ def load(directory: Path, name: str) -> Identity | None:
     certificate, key = directory / f"{name}.pem", directory / f"{name}-key.pem"
     if not certificate.exists():
         return None
-    found = x509.load_pem_x509_certificate(certificate.read_bytes())
+    certificates = x509.load_pem_x509_certificate(certificate.read_bytes())
     try:
         private = serialization.load_pem_private_key(key.read_bytes(), None)
     except (FileNotFoundError, TypeError, ValueError):
         private = None
-    if not (isinstance(private, PrivateKey) and private.public_key() == found.public_key()):
+    if not (isinstance(private, PrivateKey) and private.public_key() == certificates.public_key()):
         raise ValueError(f"{key} is not the key of {certificate}")
-    return Identity(found, private)
+    return Identity(certificates, private)

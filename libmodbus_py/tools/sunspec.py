@@ -88,8 +88,8 @@ def walk(bases: Iterable[int]) -> _Steps[_Chain]:
             chain = _Chain(base)
             chain.notes += yield from _followed(chain)
             return chain
-        found = answer if isinstance(answer, ExceptionResponse) else "no SunS there"
-        reasons.append(f"address {base}: {found}")
+        problem = answer if isinstance(answer, ExceptionResponse) else "no SunS there"
+        reasons.append(f"address {base}: {problem}")
     raise SunSpecError(f"the device has no SunSpec models: {'; '.join(reasons)}")
 
 
@@ -174,14 +174,14 @@ class SunSpecDevice:
     @cached_property
     def map(self) -> RegisterMap:
         """The points of all models, such as "common.Mn", with the marker and the end model."""
-        found = [
+        points = [
             Point("SunS", "holding_registers", self.base, len(MARKER), access="read"),
             *(point for model in self.models for point in _prefixed(model)),
         ]
         if self.end is not None:
-            found.append(Point("end.ID", "holding_registers", self.end, access="read"))
-            found.append(Point("end.L", "holding_registers", self.end + 1, access="read"))
-        return RegisterMap(found)
+            points.append(Point("end.ID", "holding_registers", self.end, access="read"))
+            points.append(Point("end.L", "holding_registers", self.end + 1, access="read"))
+        return RegisterMap(points)
 
     def __getitem__(self, model: int | str) -> SunSpecModel:
         """
@@ -190,9 +190,9 @@ class SunSpecDevice:
         Raises:
             KeyError: the device has none.
         """
-        for each in self.models:
-            if model in (each.id, each.name):
-                return each
+        for candidate in self.models:
+            if model in (candidate.id, candidate.name):
+                return candidate
         raise KeyError(model)
 
     def __iter__(self) -> Iterator[SunSpecModel]:
@@ -227,8 +227,8 @@ def definition_of(model: int) -> Mapping[str, Any] | None:
 def folder() -> Path:
     """Return the folder of the definitions, files such as "model_103.json"."""
     # Its client, which needs pyserial, is not imported.
-    found = find_spec("sunspec2")
-    for parent in (found and found.submodule_search_locations) or ():
+    package = find_spec("sunspec2")
+    for parent in (package and package.submodule_search_locations) or ():
         path = Path(parent, "models", "json")
         if path.is_dir():
             return path
@@ -273,10 +273,10 @@ def _checked_bases(bases: Iterable[int]) -> tuple[int, ...]:
     if isinstance(bases, str | bytes) or not isinstance(bases, Iterable):
         raise WrongType("bases", f"must be a list of addresses, not {type(bases).__name__}")
     most = TABLE_SIZE - len(MARKER)
-    found = tuple(integer(("bases", at), each, 0, most) for at, each in enumerate(bases))
-    if not 1 <= len(found) <= MOST_BASES:
-        raise WrongValue("bases", f"must hold 1..{MOST_BASES} addresses, not {len(found)}")
-    return tuple(dict.fromkeys(found))
+    addresses = tuple(integer(("bases", at), base, 0, most) for at, base in enumerate(bases))
+    if not 1 <= len(addresses) <= MOST_BASES:
+        raise WrongValue("bases", f"must hold 1..{MOST_BASES} addresses, not {len(addresses)}")
+    return tuple(dict.fromkeys(addresses))
 
 
 def _discovery(bases: Iterable[int]) -> _Steps[SunSpecDevice]:
@@ -284,14 +284,14 @@ def _discovery(bases: Iterable[int]) -> _Steps[SunSpecDevice]:
     models: list[SunSpecModel] = []
     room = MOST_POINTS
     # The second model of a name ends with 2, and so on.
-    seen = {"end": 1, "SunS": 1}
+    uses = {"end": 1, "SunS": 1}
     for header in chain.headers:
-        known = definition_of(header.id)
-        group = _made_up(header) if known is None else known
+        definition = definition_of(header.id)
+        group = _made_up(header) if definition is None else definition
         name = group["name"]
-        seen[name] = seen.get(name, 0) + 1
-        if seen[name] > 1:
-            name = f"{name}_{seen[name]}"
+        uses[name] = uses.get(name, 0) + 1
+        if uses[name] > 1:
+            name = f"{name}_{uses[name]}"
         counts = yield from _counts(chain, header, group)
         layout = ModelLayout(group, header.address, header.length, counts, room)
         room -= len(layout.points)
@@ -301,7 +301,7 @@ def _discovery(bases: Iterable[int]) -> _Steps[SunSpecDevice]:
         if rest and not layout.notes:
             chain.notes.append(f"{header} has {rest} registers more than its definition")
         map, label = RegisterMap(layout.points), group.get("label", "")
-        models.append(SunSpecModel(*header, name, label, known is not None, map))
+        models.append(SunSpecModel(*header, name, label, definition is not None, map))
     return SunSpecDevice(chain.base, tuple(models), chain.end, tuple(chain.notes))
 
 
@@ -316,8 +316,8 @@ def _counts(chain: _Chain, header: _Header, group: Mapping[str, Any]) -> _Steps[
     if isinstance(cells, ExceptionResponse):
         chain.notes.append(f"{header}: its repeated groups are left out: {cells}")
         return {}
-    found = {name: cells[at - first] for name, at in offsets.items()}
-    return {name: 0 if count == NOT_IMPLEMENTED else count for name, count in found.items()}
+    counts = {name: cells[at - first] for name, at in offsets.items()}
+    return {name: 0 if count == NOT_IMPLEMENTED else count for name, count in counts.items()}
 
 
 def _made_up(header: _Header) -> dict[str, Any]:
@@ -391,25 +391,25 @@ class ModelLayout:
     def _lay(self, group: Mapping[str, Any], prefix: str, scales: Mapping[str, str]) -> bool:
         """Lay one group, and those inside it; return False if it does not fit."""
         own = {
-            each["name"]: prefix + each["name"]
-            for each in group["points"]
-            if each["type"] == "sunssf"
+            point["name"]: prefix + point["name"]
+            for point in group["points"]
+            if point["type"] == "sunssf"
         }
-        known = {**scales, **own}
-        for each in group["points"]:
-            if self._at + each["size"] > self._stop:
-                if each["type"] != "pad":
-                    self.notes.append(f"{prefix}{each['name']} and what follows do not fit")
+        names = {**scales, **own}
+        for point in group["points"]:
+            if self._at + point["size"] > self._stop:
+                if point["type"] != "pad":
+                    self.notes.append(f"{prefix}{point['name']} and what follows do not fit")
                 return False
             if len(self.points) >= self._room:
-                self.notes.append(f"there are too many points: {prefix}{each['name']} is left out")
+                self.notes.append(f"there are too many points: {prefix}{point['name']} is left out")
                 return False
-            if each["type"] != "pad":
+            if point["type"] != "pad":
                 self.points.append(
-                    Point(prefix + each["name"], TABLE, self._at, **_keys(each, known))
+                    Point(prefix + point["name"], TABLE, self._at, **_keys(point, names))
                 )
-            self._at += each["size"]
-        return all(self._lay_all(inner, prefix, known) for inner in group.get("groups", ()))
+            self._at += point["size"]
+        return all(self._lay_all(inner, prefix, names) for inner in group.get("groups", ()))
 
     def _lay_all(self, group: Mapping[str, Any], prefix: str, scales: Mapping[str, str]) -> bool:
         """Lay a group as often as it is repeated; return False if one does not fit."""
@@ -430,19 +430,19 @@ class ModelLayout:
 
 def _size(group: Mapping[str, Any]) -> int:
     """Return the registers of a group whose inner groups are not repeated."""
-    own: int = sum(each["size"] for each in group["points"])
+    own: int = sum(point["size"] for point in group["points"])
     return own + sum(_size(inner) for inner in group.get("groups", ()))
 
 
 def counters_of(group: Mapping[str, Any]) -> dict[str, int]:
     """Return the top-level points by which groups are repeated: name -> offset from the id."""
-    wanted = set(_counted_by(group))
-    found, at = {}, 0
-    for each in group["points"]:
-        if each["name"] in wanted:
-            found[each["name"]] = at
-        at += each["size"]
-    return found
+    names = set(_counted_by(group))
+    counters, at = {}, 0
+    for point in group["points"]:
+        if point["name"] in names:
+            counters[point["name"]] = at
+        at += point["size"]
+    return counters
 
 
 def _counted_by(group: Mapping[str, Any]) -> Iterator[str]:
@@ -452,13 +452,13 @@ def _counted_by(group: Mapping[str, Any]) -> Iterator[str]:
         yield from _counted_by(inner)
 
 
-def _keys(given: Mapping[str, Any], scales: Mapping[str, str]) -> dict[str, Any]:
+def _keys(point: Mapping[str, Any], scales: Mapping[str, str]) -> dict[str, Any]:
     """Return the keys of a point but its name and address."""
-    kind, size = given["type"], given["size"]
-    description = " ".join((given.get("desc") or given.get("label") or "").split())
+    kind, size = point["type"], point["size"]
+    description = " ".join((point.get("desc") or point.get("label") or "").split())
     keys = {
-        "access": "read_write" if given.get("access") == "RW" else "read",
-        "units": given.get("units", "").strip(),
+        "access": "read_write" if point.get("access") == "RW" else "read",
+        "units": point.get("units", "").strip(),
         "description": "".join(filter(str.isprintable, description))[:MAX_DESCRIPTION],
     }
     if kind == "string" and size <= LONGEST_TEXT:
@@ -467,21 +467,21 @@ def _keys(given: Mapping[str, Any], scales: Mapping[str, str]) -> dict[str, Any]
         return {**keys, "count": size}
     keys |= _TYPES[kind]
     if kind.startswith("enum"):
-        keys |= _named("states", given)
+        keys |= _named("states", point)
     elif kind.startswith("bitfield"):
-        keys |= _named("bits", given, 16 * size)
-    elif isinstance(scale := given.get("sf"), int):
+        keys |= _named("bits", point, 16 * size)
+    elif isinstance(scale := point.get("sf"), int):
         keys["scale"] = 10**scale if scale >= 0 else float(f"1e{scale}")
     elif isinstance(scale, str) and scale in scales:
         keys["scale_from"] = scales[scale]
     return keys
 
 
-def _named(key: str, given: Mapping[str, Any], width: float = math.inf) -> dict[str, Any]:
+def _named(key: str, point: Mapping[str, Any], width: float = math.inf) -> dict[str, Any]:
     """Return the states of a point, or its bits, of which there are `width`."""
     names: dict[int, str] = {}
-    for each in given.get("symbols") or ():
-        number, name = each["value"], each["name"]
+    for symbol in point.get("symbols") or ():
+        number, name = symbol["value"], symbol["name"]
         if 0 <= number < width:
             names[number] = name if name not in names.values() else f"{name}_{number}"
     return {key: names} if names else {}

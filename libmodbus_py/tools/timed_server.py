@@ -47,11 +47,11 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
         self.socket.close()  # a TCPServer has one socket, and this one as many as addresses
         self._listeners = listen_on(host, port)
         self._ready = selectors.DefaultSelector()
-        for each in self._listeners:
-            each.setblocking(False)  # another thread may have taken the connection
-            self._ready.register(each, selectors.EVENT_READ)
-        names = [each.getsockname() for each in self._listeners]
-        self.addresses: list[str] = [each[0] for each in names]
+        for listener in self._listeners:
+            listener.setblocking(False)  # another thread may have taken the connection
+            self._ready.register(listener, selectors.EVENT_READ)
+        names = [listener.getsockname() for listener in self._listeners]
+        self.addresses: list[str] = [name[0] for name in names]
         self.port: int = names[0][1]
         self.server_address = names[0]
         self.place: str = f"http://{host_and_port(host, self.port)}"
@@ -70,9 +70,9 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
         finally:
             self.is_closed = True
             with self._lock:
-                left = list(self._open)
-            for each in left:
-                _cut(each)
+                connections = list(self._open)
+            for connection in connections:
+                _cut(connection)
             self.server_close()
 
     def fileno(self) -> int:
@@ -92,8 +92,8 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
         raise BlockingIOError("no connection waits any more")
 
     def server_close(self) -> None:
-        for each in self._listeners:
-            each.close()
+        for listener in self._listeners:
+            listener.close()
         self._ready.close()
         super().server_close()
 
@@ -106,7 +106,7 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._lock:
             if len(self._open) >= MOST_CONNECTIONS:
-                limited = (each for each, until in self._open.items() if until)
+                limited = (connection for connection, until in self._open.items() if until)
                 oldest = next(limited, request)
                 _cut(oldest)  # its thread ends, and closes it
                 self._open.pop(oldest, None)
@@ -121,9 +121,9 @@ class TimedServer(socketserver.ThreadingMixIn, socketserver.TCPServer):
     def service_actions(self) -> None:
         now = time.monotonic()
         with self._lock:
-            late = [each for each, until in self._open.items() if until and until < now]
-        for each in late:
-            _cut(each)
+            late = [connection for connection, until in self._open.items() if until and until < now]
+        for connection in late:
+            _cut(connection)
 
     def handle_error(self, request: object, client_address: object) -> None:
         """Log an exception of a connection's thread, unless it means that the client has gone."""

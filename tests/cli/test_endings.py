@@ -149,10 +149,10 @@ def test_other_failures_do_not() -> None:
 
 def test_tls_at_a_server_without(tmp_path: Path) -> None:
     assert run("certificates", tmp_path).code == 0
-    papers = ["--cert", tmp_path / "operator.pem", "--key", tmp_path / "operator-key.pem"]
+    pki = ["--cert", tmp_path / "operator.pem", "--key", tmp_path / "operator-key.pem"]
     with FakeServer(None) as server:
         url = f"tls://127.0.0.1:{server.port}"
-        done = run("read", url, "hr", 0, *papers, "--ca", tmp_path / "ca.pem")
+        done = run("read", url, "hr", 0, *pki, "--ca", tmp_path / "ca.pem")
         assert done.code == 1
         assert "no TLS handshake" in done.err
         assert "is it tcp://?" in done.err

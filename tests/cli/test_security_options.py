@@ -14,7 +14,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.commands import run
 from tests.support.peers import dead
 
@@ -22,9 +22,9 @@ SECRET = "open sesame"
 
 
 @pytest.fixture
-def url(papers: Papers) -> Iterator[str]:
+def url(pki: Pki) -> Iterator[str]:
     """A server in this process, whose warnings are not those of a command."""
-    server = Server(Device(Mapping(holding_registers={0: [555, 7]})), security=papers.server())
+    server = Server(Device(Mapping(holding_registers={0: [555, 7]})), security=pki.server())
     log, silent = logging.getLogger("libmodbus_py.server"), logging.NullHandler()
     log.addHandler(silent)
     with server.background("tls://127.0.0.1:0") as running:
@@ -33,10 +33,10 @@ def url(papers: Papers) -> Iterator[str]:
 
 
 @pytest.fixture
-def own(papers: Papers) -> list[str]:
+def own(pki: Pki) -> list[str]:
     """Options of one who may talk."""
-    files = papers.files(certificates.client())
-    return ["--cert", str(files.cert), "--key", str(files.key), "--ca", str(papers.ca)]
+    files = pki.files(certificates.client())
+    return ["--cert", str(files.cert), "--key", str(files.key), "--ca", str(pki.ca)]
 
 
 def read(url: str, *options: str, **environment: str) -> str:
@@ -59,23 +59,23 @@ def fails(code: int, *arguments: str, **environment: str) -> str:
 GOOD = "0  555\n    1    7\n"
 
 
-def test_reading_with_certificates(url: str, own: list[str], papers: Papers) -> None:
+def test_reading_with_certificates(url: str, own: list[str], pki: Pki) -> None:
     assert read(url, *own).endswith(GOOD)
     assert read(url, *own, "--server-name", "localhost").endswith(GOOD)
-    assert read(papers.url(url, certificates.client())).endswith(GOOD)
+    assert read(pki.url(url, certificates.client())).endswith(GOOD)
 
 
-def test_pins_may_be_repeated(url: str, own: list[str], papers: Papers) -> None:
+def test_pins_may_be_repeated(url: str, own: list[str], pki: Pki) -> None:
     digest = hashlib.sha256(certificates.server().der).hexdigest()
-    assert read(url, *own[:4], "--pin", str(papers.ca), "--pin", digest).endswith(GOOD)
-    text = fails(1, "read", url, "holding", "0", *own[:4], "--pin", str(papers.ca))
+    assert read(url, *own[:4], "--pin", str(pki.ca), "--pin", digest).endswith(GOOD)
+    text = fails(1, "read", url, "holding", "0", *own[:4], "--pin", str(pki.ca))
     assert "it is none of the pins: 'CN=Test server'" in text
     assert digest in text
 
 
-def test_a_password_comes_from_the_environment(url: str, papers: Papers) -> None:
-    files = papers.files(certificates.client(), SECRET.encode())
-    options = ["--cert", str(files.cert), "--key", str(files.key), "--ca", str(papers.ca)]
+def test_a_password_comes_from_the_environment(url: str, pki: Pki) -> None:
+    files = pki.files(certificates.client(), SECRET.encode())
+    options = ["--cert", str(files.cert), "--key", str(files.key), "--ca", str(pki.ca)]
     named = [*options, "--password-env", "PLC_PASSWORD"]
     assert read(url, *named, PLC_PASSWORD=SECRET).endswith(GOOD)
     asking = ("read", url, "holding", "0")
@@ -86,11 +86,11 @@ def test_a_password_comes_from_the_environment(url: str, papers: Papers) -> None
     assert "sesame" not in text
 
 
-def test_nobody_is_asked_for_a_password(papers: Papers) -> None:
+def test_nobody_is_asked_for_a_password(pki: Pki) -> None:
     """OpenSSL would ask the terminal."""
-    files = papers.files(certificates.client(), SECRET.encode())
+    files = pki.files(certificates.client(), SECRET.encode())
     master, slave = pty.openpty()
-    arguments = ["read", "tls://127.0.0.1:1", "holding", "0", "--ca", str(papers.ca)]
+    arguments = ["read", "tls://127.0.0.1:1", "holding", "0", "--ca", str(pki.ca)]
     arguments += ["--cert", str(files.cert), "--key", str(files.key)]
     code = (
         "import fcntl, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
@@ -114,8 +114,8 @@ def test_nobody_is_asked_for_a_password(papers: Papers) -> None:
     os.close(master)
 
 
-def test_an_option_overrides_the_url(own: list[str], url: str, papers: Papers) -> None:
-    whole = papers.url(url, certificates.client())
+def test_an_option_overrides_the_url(own: list[str], url: str, pki: Pki) -> None:
+    whole = pki.url(url, certificates.client())
     assert read(f"{whole}&server_name=other.example", "--server-name", "localhost").endswith(GOOD)
     assert read(f"{url}?ca=nowhere.pem", *own).endswith(GOOD)
 

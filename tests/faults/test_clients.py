@@ -13,7 +13,7 @@ from libmodbus_py import AsyncClient, Client, ModbusError, ModbusTimeoutError
 from libmodbus_py.protocol import framing
 from tests.faults.injecting import Scenario, Trial, eventually, tried
 from tests.faults.test_servers import server
-from tests.support.certificates import Papers, secured
+from tests.support.certificates import Pki, secured
 from tests.support.names import resolve
 from tests.support.peers import FakeServer, FakeUnit, echo
 
@@ -69,7 +69,7 @@ def udp(folder: Path) -> Iterator[str]:
 
 @contextlib.contextmanager
 def tls(folder: Path) -> Iterator[str]:
-    with secured(server(), Papers(folder)) as url:
+    with secured(server(), Pki(folder)) as url:
         yield url
 
 

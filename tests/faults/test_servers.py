@@ -17,7 +17,7 @@ from libmodbus_py import Client, Device, Mapping, ModbusError, Server
 from libmodbus_py.protocol import framing
 from libmodbus_py.tools.testing.wires import open_line
 from tests.faults.injecting import Scenario, Trial, eventually, tried
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 
 PART = ("server", "ports", "device", "security")
 
@@ -72,11 +72,11 @@ def on_far_end(far: int) -> Ask:
     return ask
 
 
-def secured(papers: Papers) -> Ask:
+def secured(pki: Pki) -> Ask:
     def ask(url: str) -> bytes:
         with (
             contextlib.suppress(ModbusError),
-            Client(url, security=papers.client(), timeout=1) as client,
+            Client(url, security=pki.client(), timeout=1) as client,
         ):
             return TCP_ANSWER if client.read_holding_registers(5, 1) == [5] else b"wrong"
         return b""
@@ -141,10 +141,10 @@ def test_a_serial_server(line: tuple[int, str]) -> None:
 
 
 def test_a_tls_server(tmp_path: Path) -> None:
-    papers = Papers(tmp_path)
+    pki = Pki(tmp_path)
 
     def make() -> Server:
-        return Server(server().devices, security=papers.server())
+        return Server(server().devices, security=pki.server())
 
-    ask = secured(papers)
+    ask = secured(pki)
     tried(serving("tls://127.0.0.1:0", ask, TCP_ANSWER, make), "server", errors=1)

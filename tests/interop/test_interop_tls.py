@@ -20,7 +20,7 @@ from libmodbus_py.security.role import ROLE_OID, role_of
 from libmodbus_py.tools.certificates import make
 from tests.support import certificates
 from tests.support.attacks import adu
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.clients import Connect
 from tests.support.interop import (
     COILS,
@@ -49,10 +49,10 @@ class SServer:
         options: of s_server.
     """
 
-    def __init__(self, papers: Papers, identity: Any, *options: str) -> None:
-        files = papers.files(identity)
+    def __init__(self, pki: Pki, identity: Any, *options: str) -> None:
+        files = pki.files(identity)
         command = ["stdbuf", "-o0", "openssl", "s_server", "-accept", "127.0.0.1:0"]
-        command += ["-cert", str(files.cert), "-key", str(files.key), "-CAfile", str(papers.ca)]
+        command += ["-cert", str(files.cert), "-key", str(files.key), "-CAfile", str(pki.ca)]
         command += ["-Verify", "3", "-verify_return_error", *options]
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
@@ -81,8 +81,8 @@ class SServer:
 
 
 @contextmanager
-def s_server(papers: Papers, identity: Any, *options: str) -> Iterator[SServer]:
-    server = SServer(papers, identity, *options)
+def s_server(pki: Pki, identity: Any, *options: str) -> Iterator[SServer]:
+    server = SServer(pki, identity, *options)
     try:
         yield server
     finally:
@@ -104,13 +104,13 @@ def answering(server: SServer, commands: list[bytes]) -> None:
 
 @pytest.mark.parametrize("key", ["EC", "RSA"])
 @pytest.mark.parametrize("version", ["tls1_2", "tls1_3"])
-def test_s_server(connect: Connect, papers: Papers, version: str, key: str) -> None:
+def test_s_server(connect: Connect, pki: Pki, version: str, key: str) -> None:
     """With changes of keys, asked for (K) and announced (k), where there are such."""
     options = {"key": certificates.rsa_key()} if key == "RSA" else {}
     commands = [b"", b"k", b"K", b"kkKK", b""] if version == "tls1_3" else [b""] * 5
-    own = papers.security(certificates.client(**options))
+    own = pki.security(certificates.client(**options))
     with (
-        s_server(papers, certificates.server(**options), f"-{version}") as server,
+        s_server(pki, certificates.server(**options), f"-{version}") as server,
         ThreadPoolExecutor() as pool,
         connect(f"tls://127.0.0.1:{server.port}", security=own, timeout=LONG) as plc,
     ):
@@ -122,12 +122,10 @@ def test_s_server(connect: Connect, papers: Papers, version: str, key: str) -> N
 
 
 @pytest.mark.parametrize("version", ["tls1_2", "tls1_3"])
-def test_s_server_refuses_a_certificate_of_others(
-    connect: Connect, papers: Papers, version: str
-) -> None:
-    own = papers.security(certificates.client(issuer=certificates.foreign_authority()))
+def test_s_server_refuses_a_certificate_of_others(connect: Connect, pki: Pki, version: str) -> None:
+    own = pki.security(certificates.client(issuer=certificates.foreign_authority()))
     with (
-        s_server(papers, certificates.server(), f"-{version}") as server,
+        s_server(pki, certificates.server(), f"-{version}") as server,
         pytest.raises(ModbusConnectionError, match=r"refused our certificate .*'CN=Test client'"),
         connect(f"tls://127.0.0.1:{server.port}", security=own, timeout=LONG) as plc,
     ):
@@ -137,13 +135,11 @@ def test_s_server_refuses_a_certificate_of_others(
 @pytest.mark.parametrize(
     "options", [["-tls1_2", "-cipher", "AES128-GCM-SHA256"], ["-no_tls1_3", "-no_tls1_2"]]
 )
-def test_s_server_with_nothing_in_common(
-    connect: Connect, papers: Papers, options: list[str]
-) -> None:
+def test_s_server_with_nothing_in_common(connect: Connect, pki: Pki, options: list[str]) -> None:
     """Without ephemeral keys; and without a version that R-01 allows."""
     identity = certificates.server(key=certificates.rsa_key())
-    with s_server(papers, identity, *options) as server:
-        plc = connect(f"tls://127.0.0.1:{server.port}", security=papers.client(), timeout=LONG)
+    with s_server(pki, identity, *options) as server:
+        plc = connect(f"tls://127.0.0.1:{server.port}", security=pki.client(), timeout=LONG)
         with pytest.raises(ModbusConnectionError, match="no TLS with 127"):
             plc.connect()
         plc.close()
@@ -152,9 +148,9 @@ def test_s_server_with_nothing_in_common(
 # --- pymodbus -------------------------------------------------------------------------------
 
 
-def test_pymodbus_refuses_a_certificate_of_others(connect: Connect, papers: Papers) -> None:
+def test_pymodbus_refuses_a_certificate_of_others(connect: Connect, pki: Pki) -> None:
     """asyncio closes without the alert that would say so."""
-    own = papers.security(certificates.client(issuer=certificates.foreign_authority()))
+    own = pki.security(certificates.client(issuer=certificates.foreign_authority()))
     with (
         pymodbus_serving("tls") as url,
         pytest.raises(ModbusConnectionError, match="it may have refused our certificate"),
@@ -209,10 +205,10 @@ def test_we_read_the_role_in_what_it_makes(tmp_path: Path) -> None:
     assert role_of((tmp_path / "cert.der").read_bytes()) == "Operator"
 
 
-def test_pymodbus_asyncio_client_has_many_requests_in_flight(papers: Papers) -> None:
+def test_pymodbus_asyncio_client_has_many_requests_in_flight(pki: Pki) -> None:
     async def ask(port: int) -> list[list[bool]]:
         client = AsyncModbusTlsClient(
-            "127.0.0.1", port=port, sslctx=context(papers, certificates.client()), timeout=TIMEOUT
+            "127.0.0.1", port=port, sslctx=context(pki, certificates.client()), timeout=TIMEOUT
         )
         assert await client.connect()
         reads = [client.read_coils(first, count=8, device_id=UNIT) for first in COILS[:50]]
@@ -222,13 +218,13 @@ def test_pymodbus_asyncio_client_has_many_requests_in_flight(papers: Papers) -> 
         transport.abort()  # else it waits for our last word, and the loop may be gone before
         return [answer.bits[:8] for answer in answers]
 
-    with our_tls_server(papers, {UNIT: make_device()}) as wire:
+    with our_tls_server(pki, {UNIT: make_device()}) as wire:
         assert asyncio.run(ask(wire.port)) == [cells(coil, first, 8) for first in COILS[:50]]
 
 
-def test_pymodbus_client_without_a_certificate_gets_no_answer(papers: Papers) -> None:
-    with our_tls_server(papers, {UNIT: make_device()}) as wire:
-        told = context(papers)
+def test_pymodbus_client_without_a_certificate_gets_no_answer(pki: Pki) -> None:
+    with our_tls_server(pki, {UNIT: make_device()}) as wire:
+        told = context(pki)
         told.check_hostname = False  # its blocking client does not tell ssl whom it wants
         client = ModbusTlsClient("127.0.0.1", port=wire.port, sslctx=told, timeout=1, retries=0)
         try:
@@ -240,7 +236,7 @@ def test_pymodbus_client_without_a_certificate_gets_no_answer(papers: Papers) ->
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_openssl_s_client_carries_requests_and_a_role(papers: Papers, version: str) -> None:
+def test_openssl_s_client_carries_requests_and_a_role(pki: Pki, version: str) -> None:
     roles: list[str | None] = []
 
     def note(access: Access) -> None:
@@ -248,11 +244,11 @@ def test_openssl_s_client_carries_requests_and_a_role(papers: Papers, version: s
 
     device = Device(Mapping(holding_registers=[range(100, 110)]), before_read=note)
     device.mapping.holding_registers[100:110] = range(1000, 1010)
-    files = papers.files(certificates.client("Überwacher"))
-    with our_tls_server(papers, {UNIT: device}) as wire:
+    files = pki.files(certificates.client("Überwacher"))
+    with our_tls_server(pki, {UNIT: device}) as wire:
         command = (
             *("openssl", "s_client", "-connect", f"127.0.0.1:{wire.port}", "-quiet"),
-            *("-CAfile", papers.ca, "-verify_return_error", "-verify_hostname", "localhost"),
+            *("-CAfile", pki.ca, "-verify_return_error", "-verify_hostname", "localhost"),
             *("-cert", files.cert, "-key", files.key, f"-tls{version.replace('.', '_')}"),
         )
         with subprocess.Popen(

@@ -18,7 +18,7 @@ import pytest
 
 from libmodbus_py import AsyncClient, Client, IllegalFunction, ModbusConnectionError
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.interop import (
     TIMEOUT,
     UNIT,
@@ -58,7 +58,7 @@ ASKED: dict[int, tuple[Any, Any]] = {
 }
 
 
-def ask(papers: Papers, port: int, asked: Any, version: ssl.TLSVersion) -> Any:
+def ask(pki: Pki, port: int, asked: Any, version: ssl.TLSVersion) -> Any:
     async def run() -> Any:
         client = tmodbus.create_async_tcp_client(
             "127.0.0.1",
@@ -66,7 +66,7 @@ def ask(papers: Papers, port: int, asked: Any, version: ssl.TLSVersion) -> Any:
             unit_id=UNIT,
             timeout=TIMEOUT,
             auto_reconnect=False,
-            ssl=context(papers, certificates.client(), version),
+            ssl=context(pki, certificates.client(), version),
         )
         async with client:
             return await asked(client)
@@ -79,19 +79,17 @@ def ask(papers: Papers, port: int, asked: Any, version: ssl.TLSVersion) -> Any:
     "function",
     [pytest.param(each, id=case_id("tmodbus", "server", "tls", each)) for each in ASKED],
 )
-def test_its_client_and_our_server_agree(
-    papers: Papers, function: int, version: ssl.TLSVersion
-) -> None:
+def test_its_client_and_our_server_agree(pki: Pki, function: int, version: ssl.TLSVersion) -> None:
     asked, expected = ASKED[function]
-    with our_tls_server(papers, {UNIT: make_device()}) as wire:
-        assert ask(papers, wire.port, asked, version) == expected
+    with our_tls_server(pki, {UNIT: make_device()}) as wire:
+        assert ask(pki, wire.port, asked, version) == expected
 
 
 # --- our clients, its server --------------------------------------------------------------------
 
 
 @contextlib.contextmanager
-def its_server(papers: Papers, seen: list[str | None]) -> Iterator[int]:
+def its_server(pki: Pki, seen: list[str | None]) -> Iterator[int]:
     """It answers reads with their addresses to an operator, and refuses all others."""
     from tmodbus.exceptions import IllegalFunctionError
     from tmodbus.pdu import ReadHoldingRegistersPDU, WriteMultipleRegistersPDU
@@ -115,8 +113,8 @@ def its_server(papers: Papers, seen: list[str | None]) -> Iterator[int]:
         check(request, context)
         return len(request.values)
 
-    files = papers.files(certificates.server())
-    told = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=str(papers.ca))
+    files = pki.files(certificates.server())
+    told = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=str(pki.ca))
     told.load_cert_chain(files.cert, files.key)
     told.verify_mode = ssl.CERT_REQUIRED
     started: Future[tuple[int, Any]] = Future()
@@ -141,32 +139,32 @@ def its_server(papers: Papers, seen: list[str | None]) -> Iterator[int]:
         thread.join()
 
 
-def test_our_context_and_its_server_agree(papers: Papers) -> None:
+def test_our_context_and_its_server_agree(pki: Pki) -> None:
     seen: list[str | None] = []
-    with its_server(papers, seen) as port:
+    with its_server(pki, seen) as port:
         url = f"tls://127.0.0.1:{port}?unit={UNIT}&timeout={TIMEOUT}"
         for _ in range(2):
-            with Client(url, security=papers.client()) as plc:
+            with Client(url, security=pki.client()) as plc:
                 assert plc.read_holding_registers(100, 125) == list(range(100, 225))
                 plc.write_registers(7, [1, 2, 3])
-        guest = papers.client("Guest")
+        guest = pki.client("Guest")
         with Client(url, security=guest) as plc, pytest.raises(IllegalFunction):
             plc.read_holding_registers(100, 1)
-        stranger = papers.security(certificates.client(issuer=certificates.foreign_authority()))
+        stranger = pki.security(certificates.client(issuer=certificates.foreign_authority()))
         with Client(url, security=stranger) as plc, pytest.raises(ModbusConnectionError):
             plc.read_holding_registers(100, 1)
     assert seen == ["Operator"] * 4 + ["Guest"]
 
 
-def test_our_asyncio_client_and_its_server_agree(papers: Papers) -> None:
+def test_our_asyncio_client_and_its_server_agree(pki: Pki) -> None:
     seen: list[str | None] = []
 
     async def read(port: int) -> list[list[int]]:
         url = f"tls://127.0.0.1:{port}?unit={UNIT}&timeout={TIMEOUT}"
-        async with AsyncClient(url, security=papers.client()) as plc:
+        async with AsyncClient(url, security=pki.client()) as plc:
             reads = (plc.read_holding_registers(first, 2) for first in range(40))
             return await asyncio.gather(*reads)
 
-    with its_server(papers, seen) as port:
+    with its_server(pki, seen) as port:
         assert asyncio.run(read(port)) == [[first, first + 1] for first in range(40)]
     assert seen == ["Operator"] * 40

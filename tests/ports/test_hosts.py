@@ -23,7 +23,7 @@ from libmodbus_py.ports.hosts import (
 )
 from libmodbus_py.ports.port import Outage
 from tests.support.cases import each_case
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.clients import ALL, asking
 
 LOOPBACK = ["localhost", "LOCALHOST", "ip6-localhost", "127.0.0.1", "127.255.0.9", "127.1"]
@@ -163,11 +163,11 @@ def free() -> int:
 @pytest.fixture(params=TRANSPORTS)
 def url(request: pytest.FixtureRequest, tmp_path: Any) -> Iterator[tuple[str, dict[str, Any]]]:
     """The URL of a server, and the options that its clients need."""
-    papers, is_secure = Papers(tmp_path), request.param == "tls"
-    security = papers.server() if is_secure else None
+    pki, is_secure = Pki(tmp_path), request.param == "tls"
+    security = pki.server() if is_secure else None
     server = Server(Device(Mapping(holding_registers=1)), security=security)
     with server.background(f"{request.param}://127.0.0.1:0") as running:
-        yield running.urls[0], {"security": papers.client()} if is_secure else {}
+        yield running.urls[0], {"security": pki.client()} if is_secure else {}
 
 
 @ALL

@@ -25,7 +25,7 @@ from libmodbus_py.ports.serial_read_only import ReadOnlySerialPort
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.clients import ALL, asking
 
 
@@ -503,7 +503,7 @@ def test_such_a_port_can_be_connected_to_itself(dead_port: int) -> None:
 def test_clients(kind: str, scheme: str, dead_port: int, tmp_path: Path) -> None:
     options: dict[str, Any] = {}
     if scheme == "tls":
-        options["security"] = Papers(tmp_path).security(certificates.client())
+        options["security"] = Pki(tmp_path).security(certificates.client())
     url = f"{scheme}://127.0.0.1:{dead_port}"
     with (
         pytest.raises(ModbusConnectionError, match="Connection refused") as caught,

@@ -11,15 +11,15 @@ from libmodbus_py import AsyncClient, Client, Security
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.tls import security_of
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 
 SECRET = "open sesame"
 
 
 @pytest.mark.parametrize("make", [Client, AsyncClient])
-def test_security_goes_with_tls_and_tls_with_security(make: Any, papers: Papers) -> None:
-    security = papers.client()
-    url = papers.url("tls://h", certificates.client())
+def test_security_goes_with_tls_and_tls_with_security(make: Any, pki: Pki) -> None:
+    security = pki.client()
+    url = pki.url("tls://h", certificates.client())
     for wrong, options, text in (
         ("tcp://h", {"security": security}, "security is for tls:// only, not for tcp://"),
         (
@@ -43,21 +43,21 @@ def test_security_goes_with_tls_and_tls_with_security(make: Any, papers: Papers)
     assert make(url).url == make("tls://h", security=security).url == "tls://h:802"
 
 
-def test_a_client_of_its_own(papers: Papers) -> None:
-    security = papers.client()
+def test_a_client_of_its_own(pki: Pki) -> None:
+    security = pki.client()
     assert Client("tls://h", security=security).url == "tls://h:802"
     with pytest.raises(ValueError, match="tls://h:802 needs security"):
         Client("tls://h")
 
 
-def test_each_option_of_a_url(papers: Papers, monkeypatch: pytest.MonkeyPatch) -> None:
-    files = papers.files(certificates.client(), SECRET.encode())
+def test_each_option_of_a_url(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = pki.files(certificates.client(), SECRET.encode())
     monkeypatch.setenv("KEY_PASSWORD", SECRET)
     both = f"cert={files.cert}&key={files.key}&password_env=KEY_PASSWORD"
     for more in (
-        f"ca={papers.ca}",
-        f"pin={papers.ca},{'ab' * 32}",
-        f"ca={papers.ca}&server_name=x",
+        f"ca={pki.ca}",
+        f"pin={pki.ca},{'ab' * 32}",
+        f"ca={pki.ca}&server_name=x",
     ):
         assert isinstance(security_of(parse(f"tls://h?{both}&{more}"), None), Security)
 
@@ -76,18 +76,18 @@ def test_each_option_of_a_url(papers: Papers, monkeypatch: pytest.MonkeyPatch) -
     ],
 )
 def test_what_is_wrong_with_a_file_is_told(
-    papers: Papers, monkeypatch: pytest.MonkeyPatch, change: dict[str, str], text: str
+    pki: Pki, monkeypatch: pytest.MonkeyPatch, change: dict[str, str], text: str
 ) -> None:
     monkeypatch.setenv("WRONG", "close sesame")
     monkeypatch.setenv("EMPTY", "")
-    own = papers.files(certificates.client())
+    own = pki.files(certificates.client())
     known = {
         "CERT": own.cert,
         "KEY": own.key,
-        "OTHER": papers.files(certificates.server()).key,
-        "LOCKED": papers.files(certificates.client(), SECRET.encode()).key,
+        "OTHER": pki.files(certificates.server()).key,
+        "LOCKED": pki.files(certificates.client(), SECRET.encode()).key,
     }
-    options = {"cert": "CERT", "key": "KEY", "ca": str(papers.ca), **change}
+    options = {"cert": "CERT", "key": "KEY", "ca": str(pki.ca), **change}
     for name, file in known.items():
         options = {each: str(file) if value == name else value for each, value in options.items()}
         text = text.replace(f"'{name}'", repr(str(file)))
@@ -97,13 +97,11 @@ def test_what_is_wrong_with_a_file_is_told(
     assert "sesame" not in str(caught.value)
 
 
-def test_the_password_is_nowhere_to_be_seen(
-    papers: Papers, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    files = papers.files(certificates.client(), SECRET.encode())
-    security = Security(files.cert, files.key, trust=papers.ca, password=SECRET)
+def test_the_password_is_nowhere_to_be_seen(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = pki.files(certificates.client(), SECRET.encode())
+    security = Security(files.cert, files.key, trust=pki.ca, password=SECRET)
     monkeypatch.setenv("KEY_PASSWORD", SECRET)
-    url = f"tls://h?cert={files.cert}&key={files.key}&ca={papers.ca}&password_env=KEY_PASSWORD"
+    url = f"tls://h?cert={files.cert}&key={files.key}&ca={pki.ca}&password_env=KEY_PASSWORD"
     for plc in (Client("tls://h", security=security), Client(url)):
         for each in (security, plc, plc.url, plc.statistics, vars(plc), plc._driver):
             assert SECRET not in repr(each)

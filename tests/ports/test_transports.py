@@ -16,7 +16,7 @@ from libmodbus_py.ports.port import abandoned_in_children
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS, Scheme, Transport, shape_of
 from libmodbus_py.ports.trace import Traced
 from tests.support.cases import each_case
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.talk import ascii_frame, rtu
 from tests.support.urls import rules_of, url_for
 
@@ -51,7 +51,7 @@ def test_each_transport_has_a_port_an_endpoint_and_a_scheme() -> None:
 def test_each_scheme_has_a_port(scheme: Scheme, tmp_path: Path) -> None:
     rules = rules_of(scheme)
     url = url_for(scheme, "127.0.0.1", line="/dev/null")
-    security = {"security": Papers(tmp_path).client()} if rules.is_secure else {}
+    security = {"security": Pki(tmp_path).client()} if rules.is_secure else {}
     client = Client(url, **security)
     if scheme in KNOWN:
         assert {name for name in PROPERTIES if getattr(parse(url), name)} == KNOWN[scheme]

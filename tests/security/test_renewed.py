@@ -16,7 +16,7 @@ from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.other_servers import SecretFile, text_of
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.secret_files import write_secret
 
 CREDENTIALS = """\
@@ -42,8 +42,8 @@ def mistakes(about: Path) -> list[str]:
 
 
 @pytest.fixture
-def ca(papers: Papers) -> Path:
-    return papers.ca
+def ca(pki: Pki) -> Path:
+    return pki.ca
 
 
 def test_a_value_is_the_former_until_the_file_is_good_again(

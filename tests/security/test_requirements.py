@@ -14,7 +14,7 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.security.tunnel import Records
 from libmodbus_py.tools.testing.wires import TcpWire
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.clients import ALL, asking
 
 PAGE = Path(__file__).parents[2] / "docs" / "security.md"
@@ -70,8 +70,8 @@ class Hello:
 
 
 @pytest.fixture
-def hello(papers: Papers) -> Hello:
-    tunnel = papers.client().to_server("127.0.0.1")
+def hello(pki: Pki) -> Hello:
+    tunnel = pki.client().to_server("127.0.0.1")
     assert not tunnel.handshake()
     return Hello(tunnel.outgoing())
 
@@ -119,14 +119,14 @@ def named_group(sent: bytes) -> int:
 
 
 @ALL
-def test_both_ends_agree_on_the_best_group_of_their_openssl(kind: str, papers: Papers) -> None:
-    server = Server(Device(Mapping(holding_registers={0: [7]})), security=papers.server())
+def test_both_ends_agree_on_the_best_group_of_their_openssl(kind: str, pki: Pki) -> None:
+    server = Server(Device(Mapping(holding_registers={0: [7]})), security=pki.server())
     with (
         server.background("tls://127.0.0.1:0") as running,
         TcpWire(parse(running.urls[0]).port) as wire,
     ):
         url = f"tls://127.0.0.1:{wire.port}"
-        with asking(kind, url, security=papers.client()) as client:
+        with asking(kind, url, security=pki.client()) as client:
             assert client.read_holding_registers(0, 1) == [7]
         sent = wire.sent_by("server")
     has_hybrid = ssl.OPENSSL_VERSION_INFO >= (3, 5)

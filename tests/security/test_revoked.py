@@ -17,14 +17,14 @@ from libmodbus_py.security.files import PemFile, Revoked
 from libmodbus_py.security.renewed import reload_all
 from tests.support import certificates
 from tests.support.cases import each_case
-from tests.support.certificates import Files, Papers
+from tests.support.certificates import Files, Pki
 
 PEM = b"-----BEGIN X509 CRL-----\n%s\n-----END X509 CRL-----\n"
 
 
 @pytest.fixture
-def files(papers: Papers) -> Files:
-    return papers.files(certificates.client())
+def files(pki: Pki) -> Files:
+    return pki.files(certificates.client())
 
 
 def saved(path: Path, content: bytes) -> Path:
@@ -68,29 +68,29 @@ def test_a_file_may_have_several_lists_and_ends_with_the_first_of_them(tmp_path:
     assert abs(found.ends - sooner.ends) <= 5
 
 
-def test_a_file_without_a_list_is_named(tmp_path: Path, papers: Papers, files: Files) -> None:
+def test_a_file_without_a_list_is_named(tmp_path: Path, pki: Pki, files: Files) -> None:
     good = certificates.revocation_list()
     for content, reason in (
         (b"", "no revocation list in PEM format"),
         (good[:200], "no revocation list in PEM format"),
         (PEM % b"AAAA", "no revocation list in PEM format"),
         (PEM % b"!!!!", "no revocation list in PEM format"),
-        (good + papers.ca.read_bytes(), "contains a certificate, which has no effect"),
+        (good + pki.ca.read_bytes(), "contains a certificate, which has no effect"),
         (good + b"-----BEGIN X509 CRL-----\nAAAA\n", "cannot be read"),  # as OpenSSL finds
     ):
         file = saved(tmp_path / "crl", content)
         with pytest.raises(ValueError, match=f"^crl '{re.escape(str(file))}':? {reason}$"):
-            Security(files.cert, files.key, trust=papers.ca, crl=file)
+            Security(files.cert, files.key, trust=pki.ca, crl=file)
 
 
 @each_case("argument", ["certificate", "trust", "pin"])
 def test_what_would_be_ignored_in_a_file_of_certificates_is_refused(
-    tmp_path: Path, papers: Papers, files: Files, argument: str
+    tmp_path: Path, pki: Pki, files: Files, argument: str
 ) -> None:
     """Someone who adds a revocation list to the authorities expects it to have an effect."""
     reason = "contains a revocation list, which must be given as crl"
     file = saved(tmp_path / "file", files.cert.read_bytes() + certificates.revocation_list())
-    options = {"trust": papers.ca} if argument == "certificate" else {}
+    options = {"trust": pki.ca} if argument == "certificate" else {}
     with pytest.raises(ValueError, match=f"^{argument} '{re.escape(str(file))}' {reason}"):
         Security(**{"certificate": files.cert, "key": files.key, **options, argument: file})
 
@@ -105,14 +105,14 @@ DAY = 86_400
 
 
 @pytest.mark.parametrize("what", ["certificate", "key", "trust", "pin", "crl"])
-def test_a_mistake_in_a_file_changes_nothing(tmp_path: Path, papers: Papers, what: str) -> None:
-    files = papers.files(certificates.client())
+def test_a_mistake_in_a_file_changes_nothing(tmp_path: Path, pki: Pki, what: str) -> None:
+    files = pki.files(certificates.client())
     listed = tmp_path / "crl"
     listed.write_bytes(certificates.revocation_list())
     options: dict[str, Any] = {"pin": tmp_path / "pin"}
     (tmp_path / "pin").write_bytes(files.cert.read_bytes())
     if what != "pin":
-        options = {"trust": papers.ca, "crl": listed}
+        options = {"trust": pki.ca, "crl": listed}
     security = Security(files.cert, files.key, **options)
     security.check_server()
     before = security.loaded
@@ -126,18 +126,18 @@ def test_a_mistake_in_a_file_changes_nothing(tmp_path: Path, papers: Papers, wha
     assert any("No such file" in line for line in reload_all())
 
 
-def test_a_certificate_whose_key_is_not_there_yet_changes_nothing(papers: Papers) -> None:
+def test_a_certificate_whose_key_is_not_there_yet_changes_nothing(pki: Pki) -> None:
     """Whoever renews both writes one first."""
-    files = papers.files(certificates.client())
-    security = Security(files.cert, files.key, trust=papers.ca)
+    files = pki.files(certificates.client())
+    security = Security(files.cert, files.key, trust=pki.ca)
     files.cert.write_bytes(certificates.client("Viewer").pem)
     with pytest.raises(ValueError, match="not the key of the certificate"):
         security.reload()
     assert security.own == certificates.client().der
 
 
-def test_pins_given_once_can_be_read_again(papers: Papers) -> None:
-    files = papers.files(certificates.client())
+def test_pins_given_once_can_be_read_again(pki: Pki) -> None:
+    files = pki.files(certificates.client())
     security = Security(files.cert, files.key, pin=iter([files.cert]))
     security.reload()
     assert security.accepts(certificates.client().der)
@@ -148,10 +148,10 @@ def at(monkeypatch: pytest.MonkeyPatch, when: float) -> None:
 
 
 def test_an_end_that_is_near_is_told_once_a_day(
-    papers: Papers, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    pki: Pki, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    files = papers.files(certificates.server(days=100))
-    security = Security(files.cert, files.key, trust=papers.ca)
+    files = pki.files(certificates.server(days=100))
+    security = Security(files.cert, files.key, trust=pki.ca)
     end = certificates.end(certificates.server(days=100).certificate).timestamp()
     assert security.ends == end
     for days, said in (
@@ -173,11 +173,11 @@ def test_an_end_that_is_near_is_told_once_a_day(
 
 
 def test_the_end_of_a_revocation_list_is_told_too(
-    tmp_path: Path, papers: Papers, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, pki: Pki, caplog: pytest.LogCaptureFixture
 ) -> None:
     """When it has ended, OpenSSL refuses everybody."""
     listed = tmp_path / "crl"
-    security = papers.server(crl=written(listed, days=3))
+    security = pki.server(crl=written(listed, days=3))
     for days, said in ((3, None), (1, "expires within two days"), (-1, "has expired")):
         written(listed, days=days)
         security.reload()

@@ -22,14 +22,14 @@ from libmodbus_py import Device, Mapping, Security, Server
 from libmodbus_py.tools.certificates import make
 from tests.support import certificates
 from tests.support.cases import each_case
-from tests.support.certificates import Files, Papers
+from tests.support.certificates import Files, Pki
 
 DIGEST = "ab" * 32
 
 
 @pytest.fixture
-def files(papers: Papers) -> Files:
-    return papers.files(certificates.client())
+def files(pki: Pki) -> Files:
+    return pki.files(certificates.client())
 
 
 def exactly(text: str) -> str:
@@ -84,12 +84,12 @@ NO_KEY: list[tuple[Callable[[], bytes], str]] = [
     ],
 )
 def test_a_file_without_a_certificate_or_key_is_named(
-    papers: Papers, files: Files, argument: str, content: Callable[[], bytes], reason: str
+    pki: Pki, files: Files, argument: str, content: Callable[[], bytes], reason: str
 ) -> None:
-    file = papers.ca.parent / "file.pem"
+    file = pki.ca.parent / "file.pem"
     file.write_bytes(content())
     options: dict[str, Any] = {"certificate": files.cert, "key": files.key}
-    options |= {argument: file} if argument == "pin" else {"trust": papers.ca, argument: file}
+    options |= {argument: file} if argument == "pin" else {"trust": pki.ca, argument: file}
     with pytest.raises(ValueError, match=exactly(f"{argument} {str(file)!r}: {reason}")):
         Security(**options)
 
@@ -100,33 +100,33 @@ def test_the_names_of_urls_are_refused_with_those_of_arguments(wrong: str, right
         Security("own.pem", **{wrong: "x"})  # type: ignore[arg-type]
 
 
-def test_a_certificate_is_needed(papers: Papers, files: Files) -> None:
+def test_a_certificate_is_needed(pki: Pki, files: Files) -> None:
     with pytest.raises(TypeError, match="security needs certificate, a PEM file"):
-        Security(key=files.key, trust=papers.ca)
+        Security(key=files.key, trust=pki.ca)
 
 
 def test_without_a_file_of_its_own_the_key_is_looked_for_in_that_of_the_certificate(
-    tmp_path: Path, papers: Papers, files: Files
+    tmp_path: Path, pki: Pki, files: Files
 ) -> None:
     with pytest.raises(ValueError, match=r"^key '.*': no key in PEM format; name its file as key$"):
-        Security(files.cert, trust=papers.ca)
+        Security(files.cert, trust=pki.ca)
     both = tmp_path / "both.pem"
     both.write_bytes(files.key.read_bytes() + files.cert.read_bytes())
-    assert Security(both, trust=papers.ca).own == certificates.client().der
+    assert Security(both, trust=pki.ca).own == certificates.client().der
 
 
-def test_a_key_that_is_too_short_is_the_certificate_s_fault(papers: Papers) -> None:
-    short = papers.files(make("short", key=rsa.generate_private_key(65537, 1024)))
+def test_a_key_that_is_too_short_is_the_certificate_s_fault(pki: Pki) -> None:
+    short = pki.files(make("short", key=rsa.generate_private_key(65537, 1024)))
     with pytest.raises(ValueError, match=r"^certificate '.*': ee key too small$"):
-        Security(short.cert, short.key, trust=papers.ca)
+        Security(short.cert, short.key, trust=pki.ca)
 
 
 @each_case("argument", ["certificate", "key", "trust", "pin"])
-def test_what_is_no_file_is_named(papers: Papers, files: Files, argument: str) -> None:
+def test_what_is_no_file_is_named(pki: Pki, files: Files, argument: str) -> None:
     good: dict[str, Any] = {"certificate": files.cert, "key": files.key}
     if argument != "pin":
-        good["trust"] = papers.ca
-    directory = papers.ca.parent
+        good["trust"] = pki.ca
+    directory = pki.ca.parent
     for wrong, error, reason in (
         (directory, ValueError, f"{argument} {str(directory)!r}: Is a directory"),
         ("a\0b", ValueError, f"{argument} 'a\\x00b': no file can have this name"),
@@ -150,13 +150,13 @@ except ValueError as error:
 """
 
 
-def test_a_file_that_one_may_not_read_is_named(papers: Papers) -> None:
+def test_a_file_that_one_may_not_read_is_named(pki: Pki) -> None:
     with tempfile.TemporaryDirectory() as name:
         directory = Path(name)
         directory.chmod(0o755)
         identity = certificates.save(directory, certificates.client(), "client")
         identity.key.chmod(0)
-        program = [sys.executable, "-c", READS, identity.cert, identity.key, papers.ca]
+        program = [sys.executable, "-c", READS, identity.cert, identity.key, pki.ca]
         done = subprocess.run(program, capture_output=True, text=True, timeout=30, check=False)
         assert done.stdout == f"key {str(identity.key)!r}: Permission denied\n", done.stderr
 
@@ -165,9 +165,9 @@ def test_a_file_that_one_may_not_read_is_named(papers: Papers) -> None:
 
 
 @pytest.mark.parametrize("form", ["PKCS #8", "traditional"])
-def test_an_encrypted_key_needs_its_password(tmp_path: Path, papers: Papers, form: str) -> None:
+def test_an_encrypted_key_needs_its_password(tmp_path: Path, pki: Pki, form: str) -> None:
     identity = certificates.client()
-    cert = papers.files(identity).cert
+    cert = pki.files(identity).cert
     key = tmp_path / "key.pem"
     key.write_bytes(
         identity.key.private_bytes(
@@ -178,32 +178,32 @@ def test_an_encrypted_key_needs_its_password(tmp_path: Path, papers: Papers, for
             serialization.BestAvailableEncryption("Prüfer".encode()),
         )
     )
-    Security(cert, key, trust=papers.ca, password="Prüfer")
+    Security(cert, key, trust=pki.ca, password="Prüfer")
     for password in ("Pruefer", "", "x" * 1024):
         with pytest.raises(ValueError, match=r"^key '.*key.pem': the password is another$"):
-            Security(cert, key, trust=papers.ca, password=password)
+            Security(cert, key, trust=pki.ca, password=password)
     with pytest.raises(ValueError, match=r"^key '.*' is encrypted, and needs its password$"):
-        Security(cert, key, trust=papers.ca)
+        Security(cert, key, trust=pki.ca)
     with pytest.raises(ValueError, match="password cannot be longer than 1024 bytes"):
-        Security(cert, key, trust=papers.ca, password="ü" * 513)
+        Security(cert, key, trust=pki.ca, password="ü" * 513)
     for wrong in (b"secret", 5):
         with pytest.raises(TypeError, match="password must be a string, not "):
-            Security(cert, key, trust=papers.ca, password=wrong)  # type: ignore[arg-type]
+            Security(cert, key, trust=pki.ca, password=wrong)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="the password is another") as raised:
-        Security(cert, key, trust=papers.ca, password="S3cret")
+        Security(cert, key, trust=pki.ca, password="S3cret")
     assert "S3cret" not in str(raised.value)
 
 
-def test_a_password_is_never_asked_for_at_the_terminal(papers: Papers) -> None:
+def test_a_password_is_never_asked_for_at_the_terminal(pki: Pki) -> None:
     """OpenSSL would, if nobody gave it one."""
-    files = papers.files(certificates.client(), b"secret")
+    files = pki.files(certificates.client(), b"secret")
     program = (
         "import os, sys; from libmodbus_py import Security\n"
         "os.open(os.ttyname(0), os.O_RDWR)\n"  # which makes it the session's terminal
         "try: Security(sys.argv[1], sys.argv[2], trust=sys.argv[3])\n"
         "except ValueError as error: print(error)"
     )
-    command = [sys.executable, "-c", program, str(files.cert), str(files.key), str(papers.ca)]
+    command = [sys.executable, "-c", program, str(files.cert), str(files.key), str(pki.ca)]
     screen, terminal = pty.openpty()
     with subprocess.Popen(
         command, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True
@@ -224,13 +224,13 @@ def test_a_password_is_never_asked_for_at_the_terminal(papers: Papers) -> None:
 # --- whom one trusts ----------------------------------------------------------------------------
 
 
-def test_trust_or_pin_but_not_both(papers: Papers, files: Files) -> None:
-    for options in ({}, {"trust": papers.ca, "pin": files.cert}):
+def test_trust_or_pin_but_not_both(pki: Pki, files: Files) -> None:
+    for options in ({}, {"trust": pki.ca, "pin": files.cert}):
         with pytest.raises(ValueError, match="either trust, the authorities, or pin"):
             Security(files.cert, files.key, **options)
 
 
-def test_pins_are_files_or_hashes(papers: Papers, files: Files) -> None:
+def test_pins_are_files_or_hashes(pki: Pki, files: Files) -> None:
     own = certificates.client().der
     for pin in (files.cert, str(files.cert), [files.cert], iter([files.cert])):
         made = Security(files.cert, files.key, pin=pin)
@@ -239,8 +239,8 @@ def test_pins_are_files_or_hashes(papers: Papers, files: Files) -> None:
     colons = ":".join(f"{byte:02X}" for byte in bytes.fromhex(digest(own)))
     for pin in (digest(own), digest(own).upper(), colons, [DIGEST, colons]):
         assert Security(files.cert, files.key, pin=pin).accepts(own)
-    bundle = papers.ca.parent / "bundle.pem"
-    bundle.write_bytes(files.cert.read_bytes() + papers.ca.read_bytes())
+    bundle = pki.ca.parent / "bundle.pem"
+    bundle.write_bytes(files.cert.read_bytes() + pki.ca.read_bytes())
     made = Security(files.cert, files.key, pin=bundle)
     assert made.accepts(own)
     assert not made.accepts(certificates.authority().der)  # it is the chain of the first
@@ -283,12 +283,12 @@ def test_a_server_needs_the_certificates_that_it_pins(files: Files) -> None:
         pass
 
 
-def test_server_names_are_looked_at_before_they_are_used(papers: Papers, files: Files) -> None:
+def test_server_names_are_looked_at_before_they_are_used(pki: Pki, files: Files) -> None:
     for name in ("", ".plc", "a" * 300, "a\0b"):
         with pytest.raises(ValueError, match=r"^server_name must be a name or an address, not "):
-            Security(files.cert, files.key, trust=papers.ca, server_name=name)
+            Security(files.cert, files.key, trust=pki.ca, server_name=name)
     with pytest.raises(TypeError, match="server_name must be a string, not int"):
-        Security(files.cert, files.key, trust=papers.ca, server_name=5)  # type: ignore[arg-type]
+        Security(files.cert, files.key, trust=pki.ca, server_name=5)  # type: ignore[arg-type]
     for name in (
         "plc",
         "plc.example",
@@ -297,15 +297,15 @@ def test_server_names_are_looked_at_before_they_are_used(papers: Papers, files: 
         "fe80::7%eth0",
         "müller.example",
     ):
-        Security(files.cert, files.key, trust=papers.ca, server_name=name)
+        Security(files.cert, files.key, trust=pki.ca, server_name=name)
 
 
-def test_files_are_read_once(papers: Papers) -> None:
+def test_files_are_read_once(pki: Pki) -> None:
     """But for those of a server, which it reads when it begins."""
-    files = papers.files(certificates.server())
-    security = Security(files.cert, files.key, trust=papers.ca)
+    files = pki.files(certificates.server())
+    security = Security(files.cert, files.key, trust=pki.ca)
     security.check_server()
-    for file in (files.cert, files.key, papers.ca):
+    for file in (files.cert, files.key, pki.ca):
         file.unlink()
     security.check_server()
     for tunnel in (security.to_server("plc"), security.to_client()):
@@ -314,7 +314,7 @@ def test_files_are_read_once(papers: Papers) -> None:
             tunnel.handshake()
 
 
-def test_its_repr_has_no_secret(papers: Papers) -> None:
-    files = papers.files(certificates.client(), b"secret")
-    made = repr(Security(files.cert, files.key, trust=papers.ca, password="secret"))
-    assert made == f"Security({str(files.cert)!r}, trust={str(papers.ca)!r})"
+def test_its_repr_has_no_secret(pki: Pki) -> None:
+    files = pki.files(certificates.client(), b"secret")
+    made = repr(Security(files.cert, files.key, trust=pki.ca, password="secret"))
+    assert made == f"Security({str(files.cert)!r}, trust={str(pki.ca)!r})"

@@ -39,7 +39,7 @@ from libmodbus_py.serve import Allow, Asked, Audit, AuditEvent, AuditFile
 from libmodbus_py.server import audit
 from tests.support import certificates
 from tests.support.cases import each_case
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.events import Events, named, whose
 from tests.support.names import NEEDS_IPV6
 from tests.support.peers import until
@@ -215,7 +215,7 @@ def test_a_gateway_records_what_its_devices_answered(events: Events) -> None:
 
 
 def test_the_life_of_a_server_and_of_a_client_with_a_certificate_are_recorded(
-    tmp_path: Path, papers: Papers, events: Events
+    tmp_path: Path, pki: Pki, events: Events
 ) -> None:
     operator = certificates.client("Operator")
     crl = tmp_path / "crl.pem"
@@ -223,16 +223,16 @@ def test_the_life_of_a_server_and_of_a_client_with_a_certificate_are_recorded(
     server = Server(
         device(),
         limits=Limits(certificate_interval=0.01),
-        security=papers.server(crl=crl),
+        security=pki.server(crl=crl),
         audit=events.append,
     )
     with server.background("tls://127.0.0.1:0") as running:
         (url,) = running.urls
-        with Client(f"tls://127.0.0.1:{parse(url).port}", security=papers.client()) as plc:
+        with Client(f"tls://127.0.0.1:{parse(url).port}", security=pki.client()) as plc:
             plc.write_register(0, 9)
             crl.write_bytes(certificates.revocation_list(operator))
             renewed = certificates.server(days=29)
-            server.security = papers.security(renewed, crl=crl)
+            server.security = pki.security(renewed, crl=crl)
             until(lambda: len(events) == 3 and len(events.own) == 2)
 
             def is_refused() -> bool:

@@ -30,14 +30,14 @@ from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.tls import Handshakes
 from tests.simulation.network import Network
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.clients import Connect
 from tests.support.peers import until
 from tests.support.tls import serving
 
 QUICK = Limits(certificate_interval=0.01)
 
-# The certificate of `Papers.client`.
+# The certificate of `Pki.client`.
 OPERATOR = partial(certificates.client, "Operator")
 
 
@@ -50,7 +50,7 @@ def crl(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def gateway(papers: Papers, **options: Any) -> Iterator[tuple[Gateway, int]]:
+def gateway(pki: Pki, **options: Any) -> Iterator[tuple[Gateway, int]]:
     device = Device(Mapping(holding_registers=10))
     with Server(device).background("tcp://127.0.0.1:0") as behind:
         made = Gateway([Route(behind.urls[0])], **options)
@@ -60,13 +60,13 @@ def gateway(papers: Papers, **options: Any) -> Iterator[tuple[Gateway, int]]:
 
 @pytest.mark.parametrize("served", [serving, gateway])
 def test_a_client_whose_certificate_is_revoked_is_closed(
-    papers: Papers, crl: Path, served: Callable[..., Any]
+    pki: Pki, crl: Path, served: Callable[..., Any]
 ) -> None:
-    security = papers.server(crl=crl)
+    security = pki.server(crl=crl)
     with (
-        served(papers, security=security, limits=QUICK) as (server, port),
-        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as thief,
-        Client(f"tls://127.0.0.1:{port}", security=papers.client("Viewer")) as other,
+        served(pki, security=security, limits=QUICK) as (server, port),
+        Client(f"tls://127.0.0.1:{port}", security=pki.client()) as thief,
+        Client(f"tls://127.0.0.1:{port}", security=pki.client("Viewer")) as other,
     ):
         assert thief.read_holding_registers(0, 1) == other.read_holding_registers(0, 1) == [0]
         crl.write_bytes(certificates.revocation_list(OPERATOR()))
@@ -79,11 +79,11 @@ def test_a_client_whose_certificate_is_revoked_is_closed(
 
 
 def test_a_client_whose_certificate_has_expired_is_closed(
-    papers: Papers, monkeypatch: pytest.MonkeyPatch
+    pki: Pki, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with (
-        serving(papers, limits=QUICK) as (server, port),
-        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
+        serving(pki, limits=QUICK) as (server, port),
+        Client(f"tls://127.0.0.1:{port}", security=pki.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
         end = certificates.end(OPERATOR().certificate).timestamp()
@@ -91,13 +91,13 @@ def test_a_client_whose_certificate_has_expired_is_closed(
         until(lambda: server.statistics.closed_untrusted == 1)
 
 
-def test_a_client_whose_pin_was_removed_is_closed(papers: Papers, tmp_path: Path) -> None:
+def test_a_client_whose_pin_was_removed_is_closed(pki: Pki, tmp_path: Path) -> None:
     pin = tmp_path / "pin.pem"
     pin.write_bytes(OPERATOR().pem)
-    security = papers.server(pin=pin)
+    security = pki.server(pin=pin)
     with (
-        serving(papers, security=security, limits=QUICK) as (server, port),
-        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
+        serving(pki, security=security, limits=QUICK) as (server, port),
+        Client(f"tls://127.0.0.1:{port}", security=pki.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
         security.reload()
@@ -107,33 +107,33 @@ def test_a_client_whose_pin_was_removed_is_closed(papers: Papers, tmp_path: Path
         until(lambda: server.statistics.closed_untrusted == 1)
 
 
-def test_other_certificates_can_be_set_while_the_server_runs(papers: Papers) -> None:
+def test_other_certificates_can_be_set_while_the_server_runs(pki: Pki) -> None:
     """Who is trusted by both stays; who signed the others does not matter."""
     with (
-        serving(papers, limits=QUICK) as (server, port),
-        Client(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
+        serving(pki, limits=QUICK) as (server, port),
+        Client(f"tls://127.0.0.1:{port}", security=pki.client()) as plc,
     ):
         plc.read_holding_registers(0, 1)
         with pytest.raises(TypeError, match="security must be Security, not str"):
             server.security = "own.pem"  # type: ignore[assignment]
-        bad = papers.security(certificates.server(), pin="ab" * 32)
+        bad = pki.security(certificates.server(), pin="ab" * 32)
         with pytest.raises(ValueError, match="a server needs the certificate"):
             server.security = bad
         assert plc.read_holding_registers(0, 1) == [0]
-        foreign = papers.authority(certificates.foreign_authority())
-        server.security = papers.server(trust=foreign)
+        foreign = pki.authority(certificates.foreign_authority())
+        server.security = pki.server(trust=foreign)
         until(lambda: server.statistics.closed_untrusted == 1)
         with pytest.raises(ModbusConnectionError):
             plc.read_holding_registers(0, 1)
 
 
 def test_a_client_leaves_a_server_whose_certificate_is_revoked(
-    papers: Papers, crl: Path, connect: Connect, monkeypatch: pytest.MonkeyPatch
+    pki: Pki, crl: Path, connect: Connect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tls, "CERTIFICATE_INTERVAL", 0.0)
-    security = papers.client(crl=crl)
+    security = pki.client(crl=crl)
     with (
-        serving(papers, limits=QUICK) as (_, port),
+        serving(pki, limits=QUICK) as (_, port),
         connect(f"tls://127.0.0.1:{port}", security=security) as plc,
     ):
         assert plc.read_holding_registers(0, 1) == [0]
@@ -145,13 +145,13 @@ def test_a_client_leaves_a_server_whose_certificate_is_revoked(
 
 
 def test_a_client_leaves_a_server_whose_certificate_has_expired(
-    papers: Papers, connect: Connect, monkeypatch: pytest.MonkeyPatch
+    pki: Pki, connect: Connect, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The next handshake would be refused by OpenSSL, whose clock this test leaves alone."""
     monkeypatch.setattr(tls, "CERTIFICATE_INTERVAL", 0.0)
     with (
-        serving(papers) as (server, port),
-        connect(f"tls://127.0.0.1:{port}", security=papers.client()) as plc,
+        serving(pki) as (server, port),
+        connect(f"tls://127.0.0.1:{port}", security=pki.client()) as plc,
     ):
         assert plc.read_holding_registers(0, 1) == [0]
         later = iter([time.time() + 366 * 86_400])
@@ -168,12 +168,12 @@ PLACE = "tls://10.0.0.1:802"
 INTERVAL = 10.0
 
 
-def test_a_closed_endpoint_looks_at_no_certificate_any_more(papers: Papers) -> None:
+def test_a_closed_endpoint_looks_at_no_certificate_any_more(pki: Pki) -> None:
     statistics = ServerStatistics()
 
     async def main() -> None:
         limits = Limits(certificate_interval=INTERVAL)
-        handshakes = Handshakes(papers.server(), limits, statistics)
+        handshakes = Handshakes(pki.server(), limits, statistics)
         handshakes.open(PLACE)
         for _ in range(3):
             assert statistics.certificate_ends.pop(PLACE) > 0

@@ -24,7 +24,7 @@ from libmodbus_py.server.service import Session
 from libmodbus_py.server.tls import Handshakes, TlsSession
 from tests.simulation.network import Network
 from tests.support.cases import each_case
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.chunks import FakeChannel
 
 
@@ -82,13 +82,13 @@ def never(_: object) -> Session:
 
 
 def test_half_open_handshakes_of_one_address_take_nobody_elses_place(
-    monkeypatch: pytest.MonkeyPatch, papers: Papers
+    monkeypatch: pytest.MonkeyPatch, pki: Pki
 ) -> None:
     monkeypatch.setattr(tls, "HALF_OPEN", 10)
 
     async def main() -> None:
         statistics = ServerStatistics()
-        security = papers.server()
+        security = pki.server()
         handshakes = Handshakes(security, Limits(), statistics)
         sessions: list[TlsSession] = []
 
@@ -113,14 +113,12 @@ def test_half_open_handshakes_of_one_address_take_nobody_elses_place(
     asyncio.run(main())
 
 
-def test_handshakes_of_addresses_take_turns(
-    monkeypatch: pytest.MonkeyPatch, papers: Papers
-) -> None:
+def test_handshakes_of_addresses_take_turns(monkeypatch: pytest.MonkeyPatch, pki: Pki) -> None:
     stepped: list[str] = []
     monkeypatch.setattr(TlsSession, "take_step", lambda self: stepped.append(self.address))
 
     async def main() -> None:
-        security = papers.server()
+        security = pki.server()
         handshakes = Handshakes(security, Limits(), ServerStatistics())
         hosts = ["192.0.2.1"] * 5 + ["192.0.2.2"]
         sessions = [

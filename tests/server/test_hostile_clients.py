@@ -22,7 +22,7 @@ from tests.support.attacks import (
     ask,
     connect,
 )
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 
 READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
@@ -155,7 +155,7 @@ def test_an_innocent_client_waits_for_few_of_the_others(
     server = Server(
         {UNIT: Device(Mapping(holding_registers=2000))},
         limits=Limits(max_connections=1500),
-        security=Papers(tmp_path).server() if attack.scheme == "tls" else None,
+        security=Pki(tmp_path).server() if attack.scheme == "tls" else None,
     )
     urls = ["tcp://10.0.0.1:0", f"{attack.scheme}://10.0.0.1:0"]
     with server.background(*urls) as running, stage.talk(running.urls[0]) as client:

@@ -19,7 +19,7 @@ from libmodbus_py.serve import Allow, Rules
 from tests.simulation.stage import Stage
 from tests.support import certificates
 from tests.support.attacks import READ_ONE, adu
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.tls import TlsClient, context
 
 TABLE = (Path(__file__).parents[2] / "docs" / "log.md").read_text()
@@ -42,26 +42,26 @@ def asking(stage: Stage, server: Server | Gateway, data: bytes = b"") -> Iterato
 
 
 def limited(data: bytes = b"", **limits: Any) -> Callable[..., AbstractContextManager[None]]:
-    def cause(stage: Stage, papers: Papers) -> AbstractContextManager[None]:
+    def cause(stage: Stage, pki: Pki) -> AbstractContextManager[None]:
         device = Device(Mapping(holding_registers=10))
         return asking(stage, Server(device, limits=Limits(**limits)), data)
 
     return cause
 
 
-def without_a_right(stage: Stage, papers: Papers) -> AbstractContextManager[None]:
+def without_a_right(stage: Stage, pki: Pki) -> AbstractContextManager[None]:
     device = Device(Mapping(holding_registers=10), authorize=Rules({None: Allow(read="all")}))
     return asking(stage, Server(device), adu(WRITE_ONE))
 
 
-def on_a_read_only_route(stage: Stage, papers: Papers) -> AbstractContextManager[None]:
+def on_a_read_only_route(stage: Stage, pki: Pki) -> AbstractContextManager[None]:
     stage.line("/dev/line")
     return asking(stage, Gateway([Route("rtu:///dev/line", read_only=True)]), adu(WRITE_ONE))
 
 
 @contextmanager
-def greeting(stage: Stage, papers: Papers, **options: Any) -> Iterator[int]:
-    server = Server(Device(Mapping(10)), security=papers.server(**options))
+def greeting(stage: Stage, pki: Pki, **options: Any) -> Iterator[int]:
+    server = Server(Device(Mapping(10)), security=pki.server(**options))
     with server.background("tls://127.0.0.1:0") as running:
         yield int(running.urls[0].rpartition(":")[2])
 
@@ -70,15 +70,15 @@ def presenting(
     identity: Callable[[], Any], *revoked: Any
 ) -> Callable[..., AbstractContextManager[None]]:
     @contextmanager
-    def cause(stage: Stage, papers: Papers) -> Iterator[None]:
+    def cause(stage: Stage, pki: Pki) -> Iterator[None]:
         options = {}
         if revoked:
-            path = papers.files(certificates.server()).cert.with_name("crl.pem")
+            path = pki.files(certificates.server()).cert.with_name("crl.pem")
             path.write_bytes(certificates.revocation_list(*(each() for each in revoked)))
             options["crl"] = path
-        with greeting(stage, papers, **options) as port:
+        with greeting(stage, pki, **options) as port:
             for _ in range(TIMES):
-                told = context(papers, identity(), ssl.TLSVersion.TLSv1_2)
+                told = context(pki, identity(), ssl.TLSVersion.TLSv1_2)
                 with TlsClient(port, told, stage=stage) as client, pytest.raises(ssl.SSLError):
                     client.handshake()
             yield
@@ -87,8 +87,8 @@ def presenting(
 
 
 @contextmanager
-def without_a_handshake(stage: Stage, papers: Papers) -> Iterator[None]:
-    with greeting(stage, papers) as port:
+def without_a_handshake(stage: Stage, pki: Pki) -> Iterator[None]:
+    with greeting(stage, pki) as port:
         waiting = [stage.talk(port) for _ in range(TIMES)]
         stage.pass_time(6)
         assert all(client.is_closed() for client in waiting)
@@ -136,11 +136,11 @@ TROUBLES: dict[str, tuple[Callable[..., AbstractContextManager[Any]], str]] = {
 
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_trouble_is_a_line_and_then_a_line_a_minute(
-    stage: Stage, papers: Papers, trouble: str, caplog: pytest.LogCaptureFixture
+    stage: Stage, pki: Pki, trouble: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     cause, text = TROUBLES[trouble]
     with ExitStack() as stack, caplog.at_level(logging.WARNING):
-        stack.enter_context(cause(stage, papers))
+        stack.enter_context(cause(stage, pki))
         (line,) = caplog.messages
         stage.pass_time(61)
         stage.pass_time(600)

@@ -22,7 +22,7 @@ from libmodbus_py.tools.certificates import Identity
 from tests.simulation.stage import Stage
 from tests.support import certificates
 from tests.support.attacks import PATIENCE
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.events import Events, named, whose
 from tests.support.tls import ONE, VERSION, VERSIONS, TlsClient, context, serving, talking
 
@@ -44,10 +44,8 @@ def noting(roles: list[str | None]) -> Device:
 
 
 @pytest.fixture
-def served(
-    stage: Stage, papers: Papers, noting: Device, events: Events
-) -> Iterator[tuple[Server, int]]:
-    with serving(papers, noting, audit=events.append) as served:
+def served(stage: Stage, pki: Pki, noting: Device, events: Events) -> Iterator[tuple[Server, int]]:
+    with serving(pki, noting, audit=events.append) as served:
         yield served
 
 
@@ -55,10 +53,10 @@ def served(
 
 
 def test_an_authority_below_may_have_signed_if_it_is_shown(
-    stage: Stage, served: tuple[Server, int], papers: Papers, roles: list[str | None]
+    stage: Stage, served: tuple[Server, int], pki: Pki, roles: list[str | None]
 ) -> None:
     identity = certificates.client("Chief", issuer=certificates.intermediate())
-    with TlsClient(served[1], context(papers, identity), stage=stage).handshake() as client:
+    with TlsClient(served[1], context(pki, identity), stage=stage).handshake() as client:
         assert client.is_answered()
     assert roles == ["Chief"]
 
@@ -79,17 +77,17 @@ GCM = "AES128-GCM-SHA256"
 )
 def test_the_suites_that_must_be_there_are(
     stage: Stage,
-    papers: Papers,
+    pki: Pki,
     key: str,
     version: str,
     ciphers: str | None,
     negotiated: str,
 ) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
-    security = papers.security(certificates.server(**keys))
-    told = context(papers, certificates.client(**keys), VERSIONS[version], ciphers)
+    security = pki.security(certificates.server(**keys))
+    told = context(pki, certificates.client(**keys), VERSIONS[version], ciphers)
     with (
-        serving(papers, security=security) as (server, port),
+        serving(pki, security=security) as (server, port),
         TlsClient(port, told, stage=stage).handshake() as client,
     ):
         assert client.is_answered()
@@ -113,14 +111,12 @@ def test_the_suites_that_must_be_there_are(
     ],
     ids=lambda ciphers: ciphers.partition(":")[0],
 )
-def test_suites_that_are_weak_are_refused(
-    stage: Stage, papers: Papers, key: str, ciphers: str
-) -> None:
+def test_suites_that_are_weak_are_refused(stage: Stage, pki: Pki, key: str, ciphers: str) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
-    security = papers.security(certificates.server(**keys))
-    told = context(papers, certificates.client(**keys), VERSIONS["1.2"], f"{ciphers}:@SECLEVEL=0")
+    security = pki.security(certificates.server(**keys))
+    told = context(pki, certificates.client(**keys), VERSIONS["1.2"], f"{ciphers}:@SECLEVEL=0")
     with (
-        serving(papers, security=security) as (server, port),
+        serving(pki, security=security) as (server, port),
         TlsClient(port, told, stage=stage) as client,
     ):
         with pytest.raises(ssl.SSLError, match="HANDSHAKE_FAILURE"):
@@ -131,9 +127,9 @@ def test_suites_that_are_weak_are_refused(
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1])
 def test_older_versions_are_refused(
-    stage: Stage, papers: Papers, served: tuple[Server, int], version: ssl.TLSVersion
+    stage: Stage, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
-    told = context(papers, certificates.client(), version, "ALL:@SECLEVEL=0")
+    told = context(pki, certificates.client(), version, "ALL:@SECLEVEL=0")
     with (
         TlsClient(served[1], told, stage=stage) as client,
         pytest.raises(ssl.SSLError, match="PROTOCOL_VERSION"),  # R-01, R-34
@@ -208,7 +204,7 @@ BAD: dict[str, tuple[Callable[[], Identity | None], str, str | None]] = {
 @pytest.mark.parametrize("who", BAD)
 def test_nobody_gets_in_with_a_bad_certificate(
     stage: Stage,
-    papers: Papers,
+    pki: Pki,
     served: tuple[Server, int],
     roles: list[str | None],
     events: Events,
@@ -219,7 +215,7 @@ def test_nobody_gets_in_with_a_bad_certificate(
     make_identity, logged, alert = BAD[who]
     server, port = served
     identity = make_identity()
-    told = context(papers, identity, version)
+    told = context(pki, identity, version)
     peers = []
     with caplog.at_level(logging.INFO):
         for _ in range(2):  # neither at first, nor with the session of the first time (R-11)
@@ -252,10 +248,10 @@ def test_nobody_gets_in_with_a_bad_certificate(
 
 @VERSION
 def test_a_session_of_one_that_was_refused_is_refused(
-    stage: Stage, papers: Papers, served: tuple[Server, int], version: ssl.TLSVersion
+    stage: Stage, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
     """Its role is read when OpenSSL has given the ticket away."""
-    told = context(papers, BAD["two roles"][0](), version)
+    told = context(pki, BAD["two roles"][0](), version)
     session = None
     for _ in range(3):
         with TlsClient(served[1], told, session, stage=stage) as client:
@@ -281,17 +277,17 @@ with Server(Device(Mapping(1, 1, 1, 1)), security=security).background("tls://12
 """
 
 
-def test_without_cryptography_only_roles_are_refused(papers: Papers) -> None:
-    files = papers.files(certificates.server())
-    command = [sys.executable, "-c", WITHOUT_CRYPTOGRAPHY, files.cert, files.key, papers.ca]
+def test_without_cryptography_only_roles_are_refused(pki: Pki) -> None:
+    files = pki.files(certificates.server())
+    command = [sys.executable, "-c", WITHOUT_CRYPTOGRAPHY, files.cert, files.key, pki.ca]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
         port = int(process.stdout.readline().rpartition(":")[2])
-        with TlsClient(port, context(papers, certificates.client(None))).handshake() as client:
+        with TlsClient(port, context(pki, certificates.client(None))).handshake() as client:
             assert client.is_answered()
-        with TlsClient(port, context(papers, certificates.client("Chief"))).handshake() as client:
+        with TlsClient(port, context(pki, certificates.client("Chief"))).handshake() as client:
             assert client.ask(ONE, 1) == b""
         logged, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
@@ -302,24 +298,24 @@ def test_without_cryptography_only_roles_are_refused(papers: Papers) -> None:
 
 
 @pytest.mark.parametrize("how", ["one", "several", "with a hash"])
-def test_only_those_that_are_pinned_get_in(stage: Stage, papers: Papers, how: str) -> None:
+def test_only_those_that_are_pinned_get_in(stage: Stage, pki: Pki, how: str) -> None:
     mine = certificates.self_signed(role="Installer")
-    files = [papers.files(mine).cert]
+    files = [pki.files(mine).cert]
     if how != "one":
-        files.append(papers.files(certificates.self_signed("another")).cert)
+        files.append(pki.files(certificates.self_signed("another")).cert)
     pin = [*map(str, files), digest(mine)] if how == "with a hash" else files
-    security = papers.server(pin=pin if how != "one" else pin[0])
+    security = pki.server(pin=pin if how != "one" else pin[0])
     strangers = [
         certificates.client(),
         certificates.self_signed("a third"),
         certificates.self_signed("Test device", days=2),  # the same name
     ]
-    with serving(papers, security=security) as (server, port):
-        with TlsClient(port, context(papers, mine), stage=stage).handshake() as client:
+    with serving(pki, security=security) as (server, port):
+        with TlsClient(port, context(pki, mine), stage=stage).handshake() as client:
             assert client.is_answered()
         for stranger in strangers:
             with (
-                TlsClient(port, context(papers, stranger), stage=stage) as client,
+                TlsClient(port, context(pki, stranger), stage=stage) as client,
                 pytest.raises(ssl.SSLError, match=r"UNKNOWN_CA|BAD_CERT|DECRYPT"),
             ):
                 client.handshake().ask(ONE, 1)
@@ -332,25 +328,25 @@ def digest(identity: Identity | None) -> str:
 
 
 def test_what_a_pinned_one_has_signed_is_not_pinned(
-    stage: Stage, papers: Papers, caplog: pytest.LogCaptureFixture
+    stage: Stage, pki: Pki, caplog: pytest.LogCaptureFixture
 ) -> None:
     """OpenSSL takes it, for the pinned one is what it trusts."""
-    security = papers.server(pin=papers.authority(certificates.authority()))
+    security = pki.server(pin=pki.authority(certificates.authority()))
     with (
         caplog.at_level(logging.INFO),
-        talking(stage, papers, security=security) as (server, client),
+        talking(stage, pki, security=security) as (server, client),
     ):
         assert client.ask(ONE, 1) == b""
         assert (server.statistics.handshakes, server.statistics.handshakes_refused) == (0, 1)
     assert "none of the pins" in caplog.text
 
 
-def test_a_pinned_one_must_be_good_for_clients(stage: Stage, papers: Papers) -> None:
+def test_a_pinned_one_must_be_good_for_clients(stage: Stage, pki: Pki) -> None:
     """OpenSSL looks at the extended key usage, and cannot be told not to."""
     mine = certificates.server_only()
-    security = papers.server(pin=papers.files(mine).cert)
-    with serving(papers, security=security) as (_, port):
-        told = context(papers, mine)
+    security = pki.server(pin=pki.files(mine).cert)
+    with serving(pki, security=security) as (_, port):
+        told = context(pki, mine)
         with (
             TlsClient(port, told, stage=stage) as client,
             pytest.raises(ssl.SSLError, match="UNSUPPORTED"),
@@ -360,13 +356,13 @@ def test_a_pinned_one_must_be_good_for_clients(stage: Stage, papers: Papers) -> 
 
 @VERSION
 def test_a_pinned_one_may_be_old_also_when_it_resumes(
-    stage: Stage, papers: Papers, version: ssl.TLSVersion
+    stage: Stage, pki: Pki, version: ssl.TLSVersion
 ) -> None:
     mine = certificates.self_signed(**certificates.expired())
-    told = context(papers, mine, version)
-    security = papers.server(pin=papers.files(mine).cert)
+    told = context(pki, mine, version)
+    security = pki.server(pin=pki.files(mine).cert)
     session = None
-    with serving(papers, security=security) as (server, port):
+    with serving(pki, security=security) as (server, port):
         for _ in range(2):
             with TlsClient(port, told, session, stage=stage).handshake() as client:
                 assert client.is_answered()
@@ -379,10 +375,10 @@ def test_a_pinned_one_may_be_old_also_when_it_resumes(
 
 @pytest.mark.parametrize("how", ["1.2", "1.2 without tickets", "1.3"])
 def test_a_session_that_is_resumed_keeps_its_role(
-    stage: Stage, papers: Papers, served: tuple[Server, int], roles: list[str | None], how: str
+    stage: Stage, pki: Pki, served: tuple[Server, int], roles: list[str | None], how: str
 ) -> None:
     server, port = served
-    told = context(papers, certificates.client("Chief"), VERSIONS[how[:3]])
+    told = context(pki, certificates.client("Chief"), VERSIONS[how[:3]])
     if how.endswith("tickets"):
         told.options |= ssl.OP_NO_TICKET
     session = None
@@ -398,7 +394,7 @@ def test_a_session_that_is_resumed_keeps_its_role(
 @VERSION
 def test_a_certificate_that_expired_meanwhile_resumes_nothing(
     stage: Stage,
-    papers: Papers,
+    pki: Pki,
     served: tuple[Server, int],
     caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
@@ -408,7 +404,7 @@ def test_a_certificate_that_expired_meanwhile_resumes_nothing(
     server, port = served
     end = datetime.now(UTC) + timedelta(hours=1)
     identity = certificates.client(begin=end - timedelta(hours=2), days=1 / 12)
-    told = context(papers, identity, version)
+    told = context(pki, identity, version)
     with TlsClient(port, told, stage=stage).handshake() as client:
         assert client.is_answered()
         session = client.tls.session

@@ -22,7 +22,7 @@ from libmodbus_py import Limits
 from tests.simulation.stage import Stage
 from tests.support import certificates
 from tests.support.attacks import ServerProcess, connect
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.tls import (
     ONE,
     ONE_ANSWER,
@@ -86,14 +86,14 @@ GARBAGE: dict[str, Callable[[], bytes]] = {
 @pytest.mark.parametrize("behind", ["at once", "behind a hello"])
 def test_what_is_no_tls_ends_the_connection(
     stage: Stage,
-    papers: Papers,
+    pki: Pki,
     what: str,
     behind: str,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    sent = (hello(papers) if behind != "at once" else b"") + GARBAGE[what]()
+    sent = (hello(pki) if behind != "at once" else b"") + GARBAGE[what]()
     limits = Limits(handshake_timeout=1)
-    with nothing_loud(caplog), serving(papers, limits=limits) as (server, port):
+    with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):
         with stage.talk(port) as hostile:
             with contextlib.suppress(OSError):
                 hostile.sendall(sent)
@@ -102,15 +102,15 @@ def test_what_is_no_tls_ends_the_connection(
         statistics = server.statistics
         assert stage.until(lambda: statistics.connections == 0)
         assert statistics.handshakes == statistics.requests == 0
-        assert is_served(papers, port, stage)
+        assert is_served(pki, port, stage)
 
 
 def test_a_hello_with_anything_in_it_does_no_harm(
-    stage: Stage, papers: Papers, caplog: pytest.LogCaptureFixture
+    stage: Stage, pki: Pki, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Bytes of a good one are changed, a few at a time."""
-    good, chance = hello(papers), random.Random(7)
-    with nothing_loud(caplog), serving(papers) as (server, port):
+    good, chance = hello(pki), random.Random(7)
+    with nothing_loud(caplog), serving(pki) as (server, port):
         for _ in range(200):
             bad = bytearray(good)
             for _ in range(chance.choice((1, 2, 8))):
@@ -121,14 +121,14 @@ def test_a_hello_with_anything_in_it_does_no_harm(
                     hostile.shutdown(socket.SHUT_WR)
                 closed(hostile)
         assert stage.until(lambda: server.statistics.connections == 0)
-        assert is_served(papers, port, stage)
+        assert is_served(pki, port, stage)
 
 
-def test_resets_at_any_time_leave_nothing(papers: Papers, caplog: pytest.LogCaptureFixture) -> None:
-    first = hello(papers)
-    contexts = [context(papers, certificates.client(), each) for each in VERSIONS.values()]
-    with nothing_loud(caplog), serving(papers) as (server, port):
-        is_served(papers, port)
+def test_resets_at_any_time_leave_nothing(pki: Pki, caplog: pytest.LogCaptureFixture) -> None:
+    first = hello(pki)
+    contexts = [context(pki, certificates.client(), each) for each in VERSIONS.values()]
+    with nothing_loud(caplog), serving(pki) as (server, port):
+        is_served(pki, port)
         assert wait_until(lambda: server.statistics.connections == 0)
         before = descriptors()
         for sent in (b"", first[:100], first, first + first):
@@ -142,7 +142,7 @@ def test_resets_at_any_time_leave_nothing(papers: Papers, caplog: pytest.LogCapt
             reset(client.socket)
         assert wait_until(lambda: server.statistics.connections == 0)
         assert wait_until(lambda: descriptors() <= before)
-        assert is_served(papers, port)
+        assert is_served(pki, port)
 
 
 # --- hostile: behind it -------------------------------------------------------------------------
@@ -170,16 +170,16 @@ AFTER: dict[str, Callable[[TlsClient], bytes]] = {
 @pytest.mark.parametrize("what", AFTER)
 def test_what_is_no_record_ends_the_connection_but_no_other(
     stage: Stage,
-    papers: Papers,
+    pki: Pki,
     what: str,
     version: ssl.TLSVersion,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     with (
         nothing_loud(caplog),
-        serving(papers) as (server, port),
-        connected(stage, papers, port, version) as innocent,
-        connected(stage, papers, port, version) as hostile,
+        serving(pki) as (server, port),
+        connected(stage, pki, port, version) as innocent,
+        connected(stage, pki, port, version) as hostile,
     ):
         assert hostile.is_answered()
         # Behind a request, in one segment: what fails must not cost others their answers.
@@ -195,8 +195,8 @@ def test_what_is_no_record_ends_the_connection_but_no_other(
         assert innocent.is_answered()
 
 
-def test_who_is_cut_off_for_a_bad_record_gets_an_alert(stage: Stage, papers: Papers) -> None:
-    with talking(stage, papers) as (server, client):
+def test_who_is_cut_off_for_a_bad_record_gets_an_alert(stage: Stage, pki: Pki) -> None:
+    with talking(stage, pki) as (server, client):
         client.socket.sendall(flipped(client.encrypt(ONE)))
         with pytest.raises(ssl.SSLError, match="BAD_RECORD_MAC"):
             client.read()
@@ -211,13 +211,13 @@ def _has_read(process: subprocess.Popen[bytes]) -> bool:
 
 
 @pytest.mark.parametrize("command", ["R", "K", "k"])
-def test_openssl_may_not_negotiate_again_but_change_its_keys(papers: Papers, command: str) -> None:
+def test_openssl_may_not_negotiate_again_but_change_its_keys(pki: Pki, command: str) -> None:
     """R: negotiation; K: new keys both ways, k: its own (TLS 1.3)."""
-    files = papers.files(certificates.client())
+    files = pki.files(certificates.client())
     is_negotiation = command == "R"
-    with serving(papers) as (server, port):
+    with serving(pki) as (server, port):
         line = (
-            *("openssl", "s_client", "-connect", f"127.0.0.1:{port}", "-CAfile", papers.ca),
+            *("openssl", "s_client", "-connect", f"127.0.0.1:{port}", "-CAfile", pki.ca),
             *("-cert", files.cert, "-key", files.key),
             "-tls1_2" if is_negotiation else "-tls1_3",
         )
@@ -253,12 +253,12 @@ def test_openssl_may_not_negotiate_again_but_change_its_keys(papers: Papers, com
             assert b"KEYUPDATE" in said
         assert server.statistics.handshakes == 1
         assert wait_until(lambda: server.statistics.connections == 0)
-        assert is_served(papers, port)
+        assert is_served(pki, port)
 
 
-def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(stage: Stage, papers: Papers) -> None:
+def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(stage: Stage, pki: Pki) -> None:
     """Python's ssl sends one when what it gets is not a record."""
-    with talking(stage, papers) as (server, client):
+    with talking(stage, pki) as (server, client):
         assert client.is_answered()
         client._incoming.write(record(23, bytes(40)))
         with pytest.raises(ssl.SSLError):
@@ -269,11 +269,11 @@ def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(stage: Stage, papers: 
         assert server.statistics.closed_out_of_step == 1
 
 
-def test_what_comes_and_goes_leaves_no_memory(papers: Papers) -> None:
+def test_what_comes_and_goes_leaves_no_memory(pki: Pki) -> None:
     """Sessions that ended well, badly, early, and those that were refused."""
-    good = context(papers, certificates.client())
-    bad = context(papers, certificates.client(issuer=certificates.foreign_authority()))
-    first = hello(papers)
+    good = context(pki, certificates.client())
+    bad = context(pki, certificates.client(issuer=certificates.foreign_authority()))
+    first = hello(pki)
 
     def come_and_go() -> None:
         with TlsClient(port, good).handshake() as client:
@@ -286,7 +286,7 @@ def test_what_comes_and_goes_leaves_no_memory(papers: Papers) -> None:
             hostile.sendall(b"GET / HTTP/1.1\r\n\r\n")
             closed(hostile)
 
-    with serving(papers) as (server, port):
+    with serving(pki) as (server, port):
         for _ in range(10):
             come_and_go()
         tracemalloc.start()
@@ -306,16 +306,14 @@ def test_what_comes_and_goes_leaves_no_memory(papers: Papers) -> None:
 # --- the end, at any time -----------------------------------------------------------------------
 
 
-def test_a_server_that_ends_leaves_no_handshake(
-    papers: Papers, caplog: pytest.LogCaptureFixture
-) -> None:
-    first = hello(papers)
-    told = context(papers, certificates.client())
+def test_a_server_that_ends_leaves_no_handshake(pki: Pki, caplog: pytest.LogCaptureFixture) -> None:
+    first = hello(pki)
+    told = context(pki, certificates.client())
     before = descriptors()
     with nothing_loud(caplog):
         for pause in (0.0, 0.002, 0.01, 0.05):
             with contextlib.ExitStack() as stack:
-                with serving(papers) as (server, port):
+                with serving(pki) as (server, port):
                     clients = [stack.enter_context(TlsClient(port, told)) for _ in range(3)]
                     for client in clients:
                         client.handshake()
@@ -341,10 +339,10 @@ def test_a_server_that_ends_leaves_no_handshake(
 @pytest.mark.parametrize("what", ["half open", "idle"])
 @pytest.mark.filterwarnings("ignore:record_property is incompatible")
 def test_a_thousand_connections_have_room(
-    papers: Papers, what: str, record_property: Callable[[str, object], None]
+    pki: Pki, what: str, record_property: Callable[[str, object], None]
 ) -> None:
-    url = papers.url("tls://127.0.0.1:0", certificates.server())
-    told, first = context(papers, certificates.client()), hello(papers)
+    url = pki.url("tls://127.0.0.1:0", certificates.server())
+    told, first = context(pki, certificates.client()), hello(pki)
     count, some = 200, 20
     # All of them within the time that a handshake may take.
     with ServerProcess(url=url) as server, contextlib.ExitStack() as stack:
@@ -364,4 +362,4 @@ def test_a_thousand_connections_have_room(
         grown = (server.resident() - before) // count
         record_property("bytes per connection", grown)
         assert grown < 100_000
-        assert is_served(papers, server.port)
+        assert is_served(pki, server.port)

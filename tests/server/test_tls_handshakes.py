@@ -11,7 +11,7 @@ from libmodbus_py import Limits
 from libmodbus_py.server import tls as server_tls
 from tests.simulation.stage import Stage, Talker
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.tls import (
     ONE,
     VERSION,
@@ -29,10 +29,10 @@ from tests.support.tls import (
 
 @pytest.mark.parametrize("how", ["connects only", "greets only", "trickles"])
 def test_a_handshake_must_end_in_time(
-    stage: Stage, papers: Papers, how: str, caplog: pytest.LogCaptureFixture
+    stage: Stage, pki: Pki, how: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    first, limits = hello(papers), Limits(handshake_timeout=100)
-    with nothing_loud(caplog), serving(papers, limits=limits) as (server, port):
+    first, limits = hello(pki), Limits(handshake_timeout=100)
+    with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):
         begun = stage.now
         slow = stage.talk(port)
         if how == "greets only":
@@ -48,18 +48,16 @@ def test_a_handshake_must_end_in_time(
         assert stage.until(lambda: server.statistics.connections == 0)
         assert server.statistics.closed_slow == 1
         assert server.statistics.handshakes_refused == 0
-        assert is_served(papers, port, stage)
+        assert is_served(pki, port, stage)
 
 
 @VERSION
-def test_a_slow_handshake_is_not_hurried(
-    stage: Stage, papers: Papers, version: ssl.TLSVersion
-) -> None:
+def test_a_slow_handshake_is_not_hurried(stage: Stage, pki: Pki, version: ssl.TLSVersion) -> None:
     """The time of a frame begins when the handshake is over."""
     limits = Limits(handshake_timeout=1000, frame_timeout=0.2)
-    told = context(papers, certificates.client(), version)
+    told = context(pki, certificates.client(), version)
     with (
-        serving(papers, limits=limits) as (server, port),
+        serving(pki, limits=limits) as (server, port),
         TlsClient(port, told, stage=stage) as client,
     ):
         first = client.hello()
@@ -72,11 +70,11 @@ def test_a_slow_handshake_is_not_hurried(
 
 
 def test_the_oldest_half_open_one_makes_room(
-    stage: Stage, papers: Papers, monkeypatch: pytest.MonkeyPatch
+    stage: Stage, pki: Pki, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server_tls, "HALF_OPEN", 5)
-    first = hello(papers)
-    with serving(papers) as (server, port), contextlib.ExitStack() as stack:
+    first = hello(pki)
+    with serving(pki) as (server, port), contextlib.ExitStack() as stack:
         waiting = []
         for _ in range(8):
             waiting.append(stack.enter_context(stage.talk(port)))
@@ -88,7 +86,7 @@ def test_the_oldest_half_open_one_makes_room(
         silent = [stack.enter_context(stage.talk(port)) for _ in range(8)]
         assert all(map(still_open, silent + waiting[3:]))
         # And those that are through do not count.
-        assert is_served(papers, port, stage)
+        assert is_served(pki, port, stage)
         assert not still_open(waiting[3])
         assert still_open(waiting[4])
 
@@ -105,14 +103,12 @@ def still_open(connection: Talker) -> bool:
     return False
 
 
-def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(
-    stage: Stage, papers: Papers
-) -> None:
+def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(stage: Stage, pki: Pki) -> None:
     """By their client, by the sweep, and to make room."""
-    first = hello(papers)
+    first = hello(pki)
     limits = Limits(handshake_timeout=0.2, max_connections=40)
-    with serving(papers, limits=limits) as (server, port):
-        with connected(stage, papers, port) as innocent:
+    with serving(pki, limits=limits) as (server, port):
+        with connected(stage, pki, port) as innocent:
             assert innocent.is_answered()
             for _ in range(5):
                 with contextlib.ExitStack() as stack:
@@ -125,17 +121,17 @@ def test_handshakes_that_are_closed_in_the_line_cost_others_nothing(
                     stage.pass_time(0.4)
                 assert innocent.is_answered()
             assert stage.until(lambda: server.statistics.connections == 1)
-        assert is_served(papers, port, stage)
+        assert is_served(pki, port, stage)
         assert server.statistics.closed_for_others > 0
 
 
 def test_an_address_that_has_asked_too_much_does_not_hold_up_the_handshakes_of_others(
-    stage: Stage, papers: Papers
+    stage: Stage, pki: Pki
 ) -> None:
-    limits, first = Limits(requests_per_second=1), hello(papers)
-    told = context(papers, certificates.client())
+    limits, first = Limits(requests_per_second=1), hello(pki)
+    told = context(pki, certificates.client())
     with (
-        serving(papers, limits=limits) as (server, port),
+        serving(pki, limits=limits) as (server, port),
         TlsClient(port, told, source="127.0.0.2", stage=stage).handshake() as greedy,
         contextlib.ExitStack() as stack,
     ):
@@ -146,5 +142,5 @@ def test_an_address_that_has_asked_too_much_does_not_hold_up_the_handshakes_of_o
         greedy.send(ONE * 200)
         assert stage.until(lambda: server.statistics.requests > 15, 3)
         begun = stage.now
-        assert is_served(papers, port, stage)
+        assert is_served(pki, port, stage)
         assert stage.now - begun < 0.1

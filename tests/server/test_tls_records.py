@@ -19,7 +19,7 @@ from libmodbus_py import Device, Fault, Limits, Mapping
 from tests.simulation.stage import Stage
 from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, READ_MOST, READ_ONE, adu
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.interop import our_tls_server
 from tests.support.served import KINDS, NEVER
 from tests.support.tls import (
@@ -59,10 +59,10 @@ def answers(count: int) -> bytes:
     ["a record", "a byte in a record", "a record in bytes", "two records", "one and a half"],
 )
 def test_records_may_cut_requests_anywhere(
-    stage: Stage, papers: Papers, way: dict[str, Any], cut: str, version: ssl.TLSVersion
+    stage: Stage, pki: Pki, way: dict[str, Any], cut: str, version: ssl.TLSVersion
 ) -> None:
     sent = requests(50)
-    with talking(stage, papers, version=version, **way) as (server, client):
+    with talking(stage, pki, version=version, **way) as (server, client):
         if cut == "a record":
             client.send(sent)
         elif cut == "a byte in a record":
@@ -82,7 +82,7 @@ def test_records_may_cut_requests_anywhere(
 @pytest.mark.parametrize("rate", [None, 1000])
 @pytest.mark.parametrize("cuts", [[12], [12, 24], [12, 30], [12, 36, 40]], ids=repr)
 def test_records_read_together_are_carried_out_in_order(
-    stage: Stage, papers: Papers, way: dict[str, Any], cuts: list[int], rate: int | None
+    stage: Stage, pki: Pki, way: dict[str, Any], cuts: list[int], rate: int | None
 ) -> None:
     """The first holds one request and nothing else; what follows does not overtake it."""
     pdus = ("06 0000 0005", "03 0000 0001", "06 0000 0006", "03 0000 0001")
@@ -94,13 +94,13 @@ def test_records_read_together_are_carried_out_in_order(
     edges = [0, *cuts, len(requests)]
     pieces = [requests[start:end] for start, end in itertools.pairwise(edges)]
     limits = Limits(requests_per_second=rate)
-    with talking(stage, papers, **way, limits=limits) as (server, client):
+    with talking(stage, pki, **way, limits=limits) as (server, client):
         client.send(*pieces)
         assert client.receive(len(expected)) == expected
         assert server.statistics.requests == 4
 
 
-def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, papers: Papers) -> None:
+def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, pki: Pki) -> None:
     """Others have their turns between: what one record carries is up to 1365 requests."""
     turns: list[str] = []
     device = Device(
@@ -108,9 +108,9 @@ def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, papers: P
     )
     count = 16_384 // 12
     with (
-        serving(papers, device) as (_, port),
-        connected(stage, papers, port) as greedy,
-        connected(stage, papers, port) as modest,
+        serving(pki, device) as (_, port),
+        connected(stage, pki, port) as greedy,
+        connected(stage, pki, port) as modest,
     ):
         record = greedy.encrypt(requests(count))
         greedy.socket.sendall(record[:-1])
@@ -128,11 +128,11 @@ def test_a_record_full_of_requests_is_answered_in_slices(stage: Stage, papers: P
 
 @VERSION
 def test_requests_in_the_last_flight_of_the_handshake_are_answered(
-    stage: Stage, papers: Papers, version: ssl.TLSVersion
+    stage: Stage, pki: Pki, version: ssl.TLSVersion
 ) -> None:
-    told = context(papers, certificates.client(), version)
+    told = context(pki, certificates.client(), version)
     with (
-        serving(papers) as (_, port),
+        serving(pki) as (_, port),
         TlsClient(port, told, stage=stage) as client,
     ):
         client.socket.sendall(client.hello())
@@ -151,12 +151,12 @@ def test_requests_in_the_last_flight_of_the_handshake_are_answered(
 
 @VERSION
 def test_who_says_goodbye_behind_a_request_gets_the_answer_and_a_goodbye(
-    stage: Stage, papers: Papers, way: dict[str, Any], version: ssl.TLSVersion
+    stage: Stage, pki: Pki, way: dict[str, Any], version: ssl.TLSVersion
 ) -> None:
-    with serving(papers, **way) as (server, port):
-        with connected(stage, papers, port, version) as other:
+    with serving(pki, **way) as (server, port):
+        with connected(stage, pki, port, version) as other:
             for count in (1, 2, 1365):
-                with connected(stage, papers, port, version) as client:
+                with connected(stage, pki, port, version) as client:
                     sent = client.encrypt(requests(count))
                     # In one segment, if it is short: both are received in one turn.
                     client.socket.sendall(sent + client.goodbye())
@@ -177,28 +177,28 @@ def raw_records(client: TlsClient) -> bytes:
     return data
 
 
-def test_what_comes_behind_a_goodbye_is_not_looked_at(stage: Stage, papers: Papers) -> None:
-    with talking(stage, papers) as (server, client):
+def test_what_comes_behind_a_goodbye_is_not_looked_at(stage: Stage, pki: Pki) -> None:
+    with talking(stage, pki) as (server, client):
         late = client.encrypt(ONE)
         client.socket.sendall(client.goodbye() + late * 3)
         raw_records(client)
         assert server.statistics.requests == 0
 
 
-def test_answers_that_are_kept_back_come_in_order(stage: Stage, papers: Papers) -> None:
+def test_answers_that_are_kept_back_come_in_order(stage: Stage, pki: Pki) -> None:
     late = {None: [Fault("delay", seconds=200, every=3)]}
-    with talking(stage, papers, faults=late) as (_, client):
+    with talking(stage, pki, faults=late) as (_, client):
         client.send(requests(4), *(adu(READ_ONE, number) for number in range(4, 8)))
         assert client.receive(len(answers(8))) == answers(8)
 
 
 def test_who_does_not_read_is_not_read_and_gets_all_when_he_does(
-    stage: Stage, papers: Papers, way: dict[str, Any]
+    stage: Stage, pki: Pki, way: dict[str, Any]
 ) -> None:
     """A record has 350 kB of answers; two are more than the network in memory carries."""
     count, limits = 1365, Limits(max_unsent=10_000)
     block = b"".join(adu(READ_MOST, number) for number in range(count))
-    with talking(stage, papers, **way, limits=limits) as (server, client):
+    with talking(stage, pki, **way, limits=limits) as (server, client):
         for _ in range(2):
             client.send(block)
         assert stage.until(lambda: server.statistics.paused > 0)
@@ -211,10 +211,10 @@ def test_who_does_not_read_is_not_read_and_gets_all_when_he_does(
 
 
 def test_requests_per_second_hold_within_a_record(
-    stage: Stage, papers: Papers, way: dict[str, Any]
+    stage: Stage, pki: Pki, way: dict[str, Any]
 ) -> None:
     limits = Limits(requests_per_second=200)
-    with talking(stage, papers, limits=limits, **way) as (server, client):
+    with talking(stage, pki, limits=limits, **way) as (server, client):
         begin = stage.now
         client.send(requests(800))
         assert client.receive(len(answers(800))) == answers(800)
@@ -224,12 +224,12 @@ def test_requests_per_second_hold_within_a_record(
 
 
 @pytest.mark.parametrize("most", [512, 1024])
-def test_a_client_may_ask_for_short_records(papers: Papers, most: int) -> None:
+def test_a_client_may_ask_for_short_records(pki: Pki, most: int) -> None:
     """R-57, R-58; Python has no API to ask for them, so openssl asks."""
-    with our_tls_server(papers, Device(Mapping(10, 10, 1000, 1000))) as wire:
-        files = papers.files(certificates.client())
+    with our_tls_server(pki, Device(Mapping(10, 10, 1000, 1000))) as wire:
+        files = pki.files(certificates.client())
         command = (
-            *("openssl", "s_client", "-connect", f"127.0.0.1:{wire.port}", "-CAfile", papers.ca),
+            *("openssl", "s_client", "-connect", f"127.0.0.1:{wire.port}", "-CAfile", pki.ca),
             *("-cert", files.cert, "-key", files.key, "-quiet", "-maxfraglen", str(most)),
             "-tls1_2",
         )
@@ -283,12 +283,12 @@ ENDS: dict[str, tuple[Callable[[TlsClient], object], float, str]] = {
 @VERSION
 @pytest.mark.parametrize("what", ENDS)
 def test_whom_the_server_closes_gets_a_goodbye(
-    stage: Stage, papers: Papers, what: str, version: ssl.TLSVersion
+    stage: Stage, pki: Pki, what: str, version: ssl.TLSVersion
 ) -> None:
     act, seconds, counter = ENDS[what]
     limits = Limits(frame_timeout=30, idle_timeout=300)
     faults = {None: [Fault("disconnect", function=7)]} if what == "a fault" else None
-    with talking(stage, papers, version=version, limits=limits, faults=faults) as (server, client):
+    with talking(stage, pki, version=version, limits=limits, faults=faults) as (server, client):
         assert client.is_answered()
         begun = stage.now
         act(client)
@@ -301,10 +301,10 @@ def test_whom_the_server_closes_gets_a_goodbye(
 
 @VERSION
 def test_the_server_says_goodbye_when_it_ends(
-    stage: Stage, papers: Papers, version: ssl.TLSVersion
+    stage: Stage, pki: Pki, version: ssl.TLSVersion
 ) -> None:
-    with serving(papers) as (_, port):
-        client = connected(stage, papers, port, version)
+    with serving(pki) as (_, port):
+        client = connected(stage, pki, port, version)
         assert client.is_answered()
     with client:
         assert client.read() == b""

@@ -34,7 +34,7 @@ from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import Stage
 from tests.support.attacks import ask, connect
 from tests.support.cases import each_case
-from tests.support.certificates import Papers, secured
+from tests.support.certificates import Pki, secured
 from tests.support.peers import until
 from tests.support.talk import ascii_frame, rtu
 from tests.support.transports import serving
@@ -110,10 +110,10 @@ def test_a_serial_port_is_traced_with_its_name(scheme: str) -> None:
     ]
 
 
-def test_of_tls_it_shows_what_is_inside(papers: Papers) -> None:
+def test_of_tls_it_shows_what_is_inside(pki: Pki) -> None:
     told: list[Traced] = []
     server = Server({17: made_device()}, trace=told.append)
-    with secured(server, papers) as url, Client(url, unit=17) as plc:
+    with secured(server, pki) as url, Client(url, unit=17) as plc:
         assert plc.read_holding_registers(0, 2) == [7, 8]
     assert [each.adu[6:] for each in told] == [READ[6:], ANSWER[6:]]
 

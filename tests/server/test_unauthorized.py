@@ -15,7 +15,7 @@ from libmodbus_py import Allow, Client, Device, Fault, IllegalFunction, Mapping,
 from libmodbus_py.serve import Asked
 from tests.support import transports
 from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, adu, connect, receive
-from tests.support.certificates import Papers, client
+from tests.support.certificates import Pki, client
 from tests.support.tls import TlsClient, context, serving
 from tests.support.transports import TRANSPORTS
 
@@ -129,13 +129,13 @@ def allowed(ask: Callable[[pdu.Request[object]], object]) -> list[bool]:
     ],
 )
 def test_rules_go_by_the_role_of_the_certificate(
-    papers: Papers, role: str | None, expected: list[bool]
+    pki: Pki, role: str | None, expected: list[bool]
 ) -> None:
     device = Device(Mapping(holding_registers=1), authorize=RULES)
-    server = Server(device, security=papers.server())
+    server = Server(device, security=pki.server())
     with (
         server.background("tls://127.0.0.1:0") as running,
-        Client(running.urls[0], security=papers.client(role)) as plc,
+        Client(running.urls[0], security=pki.client(role)) as plc,
     ):
         assert allowed(plc.execute) == expected
     assert server.statistics.unauthorized == expected.count(False)
@@ -149,12 +149,12 @@ def test_rules_go_by_the_role_of_the_certificate(
         (None, "the server may allow it to some roles only, and this certificate has none"),
     ],
 )
-def test_a_refusal_over_tls_names_the_role(papers: Papers, role: str | None, said: str) -> None:
+def test_a_refusal_over_tls_names_the_role(pki: Pki, role: str | None, said: str) -> None:
     device = Device(Mapping(holding_registers=1), authorize=RULES)
-    server = Server(device, security=papers.server())
+    server = Server(device, security=pki.server())
     with (
         server.background("tls://127.0.0.1:0", "tcp://127.0.0.1:0") as running,
-        Client(running.urls[0], security=papers.client(role)) as plc,
+        Client(running.urls[0], security=pki.client(role)) as plc,
         Client(running.urls[1]) as without,
     ):
         for client, end in ((plc, f"; {said}"), (without, "")):
@@ -163,7 +163,7 @@ def test_a_refusal_over_tls_names_the_role(papers: Papers, role: str | None, sai
             assert str(caught.value).endswith(f"illegal function (exception 1){end}")
 
 
-def test_roles_of_one_turn_are_kept_apart(papers: Papers) -> None:
+def test_roles_of_one_turn_are_kept_apart(pki: Pki) -> None:
     """Requests that come alone are answered together."""
     is_blocked, goes_on = threading.Event(), threading.Event()
 
@@ -177,9 +177,9 @@ def test_roles_of_one_turn_are_kept_apart(papers: Papers) -> None:
     roles = ["Viewer", "Engineer", None, "Engineer", "Viewer"]
     write = adu(pdu.WriteRegister(0, 5).encode())
     with contextlib.ExitStack() as stack:
-        server, port = stack.enter_context(serving(papers, device))
+        server, port = stack.enter_context(serving(pki, device))
         busy, *clients = (
-            stack.enter_context(TlsClient(port, context(papers, client(role))).handshake())
+            stack.enter_context(TlsClient(port, context(pki, client(role))).handshake())
             for role in ["Engineer", *roles]
         )
         busy.send(adu(b"\x11"))

@@ -117,7 +117,7 @@ async def test_a_cancellation_is_not_lost_while_a_pump_rests() -> None:
 
 
 @simulated
-async def test_what_is_closed_in_a_cancelled_task_is_closed_to_its_end() -> None:
+async def test_an_object_closed_in_a_cancelled_task_is_closed_completely() -> None:
     """`asyncio.timeout` of Python 3.11.2 ends such a task before its last lines."""
     seen: list[str] = []
 

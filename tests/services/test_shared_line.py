@@ -64,7 +64,7 @@ def test_one_client_fills_its_own_queue_only_and_all_have_a_bound() -> None:
     assert order(queue) == "a0 b0 a2"
 
 
-def test_nothing_is_kept_of_those_who_were_asked() -> None:
+def test_an_executed_request_leaves_nothing_in_the_queues() -> None:
     queue: FairQueue[LineRequest] = FairQueue(9, 99)
     with little_kept():
         for at in range(2000):
@@ -176,7 +176,7 @@ class Line(SharedLine[LineRequest]):
 
 
 @simulated
-async def test_one_is_asked_where_there_is_no_room_now() -> None:
+async def test_one_request_is_sent_although_there_is_no_room_now() -> None:
     """Or a client that recovers from a failure would be asked nothing for ever."""
     line = Line(room=0)
     line.put(1, 2)
@@ -195,7 +195,7 @@ async def test_urgent_requests_come_first() -> None:
 
 
 @simulated
-async def test_what_is_dropped_or_withdrawn_is_not_sent_or_not_concluded() -> None:
+async def test_a_dropped_request_is_not_sent_and_a_withdrawn_one_has_no_outcome() -> None:
     line = Line()
     sent, waiting, other, last = line.put(1, 2, 3, 4)
     (trial,) = line.put(9, is_trial=True)
@@ -218,7 +218,7 @@ async def test_what_is_dropped_or_withdrawn_is_not_sent_or_not_concluded() -> No
 
 
 @simulated
-async def test_what_was_answered_in_one_turn_may_be_withdrawn_by_the_first_of_them() -> None:
+async def test_an_outcome_may_withdraw_requests_answered_in_the_same_turn() -> None:
     """A device may be removed because of what another one answered."""
 
     class Removing(Line):
@@ -267,7 +267,7 @@ async def test_a_unit_that_was_slower_has_as_long_as_its_own_answers_took() -> N
 
 
 @simulated
-async def test_nobody_makes_way_where_there_is_room_or_for_an_answer_that_has_come() -> None:
+async def test_a_trial_is_not_ended_for_a_request_that_has_room_or_an_answer() -> None:
     line = Line(room=2)
     (trial,) = line.put(9, is_trial=True)
     await asyncio.sleep(0.5)

@@ -22,7 +22,7 @@ from typing import NamedTuple, Self
 
 from libmodbus_py.ports.endpoint import parse
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.talk import rtu
 
 UNIT = 17
@@ -101,7 +101,7 @@ class ServerProcess:
     ``libmodbus-py serve`` on a free port; it must stop when it is told to.
 
     Args:
-        papers: for TLS, of the first endpoint.
+        pki: for TLS, of the first endpoint.
         attacked: the scheme of another endpoint on 127.0.0.1; None for the same one.
     """
 
@@ -109,11 +109,11 @@ class ServerProcess:
         self,
         *options: str,
         url: str = "tcp://127.0.0.1:0",
-        papers: Papers | None = None,
+        pki: Pki | None = None,
         attacked: str | None = None,
     ) -> None:
-        if papers is not None:
-            url = papers.url("tls://127.0.0.1:0", certificates.server())
+        if pki is not None:
+            url = pki.url("tls://127.0.0.1:0", certificates.server())
         same = attacked is None or url.startswith(f"{attacked}:")
         self._urls = [url] if same else [url, f"{attacked}://127.0.0.1:0"]
         command = [sys.executable, "-m", "libmodbus_py", "serve", *self._urls, *options]
@@ -223,9 +223,9 @@ class Attack:
     sends: bool = True
     scheme: str = "tcp"
 
-    def papers(self, directory: Path) -> Papers | None:
+    def pki(self, directory: Path) -> Pki | None:
         """Return the certificates of the server and of the innocent client, in this directory."""
-        return Papers(directory) if self.scheme == "tls" else None
+        return Pki(directory) if self.scheme == "tls" else None
 
 
 def _idle() -> Iterator[Step]:

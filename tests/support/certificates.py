@@ -160,9 +160,9 @@ class Files:
     key: Path
 
 
-class Papers:
+class Pki:
     """
-    What both sides of a test need, in files of one directory.
+    An authority and the certificates of both sides of a test, in files of one directory.
 
     Attributes:
         ca: the authority that both trust.
@@ -202,20 +202,20 @@ class Papers:
 @cache
 def _lasting_folder() -> TemporaryDirectory[str]:
     """Return a folder that exists until the process ends."""
-    return TemporaryDirectory(prefix="papers")
+    return TemporaryDirectory(prefix="pki")
 
 
 @cache
-def lasting_papers() -> Papers:
-    """Return the papers that all tests of this process may share."""
-    return Papers(Path(_lasting_folder().name))
+def lasting_pki() -> Pki:
+    """Return those that all tests of this process may share."""
+    return Pki(Path(_lasting_folder().name))
 
 
 @contextmanager
-def secured(serving: Server, papers: Papers) -> Iterator[str]:
+def secured(serving: Server, pki: Pki) -> Iterator[str]:
     """Run a server on TLS; gives the URL of a client who may talk to it."""
-    with serving.background(papers.url("tls://127.0.0.1:0", server())) as running:
-        yield papers.url(running.urls[0], client())
+    with serving.background(pki.url("tls://127.0.0.1:0", server())) as running:
+        yield pki.url(running.urls[0], client())
 
 
 def save(directory: Path, identity: Identity, name: str, password: bytes | None = None) -> Files:

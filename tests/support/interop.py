@@ -20,7 +20,7 @@ from libmodbus_py.ports.endpoint import Endpoint, parse
 from libmodbus_py.protocol.pdu import ServerId
 from libmodbus_py.tools.testing.wires import SerialWire, TcpWire
 from tests.support.cases import Check, each
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 
 UNIT = 17
 BAUDRATE = 115200
@@ -182,9 +182,9 @@ def our_server(transport: str, devices: Device | dict[int, Device]) -> Iterator[
 
 
 @contextlib.contextmanager
-def our_tls_server(papers: Papers, devices: Device | dict[int, Device]) -> Iterator[TcpWire]:
+def our_tls_server(pki: Pki, devices: Device | dict[int, Device]) -> Iterator[TcpWire]:
     """Serve the devices over TLS; clients connect to the wire, which sees the records."""
-    server = Server(devices, security=papers.server())
+    server = Server(devices, security=pki.server())
     with (
         server.background("tls://127.0.0.1:0") as running,
         TcpWire(parse(running.urls[0]).port) as wire,

@@ -31,7 +31,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.interop import (
     BAUDRATE,
     COILS,
@@ -162,10 +162,10 @@ def pymodbus_serving(transport: str, **options: Any) -> Iterator[str]:
             return
         query = ""
         if transport == "tls":
-            papers = Papers(Path(stack.enter_context(TemporaryDirectory())))
-            own = papers.url("tls://127.0.0.1", certificates.server())
+            pki = Pki(Path(stack.enter_context(TemporaryDirectory())))
+            own = pki.url("tls://127.0.0.1", certificates.server())
             make = partial(make, sslctx=tls_context(own, ssl.Purpose.CLIENT_AUTH))
-            query = papers.url("", certificates.client())
+            query = pki.url("", certificates.client())
         server = stack.enter_context(in_background(partial(make, address=("127.0.0.1", 0))))
         yield f"{transport}://127.0.0.1:{port_of(server)}{query}"
 

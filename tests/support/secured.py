@@ -9,19 +9,19 @@ from typing import Any
 
 from libmodbus_py.tools.certificates import Identity
 
-from .certificates import Papers, client, lasting_papers, server
+from .certificates import Pki, client, lasting_pki, server
 
 VERSIONS = {"1.2": ssl.TLSVersion.TLSv1_2, "1.3": ssl.TLSVersion.TLSv1_3}
 
 
 def context_of(
-    papers: Papers, identity: Identity, version: str | None = None, **options: Any
+    pki: Pki, identity: Identity, version: str | None = None, **options: Any
 ) -> ssl.SSLContext:
     """Make a server's context; options are attributes of it."""
-    files = papers.files(identity)
+    files = pki.files(identity)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(files.cert, files.key)
-    context.load_verify_locations(papers.ca)
+    context.load_verify_locations(pki.ca)
     context.verify_mode = ssl.CERT_REQUIRED
     if version is not None:
         context.minimum_version = context.maximum_version = VERSIONS[version]
@@ -32,12 +32,12 @@ def context_of(
 
 @cache
 def _context() -> ssl.SSLContext:
-    return context_of(lasting_papers(), server())
+    return context_of(lasting_pki(), server())
 
 
 @cache
 def _query() -> str:
-    return lasting_papers().url("", client())
+    return lasting_pki().url("", client())
 
 
 def with_certificates(url: str) -> str:

@@ -13,7 +13,7 @@ from libmodbus_py.server.limits import Limits
 from tests.simulation.stage import Stage, Talker
 from tests.support import certificates
 from tests.support.attacks import READ_ONE, adu
-from tests.support.certificates import lasting_papers
+from tests.support.certificates import lasting_pki
 from tests.support.tls import VERSIONS, TlsClient, context
 
 ANSWER_ONE = bytes.fromhex("03 02 0000")
@@ -45,7 +45,7 @@ class SealedTalker:
     """
 
     def __init__(self, stage: Stage, port: int, source: str | None) -> None:
-        told = context(lasting_papers(), certificates.client(), VERSIONS["1.2"])
+        told = context(lasting_pki(), certificates.client(), VERSIONS["1.2"])
         self._client = TlsClient(port, told, source=source or "", stage=stage)
         self._talker: Talker = self._client.socket
         self._client.handshake()
@@ -118,7 +118,7 @@ def served(
     url = f"{scheme}://10.0.0.1:0"
     security = None
     if kind == "tls":
-        url, security = "tls://127.0.0.1:0", lasting_papers().server()
+        url, security = "tls://127.0.0.1:0", lasting_pki().server()
     server = Server({17: device}, faults=faults, limits=Limits(**limits), security=security)
     with server.background(url) as running:
         yield Served(stage, server, running.urls[0])

@@ -20,7 +20,7 @@ from libmodbus_py.tools.certificates import Identity
 from tests.simulation.stage import Stage, Talker
 from tests.support import certificates
 from tests.support.attacks import ANSWER_ONE, PATIENCE, READ_ONE, adu, connect
-from tests.support.certificates import Files, Papers
+from tests.support.certificates import Files, Pki
 from tests.support.secured import VERSIONS as VERSIONS
 
 VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
@@ -30,18 +30,16 @@ ONE_ANSWER = adu(ANSWER_ONE)
 
 
 @contextlib.contextmanager
-def serving(
-    papers: Papers, device: Device | None = None, **options: Any
-) -> Iterator[tuple[Server, int]]:
+def serving(pki: Pki, device: Device | None = None, **options: Any) -> Iterator[tuple[Server, int]]:
     """Serve a device whose items are 0, unless one is given; give the server and its port."""
-    options.setdefault("security", papers.server())
+    options.setdefault("security", pki.server())
     server = Server(device or Device(Mapping(10, 10, 1000, 1000)), **options)
     with server.background("tls://127.0.0.1:0") as running:
         yield server, parse(running.urls[0]).port
 
 
 def context(
-    papers: Papers,
+    pki: Pki,
     identity: Identity | None = None,
     version: ssl.TLSVersion | None = None,
     ciphers: str | None = None,
@@ -54,7 +52,7 @@ def context(
         version: the one it speaks; None for what it can.
         ciphers: of TLS 1.2 and older.
     """
-    made = ssl.create_default_context(cafile=str(papers.ca))
+    made = ssl.create_default_context(cafile=str(pki.ca))
     if ciphers is not None:
         made.set_ciphers(ciphers)
     if version is not None:
@@ -62,7 +60,7 @@ def context(
             warnings.simplefilter("ignore", DeprecationWarning)  # of the old ones
             made.minimum_version = made.maximum_version = version
     if identity is not None:
-        files: Files = papers.files(identity)
+        files: Files = pki.files(identity)
         made.load_cert_chain(files.cert, files.key)
     return made
 
@@ -176,40 +174,40 @@ class TlsClient:
 
 
 def connected(
-    stage: Stage, papers: Papers, port: int, version: ssl.TLSVersion | None = None
+    stage: Stage, pki: Pki, port: int, version: ssl.TLSVersion | None = None
 ) -> TlsClient:
     """Return a client on the stage that the server trusts, after the handshake."""
-    told = context(papers, certificates.client(), version)
+    told = context(pki, certificates.client(), version)
     return TlsClient(port, told, stage=stage).handshake()
 
 
 @contextlib.contextmanager
 def talking(
     stage: Stage,
-    papers: Papers,
+    pki: Pki,
     device: Device | None = None,
     version: ssl.TLSVersion | None = None,
     **options: Any,
 ) -> Iterator[tuple[Server, TlsClient]]:
     """Serve on the stage; give the server and a client, after the handshake."""
     with (
-        serving(papers, device, **options) as (server, port),
-        connected(stage, papers, port, version) as client,
+        serving(pki, device, **options) as (server, port),
+        connected(stage, pki, port, version) as client,
     ):
         yield server, client
 
 
-def hello(papers: Papers) -> bytes:
+def hello(pki: Pki) -> bytes:
     """A ClientHello of Python's."""
     outgoing = ssl.MemoryBIO()
-    tls = context(papers).wrap_bio(ssl.MemoryBIO(), outgoing, server_hostname="localhost")
+    tls = context(pki).wrap_bio(ssl.MemoryBIO(), outgoing, server_hostname="localhost")
     with contextlib.suppress(ssl.SSLWantReadError):
         tls.do_handshake()
     return outgoing.read()
 
 
-def is_served(papers: Papers, port: int, stage: Stage | None = None) -> bool:
-    told = context(papers, certificates.client())
+def is_served(pki: Pki, port: int, stage: Stage | None = None) -> bool:
+    told = context(pki, certificates.client())
     with TlsClient(port, told, stage=stage).handshake() as client:
         return client.is_answered()
 

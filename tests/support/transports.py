@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from libmodbus_py import Server
 from libmodbus_py.tools.testing.wires import SerialWire
 
-from .certificates import Papers, secured
+from .certificates import Pki, secured
 
 TRANSPORTS = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls", "rtu", "ascii"]
 
@@ -21,7 +21,7 @@ def serving(transport: str, server: Server) -> Iterator[str]:
     with ExitStack() as stack:
         if transport == "tls":
             folder = Path(stack.enter_context(TemporaryDirectory()))
-            yield stack.enter_context(secured(server, Papers(folder)))
+            yield stack.enter_context(secured(server, Pki(folder)))
         elif transport in ("rtu", "ascii"):
             wire = stack.enter_context(SerialWire())
             stack.enter_context(server.background(f"{transport}://{wire.server}?baudrate=115200"))

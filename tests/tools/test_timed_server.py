@@ -75,7 +75,7 @@ def test_the_oldest_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
             assert is_answered(latest)
 
 
-def test_what_a_handler_raises_is_logged_unless_the_client_has_gone(
+def test_an_exception_of_a_handler_is_logged_unless_the_client_has_gone(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     with serving() as server:

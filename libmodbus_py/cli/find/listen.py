@@ -119,7 +119,7 @@ def _listen(options: argparse.Namespace) -> int:
             for transaction in transactions:
                 if options.units is None or transaction.unit in options.units:
                     if learned is not None:
-                        learned.note(transaction)
+                        learned.add_transaction(transaction)
                     show(transaction)
 
         try:

@@ -18,7 +18,7 @@ from ...protocol.mistakes import WrongValue
 from ...protocol.plain import time_text
 from .statistics import FleetStatistics
 
-__all__ = ["Commands", "wanted_of"]
+__all__ = ["Commands", "command_of"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -29,7 +29,7 @@ LONGEST_BYTES = 4096
 """The length of a command; a list of 125 registers is shorter."""
 
 
-class _Wanted(NamedTuple):
+class _Command(NamedTuple):
     """A command: the value, its id, which the outcome repeats, and why it is invalid, if it is."""
 
     value: Any = None
@@ -37,26 +37,26 @@ class _Wanted(NamedTuple):
     problem: str = ""
 
 
-def wanted_of(data: bytes) -> _Wanted:
+def command_of(data: bytes) -> _Command:
     """Read a command: a value in JSON, or an object with `value` and optionally `id`."""
     if len(data) > LONGEST_BYTES:
-        return _Wanted(problem=f"it must have at most {LONGEST_BYTES} bytes, not {len(data)}")
+        return _Command(problem=f"it must have at most {LONGEST_BYTES} bytes, not {len(data)}")
     try:
         content = json.loads(data.decode(), object_pairs_hook=each_once)
         # Refuses nan and infinity, and characters that no text can contain, but escapes can name.
         JSON.encode(content).encode()
     except WrongValue as error:
-        return _Wanted(problem=f"{error} in its JSON")
+        return _Command(problem=f"{error} in its JSON")
     except (ValueError, RecursionError):
-        return _Wanted(problem=f"it must be a value in JSON, not {data[:40]!r}")
+        return _Command(problem=f"it must be a value in JSON, not {data[:40]!r}")
     if not isinstance(content, dict):
-        return _Wanted(content)
+        return _Command(content)
     number = content.get("id")
     if not content.keys() <= {"value", "id"} or "value" not in content:
-        return _Wanted(problem="an object must have a value, and may have an id")
+        return _Command(problem="an object must have a value, and may have an id")
     if not isinstance(number, str | int | None) or len(str(number)[:101]) > 100:
-        return _Wanted(problem="id must be text or a number, of at most 100 characters")
-    return _Wanted(content["value"], number)
+        return _Command(problem="id must be text or a number, of at most 100 characters")
+    return _Command(content["value"], number)
 
 
 class Writing(Protocol):
@@ -86,33 +86,33 @@ class Commands:
         # One for each device that is written to.
         self._turns: WeakValueDictionary[str, asyncio.Lock] = WeakValueDictionary()
 
-    async def answer(self, device: str, name: str, command: bytes) -> bytes | None:
+    async def answer(self, device: str, name: str, payload: bytes) -> bytes | None:
         """Write a value; return the outcome, None if the command is answered elsewhere."""
-        wanted = wanted_of(command)
-        problem = self._problem(device, name, wanted)
+        command = command_of(payload)
+        problem = self._problem(device, name, command)
         if problem == "":
-            problem = await self._in_turn(device, name, wanted)
+            problem = await self._in_turn(device, name, command)
         if problem is None:
             return None
         statistics = self._fleet.statistics
         statistics.commands += not problem
         statistics.refused_commands += bool(problem)
-        logger.info("%s: %s = %r: %s", device, name, wanted.value, problem or "written")
+        logger.info("%s: %s = %r: %s", device, name, command.value, problem or "written")
         outcome: dict[str, Any] = {"ok": not problem, "time": time_text(time.time())}
-        if wanted.id is not None:
-            outcome["id"] = wanted.id
+        if command.id is not None:
+            outcome["id"] = command.id
         if problem:
             outcome["error"] = problem
         return JSON.encode(outcome).encode(errors="backslashreplace")
 
-    def _problem(self, device: str, name: str, wanted: _Wanted) -> str | None:
+    def _problem(self, device: str, name: str, command: _Command) -> str | None:
         """Return why a command is refused; "" if it is not, None if it is answered elsewhere."""
         refusal = self.refusal(device)
         if refusal is not None:
             return refusal or None
-        return wanted.problem or self._fleet.unknown(device, name)
+        return command.problem or self._fleet.unknown(device, name)
 
-    async def _in_turn(self, device: str, name: str, wanted: _Wanted) -> str | None:
+    async def _in_turn(self, device: str, name: str, command: _Command) -> str | None:
         """Write a value after those that came before; return as `_problem`."""
         if self._count >= MOST_AT_ONCE:
             return f"{MOST_AT_ONCE} writes are already under way"
@@ -120,9 +120,9 @@ class Commands:
         try:
             async with self._turns.setdefault(device, asyncio.Lock()):
                 # The device may have gone while this waited.
-                problem = self._problem(device, name, wanted)
+                problem = self._problem(device, name, command)
                 if problem == "":
-                    await self._fleet.write(device, {name: wanted.value})
+                    await self._fleet.write(device, {name: command.value})
                 return problem
         except (TypeError, ValueError, ModbusError, OverflowError) as error:
             return str(error)

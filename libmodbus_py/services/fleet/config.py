@@ -116,11 +116,11 @@ class DeviceConfig:
             raise WrongValue("unit", f"{reason}: no device answers a broadcast")
         if not isinstance(self.map, RegisterMap):
             raise WrongType("map", f"must be a RegisterMap, not {type(self.map).__name__}")
-        points = [each for each in self.map.values() if each.access != "write"]
+        points = [point for point in self.map.values() if point.access != "write"]
         if not points:
             raise WrongValue.about("map", "the map has no point that can be read")
-        change("items", _names("items", self.items, "point", (each.name for each in points)))
-        groups = (each.group for each in points if each.group)
+        change("items", _names("items", self.items, "point", (point.name for point in points)))
+        groups = (point.group for point in points if point.group)
         change("groups", _names("groups", self.groups, "group", groups))
         integer("gap", self.gap, 0, 2000)
         integer("max_registers", self.max_registers, 1, 125)
@@ -138,14 +138,14 @@ class DeviceConfig:
             number(("dead_bands", name), band, 0, math.inf)
         if self.at_least is not None:
             seconds("at_least", self.at_least, SHORTEST_INTERVAL, LONGEST_INTERVAL)
-        known = {*OWN_LABELS}
+        names = {*OWN_LABELS}
         for label, value in _table("labels", self.labels).items():
             _check_text(("labels", label), value, 0)
             name = label_name(label)
-            if not name or name.startswith("__") or name in known:
+            if not name or name.startswith("__") or name in names:
                 reason = f"{name!r}, its name in Prometheus, is not allowed, or used already"
                 raise WrongValue.about(("labels", label), reason)
-            known.add(name)
+            names.add(name)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -157,20 +157,20 @@ class Reads(PartialPlans):
     """The points of a kind of device, and the requests for them; thousands of devices share one."""
 
     def __init__(self, config: DeviceConfig) -> None:
-        points = [each for each in config.map.values() if each.access != "write"]
+        points = [point for point in config.map.values() if point.access != "write"]
         if config.items or config.groups:
-            of_groups = [each.name for each in points if each.group in config.groups]
+            of_groups = [point.name for point in points if point.group in config.groups]
             names = dict.fromkeys([*config.items, *of_groups])
             points = [config.map[name] for name in names]
         with inside("max_registers"):
             super().__init__(
                 config.map,
-                [each.name for each in points],
+                [point.name for point in points],
                 gap=config.gap,
                 max_registers=config.max_registers,
             )
-        self.units: tuple[str, ...] = tuple(each.units for each in points)
-        self.intervals: tuple[float | None, ...] = tuple(each.interval for each in points)
+        self.units: tuple[str, ...] = tuple(point.units for point in points)
+        self.intervals: tuple[float | None, ...] = tuple(point.interval for point in points)
 
 
 _READS: WeakValueDictionary[tuple[Any, ...], Reads] = WeakValueDictionary()
@@ -190,34 +190,34 @@ def label_name(key: str) -> str:
     return re.sub(r"^(?=\d)|\W", "_", key, flags=re.ASCII)
 
 
-def _names(key: str, given: object, kind: str, known: Iterable[str]) -> tuple[str, ...]:
+def _names(key: str, value: object, kind: str, choices: Iterable[str]) -> tuple[str, ...]:
     """Return names of what is known, each once."""
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise WrongType(key, f"must be a list of names, not {type(given).__name__}")
-    names = tuple(given)
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise WrongType(key, f"must be a list of names, not {type(value).__name__}")
+    names = tuple(value)
     if not names:
         return names
-    known = [*dict.fromkeys(known)]
+    choices = [*dict.fromkeys(choices)]
     for at, name in enumerate(names):
-        if name not in known:
-            some = ", ".join(known[:8]) + ", ..." * (len(known) > 8)
+        if name not in choices:
+            some = ", ".join(choices[:8]) + ", ..." * (len(choices) > 8)
             reason = f"the map has no {kind} {name!r} to read; it has {some}"
             raise WrongValue.about(item(key, at), reason)
     return tuple(dict.fromkeys(names))
 
 
-def _table(key: str, given: object) -> Mapping[str, Any]:
-    if not isinstance(given, Mapping):
-        raise WrongType(key, f"must be a table, not {type(given).__name__}")
-    return given
+def _table(key: str, value: object) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise WrongType(key, f"must be a table, not {type(value).__name__}")
+    return value
 
 
 def _check_text(name: str | tuple[str, ...], value: object, least: int) -> None:
     if not isinstance(value, str):
         raise WrongType(name, f"must be text, not {type(value).__name__}")
     if not least <= len(value) <= LONGEST_NAME or not value.isprintable():
-        wanted = f"{least}..{LONGEST_NAME} characters that can be printed"
-        raise WrongValue(name, f"must have {wanted}, not {value[:LONGEST_NAME]!r}")
+        range_text = f"{least}..{LONGEST_NAME} characters that can be printed"
+        raise WrongValue(name, f"must have {range_text}, not {value[:LONGEST_NAME]!r}")
 
 
 @lru_cache(maxsize=4096)
@@ -234,10 +234,10 @@ def _endpoint(url: str) -> tuple[Endpoint, str]:
 
 def by_connection(devices: Iterable[DeviceConfig]) -> dict[str, list[DeviceConfig]]:
     """Return the devices of each connection, by connection key, in their order."""
-    found: dict[str, list[DeviceConfig]] = {}
+    groups: dict[str, list[DeviceConfig]] = {}
     for device in devices:
-        found.setdefault(device.connection_key, []).append(device)
-    return found
+        groups.setdefault(device.connection_key, []).append(device)
+    return groups
 
 
 def misfits(devices: Iterable[DeviceConfig]) -> Iterator[tuple[int, Mistake]]:
@@ -265,12 +265,12 @@ def misfits(devices: Iterable[DeviceConfig]) -> Iterator[tuple[int, Mistake]]:
 def checked(devices: Iterable[DeviceConfig]) -> list[DeviceConfig]:
     """Return the devices of one fleet as a list; raise the first of their `misfits`."""
     if not isinstance(devices, Iterable):
-        given = type(devices).__name__
-        raise WrongType("devices", f"must be a list of DeviceConfig, not {given}")
-    found = list(devices)
-    for at, mistake in misfits(found):
+        kind = type(devices).__name__
+        raise WrongType("devices", f"must be a list of DeviceConfig, not {kind}")
+    items = list(devices)
+    for at, mistake in misfits(items):
         raise mistake.under(("devices", at))
-    return found
+    return items
 
 
 # --- as text ----------------------------------------------------------------------------------
@@ -279,9 +279,9 @@ def checked(devices: Iterable[DeviceConfig]) -> list[DeviceConfig]:
 def _defaults(kind: Any) -> dict[str, Any]:
     """Return the defaults of the arguments of a dataclass; MISSING for those that are required."""
     return {
-        each.name: each.default if each.default_factory is MISSING else each.default_factory()
-        for each in fields(kind)
-        if each.init
+        row.name: row.default if row.default_factory is MISSING else row.default_factory()
+        for row in fields(kind)
+        if row.init
     }
 
 
@@ -292,39 +292,39 @@ del DEVICE["map"]  # most devices share a map: each is written once
 def devices_to_json(devices: Iterable[DeviceConfig]) -> str:
     """Return devices, with their maps, as JSON; equal devices give equal text."""
     maps: dict[str, int] = {}
-    seen: dict[int, int] = {}
-    found = []
+    indexes: dict[int, int] = {}
+    rows = []
     for device in devices:
         key = id(device.map)
-        if key not in seen:
+        if key not in indexes:
             text = json_text([_changed(point, POINT) for point in device.map.values()])
-            seen[key] = maps.setdefault(text, len(maps))
-        found.append({**_changed(device, DEVICE), "map": seen[key]})
-    return f'{{"maps": [{", ".join(maps)}], "devices": {json_text(found)}}}'
+            indexes[key] = maps.setdefault(text, len(maps))
+        rows.append({**_changed(device, DEVICE), "map": indexes[key]})
+    return f'{{"maps": [{", ".join(maps)}], "devices": {json_text(rows)}}}'
 
 
 def devices_from_json(text: str) -> list[DeviceConfig]:
     """Read the JSON of `devices_to_json`; equal maps become one object. Raises ValueError."""
     try:
         content = json.loads(text)
-        maps = [_map_from_json(json_text(each)) for each in content["maps"]]
-        return [DeviceConfig(**{**each, "map": maps[each["map"]]}) for each in content["devices"]]
+        maps = [_map_from_json(json_text(points)) for points in content["maps"]]
+        return [DeviceConfig(**{**keys, "map": maps[keys["map"]]}) for keys in content["devices"]]
     except (TypeError, LookupError, AttributeError, ValueError, RecursionError) as error:
         raise ValueError(f"the text does not describe devices: {error}") from None
 
 
 @lru_cache(maxsize=4096)
 def _map_from_json(text: str) -> RegisterMap:
-    return RegisterMap([Point(**each) for each in json.loads(text)])
+    return RegisterMap([Point(**keys) for keys in json.loads(text)])
 
 
 def _changed(value: object, defaults: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of a value that differ from their defaults."""
-    given = {name: getattr(value, name) for name in defaults}
+    arguments = {name: getattr(value, name) for name in defaults}
     return {
-        name: dict(each) if isinstance(each, Mapping) else each
-        for name, each in given.items()
-        if each != defaults[name]
+        name: dict(argument) if isinstance(argument, Mapping) else argument
+        for name, argument in arguments.items()
+        if argument != defaults[name]
     }
 
 

@@ -130,11 +130,11 @@ class _Reader:
     def parse(self, text: str) -> FleetFile:
         """Return the contents of a text in TOML."""
         self._text = text
-        given = FILE.read((), read_toml(text))
-        self._defaults = given.get("defaults", {})
+        content = FILE.read((), read_toml(text))
+        self._defaults = content.get("defaults", {})
         # For each device: returns an error about it with its place in the file.
         places: list[_Place] = []
-        for place, keys, folder in self._described(given):
+        for place, keys, folder in self._described(content):
             try:
                 self._devices.append(self._device(keys(), folder))
                 places.append(place)
@@ -147,55 +147,55 @@ class _Reader:
             raise self._mistakes[0]
         if not self._devices:
             raise WrongValue("device", "must hold at least one table: [[device]]")
-        outputs = self._outputs(given.get("output", {}))
-        journal, engine = self._journal(given), given.get("engine", {})
+        outputs = self._outputs(content.get("output", {}))
+        journal, engine = self._journal(content), content.get("engine", {})
         sources, notes = frozenset(self._sources), tuple(self._notes)
         return FleetFile(self._devices, outputs, journal, sources, engine, notes)
 
     def other_mistakes(self) -> tuple[FleetFileError, ...]:
         """Return the mistakes in devices but for the first one."""
         return tuple(
-            FleetFileError.of(each, FilePlace(str(self._path), line_of(self._text, each.path)))
-            for each in self._mistakes[1:MOST_MISTAKES]
+            FleetFileError.of(error, FilePlace(str(self._path), line_of(self._text, error.path)))
+            for error in self._mistakes[1:MOST_MISTAKES]
         )
 
     # --- devices ----------------------------------------------------------------------------
 
     def _described(
-        self, given: Mapping[str, Any]
+        self, file: Mapping[str, Any]
     ) -> Iterator[tuple[_Place, Callable[[], dict[str, Any]], FilePath]]:
         """Yield for each device what places its errors and returns its keys, and its folder."""
-        for at, raw in enumerate(given.get("device", [])):
+        for at, raw in enumerate(file.get("device", [])):
             place = partial(placed, around=("device", at))
             yield place, partial(_keys_of_table, raw), self._folder
-        if "devices" not in given:
+        if "devices" not in file:
             return
-        path = self._folder / given["devices"]
+        path = self._folder / file["devices"]
         self._sources.add(file_at(str(path)))
         with inside("devices"):
-            content, note = read_table(path, FleetFileError, given.get("encoding"))
+            content, note = read_table(path, FleetFileError, file.get("encoding"))
         try:
             text = table_of(content)
             skipped = f"rows above the headings that are skipped: {text.skipped}"
             notes = [note, skipped if text.skipped else ""]
-            self._notes += [f"{path}: {each}" for each in notes if each]
+            self._notes += [f"{path}: {note}" for note in notes if note]
             for row in text.rows():
                 yield partial(_of_row, path, text, row), partial(keys_in, text, row), path.parent
         except FleetFileError as error:
             self._mistakes.append(error.in_file(str(path)).under(("devices",)))
 
-    def _device(self, given: dict[str, Any], folder: FilePath) -> DeviceConfig:
+    def _device(self, own: dict[str, Any], folder: FilePath) -> DeviceConfig:
         """Return the device of some keys, with the defaults; labels are merged."""
         usual = dict(self._defaults)
         bands = usual.pop("dead_bands", {})
-        keys = {**usual, **given}
-        keys["labels"] = {**usual.get("labels", {}), **given.get("labels", {})}
+        keys = {**usual, **own}
+        keys["labels"] = {**usual.get("labels", {}), **own.get("labels", {})}
         options = options_of({key: keys.pop(key) for key in ("columns", "list") if key in keys})
         for key in DEVICE.values():
             if key.default is REQUIRED and key.name not in keys:
                 raise WrongValue(key.name, "is missing")
         if not isinstance(keys["map"], RegisterMap):
-            base = folder if "map" in given else self._folder
+            base = folder if "map" in own else self._folder
             with inside("map"):
                 keys["map"] = self._map(base / map_file(keys["map"]), options)
         device = DeviceConfig(**keys)
@@ -212,12 +212,12 @@ class _Reader:
 
     # --- journal and outputs ----------------------------------------------------------------
 
-    def _journal(self, given: Mapping[str, Any]) -> dict[str, str]:
+    def _journal(self, content: Mapping[str, Any]) -> dict[str, str]:
         """Return the arguments of the journal, which is made to check them."""
         names = {"keep": "keep", "journal_size": "size"}
-        keys = {name: given[key] for key, name in names.items() if key in given}
-        if "journal" in given:
-            keys["path"] = str(self._folder / given["journal"])
+        keys = {name: content[key] for key, name in names.items() if key in content}
+        if "journal" in content:
+            keys["path"] = str(self._folder / content["journal"])
         elif keys:
             raise WrongValue("journal", "is missing; keep and journal_size are about it")
         try:
@@ -228,17 +228,17 @@ class _Reader:
             raise error.renamed(path) from None
         return keys
 
-    def _outputs(self, given: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    def _outputs(self, kinds: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
         """Return the kind and the arguments of each output, which is made to check them."""
         outputs, places, trial = [], [], list[Output]()
-        for kind, described in given.items():
+        for kind, described in kinds.items():
             for path, raw in described:
                 with inside(*path):
-                    keys = {key: _filled(key, each) for key, each in self._secrets(raw).items()}
+                    keys = {key: _filled(key, value) for key, value in self._secrets(raw).items()}
                     if isinstance(keys.get("path"), str) and keys["path"] != "-":
                         keys["path"] = str(self._folder / keys["path"])
                     output = made(kind, keys)
-                    output.describe_devices({each.name: each for each in self._devices})
+                    output.describe_devices({device.name: device for device in self._devices})
                 outputs.append((kind, keys))
                 places.append(path)
                 trial.append(output)
@@ -251,9 +251,9 @@ class _Reader:
                 raise WrongValue.about(place, f"uses {source}, which the fleet is read from")
         return outputs
 
-    def _secrets(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def _secrets(self, raw: Mapping[str, Any]) -> dict[str, Any]:
         """Return the keys of an output with the contents of files; refuse secrets in the text."""
-        keys = dict(given)
+        keys = dict(raw)
         for key in SECRET:
             name = f"{key}_file"
             if name in keys:
@@ -262,8 +262,8 @@ class _Reader:
                 with inside(name):
                     keys[key] = SecretFile(path, FleetFileError)
             elif key in keys and not (isinstance(keys[key], str) and _NAME.search(keys[key])):
-                wanted = f"${{NAME}}, a variable of the environment, or {name}"
-                raise WrongValue(key, f"must not be written in the file: use {wanted}")
+                ways = f"${{NAME}}, a variable of the environment, or {name}"
+                raise WrongValue(key, f"must not be written in the file: use {ways}")
         return keys
 
 
@@ -275,12 +275,12 @@ def _filled(key: str, value: Any) -> Any:
         if name not in os.environ:
             reason = f"${{{name}}}: the environment has no such variable"
             raise WrongValue.about(key, reason)
-    return _NAME.sub(lambda found: os.environ[found[1]], value)
+    return _NAME.sub(lambda match: os.environ[match[1]], value)
 
 
-def _keys_of_table(given: dict[str, Any]) -> dict[str, Any]:
+def _keys_of_table(raw: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of a table [[device]], whose points are its map."""
-    keys: dict[str, Any] = TABLE.read((), given)
+    keys: dict[str, Any] = TABLE.read((), raw)
     if "point" in keys and keys.keys() & {"map", "columns", "list"}:
         raise WrongValue.about("point", "the device has a map already")
     if "point" in keys:
@@ -298,33 +298,33 @@ def table_of(text: str) -> CsvText:
     def is_column(heading: str) -> bool:
         return heading in columns or heading.startswith(LABEL)
 
-    found = CsvText(text, is_column, FleetFileError)
-    headings = found.head.cells
+    content = CsvText(text, is_column, FleetFileError)
+    headings = content.head.cells
     for at, heading in enumerate(headings):
         reason = ""
         if heading and not is_column(heading):
-            allowed = ", ".join([*columns, f"{LABEL}NAME"])
-            reason = f"no such column: {reprlib.repr(heading)}; allowed are {allowed}"
+            names = ", ".join([*columns, f"{LABEL}NAME"])
+            reason = f"no such column: {reprlib.repr(heading)}; allowed are {names}"
         elif heading and heading in headings[:at]:
             reason = f"two columns {heading}"
         if reason:
-            raise FleetFileError((), reason, place=FilePlace(line=found.head.line))
-    return found
+            raise FleetFileError((), reason, place=FilePlace(line=content.head.line))
+    return content
 
 
 def keys_in(text: CsvText, row: CsvRow) -> dict[str, Any]:
     """Return the keys of the device in a row; raise a WrongValue with the path of a key."""
-    found: dict[str, Any] = {}
+    keys: dict[str, Any] = {}
     for heading, cell in zip(text.head.cells, text.cells(row), strict=False):
         if not (heading and cell):
             continue
         if heading.startswith(LABEL):
-            found.setdefault("labels", {})[heading.removeprefix(LABEL)] = cell
+            keys.setdefault("labels", {})[heading.removeprefix(LABEL)] = cell
             continue
         with inside(heading):
             read = CELLS.get(DEVICE[heading].kind, str)
-            found[heading] = read(text.number_cell(cell) if read is number_in else cell)
-    return found
+            keys[heading] = read(text.number_cell(cell) if read is number_in else cell)
+    return keys
 
 
 def _of_row(path: FilePath, text: CsvText, row: CsvRow, error: Exception) -> Mistake:
@@ -339,16 +339,16 @@ def _of_row(path: FilePath, text: CsvText, row: CsvRow, error: Exception) -> Mis
 # --- the keys ----------------------------------------------------------------------------
 
 
-def _file_name(path: Path, given: object) -> str:
-    if not isinstance(given, str) or not given:
-        raise WrongType(path, f"must be the name of a file, not {given!r}")
-    return given
+def _file_name(path: Path, value: object) -> str:
+    if not isinstance(value, str) or not value:
+        raise WrongType(path, f"must be the name of a file, not {value!r}")
+    return value
 
 
-def _points(path: Path, given: object) -> RegisterMap:
-    if not isinstance(given, list) or not given:
+def _points(path: Path, value: object) -> RegisterMap:
+    if not isinstance(value, list) or not value:
         raise WrongType(path, "must be an array of tables: [[device.point]]")
-    points = [POINT.read(item(path, at), each) for at, each in enumerate(given)]
+    points = [POINT.read(item(path, at), raw) for at, raw in enumerate(value)]
     indexes = {point.name: at for at, point in enumerate(points)}
     for name, mistake in scale_mistakes({point.name: point for point in points}):
         raise mistake.renamed(item(path, indexes[name]))
@@ -356,25 +356,25 @@ def _points(path: Path, given: object) -> RegisterMap:
         return RegisterMap(points)
 
 
-def _columns(path: Path, given: object) -> dict[str, str]:
-    for key, heading in table(path, given).items():
+def _columns(path: Path, value: object) -> dict[str, str]:
+    for key, heading in table(path, value).items():
         if not isinstance(heading, str) and key != "nothing":
             raise WrongType((*path, key), f"must be the heading of a column, not {heading!r}")
-    return cast(dict[str, str], given)
+    return cast(dict[str, str], value)
 
 
-def _output_tables(path: Path, given: object) -> dict[str, Any]:
-    return Keys(Key(kind, _one_or_several) for kind in KINDS).read(path, given)  # type: ignore[no-any-return]
+def _output_tables(path: Path, value: object) -> dict[str, Any]:
+    return Keys(Key(kind, _one_or_several) for kind in KINDS).read(path, value)  # type: ignore[no-any-return]
 
 
-def _one_or_several(path: Path, given: object) -> list[tuple[Path, dict[str, Any]]]:
+def _one_or_several(path: Path, value: object) -> list[tuple[Path, dict[str, Any]]]:
     """Return the table ``[output.KIND]``, or the tables ``[[output.KIND]]``, with their paths."""
     keys = output_keys(str(path[-1]))
     files = [Key(f"{key}_file", text=f"a file with the {key}") for key in SECRET if key in keys]
-    allowed = (keys | Keys(files)).optional()
-    if not isinstance(given, list):
-        return [(path, allowed.read(path, given))]
-    return [(item(path, at), allowed.read(item(path, at), each)) for at, each in enumerate(given)]
+    either = (keys | Keys(files)).optional()
+    if not isinstance(value, list):
+        return [(path, either.read(path, value))]
+    return [(item(path, at), either.read(item(path, at), raw)) for at, raw in enumerate(value)]
 
 
 DEVICE = keys_of(DeviceConfig, map=_file_name, dead_bands=table, labels=table)

@@ -62,8 +62,8 @@ def first_time(name: str, interval: float, now: float, wall: float) -> float:
 
 def next_time(planned: float, interval: float, now: float) -> tuple[float, int]:
     """Return the first time after now, and how many earlier times are skipped."""
-    missed = max(0, int((now - planned) // interval))
-    return planned + (missed + 1) * interval, missed
+    skips = max(0, int((now - planned) // interval))
+    return planned + (skips + 1) * interval, skips
 
 
 @named_arguments
@@ -111,7 +111,7 @@ class Fleet:
         journal: Journal | None = None,
         may_ask: MayAsk | None = None,
     ) -> None:
-        self._devices: dict[str, DeviceConfig] = {each.name: each for each in checked(devices)}
+        self._devices = {device.name: device for device in checked(devices)}
         self._may_ask = None if may_ask is None else checked_callback("may_ask", may_ask)
         self.statistics: FleetStatistics = FleetStatistics()
         self.commands: Commands = Commands(self)
@@ -218,7 +218,7 @@ class Fleet:
     def remove(self, connection_key: str) -> None:
         """Remove the devices of a connection. Nothing is sent to them after this returns."""
         self.replace(
-            [each for each in self._devices.values() if each.connection_key != connection_key]
+            [device for device in self._devices.values() if device.connection_key != connection_key]
         )
 
     def replace(self, devices: Iterable[DeviceConfig], *, passed_on: Collection[str] = ()) -> None:
@@ -235,7 +235,7 @@ class Fleet:
         Raises:
             TypeError, ValueError: as for `Fleet`; the devices do not change then.
         """
-        after = {each.name: each for each in checked(devices)}
+        after = {device.name: device for device in checked(devices)}
         before = self._devices
         if self._loop is None:
             self._devices = after
@@ -256,7 +256,7 @@ class Fleet:
             if poller.config.connection_key not in passed_on:
                 self._receivers.put_readings(poller.withdrawn(now, still.names if still else ()))
             self._end(poller)
-        urls = {each.connection_key: each.endpoint.url for each in after.values()}
+        urls = {device.connection_key: device.endpoint.url for device in after.values()}
         ended = [key for key, line in self._lines.items() if line.url != urls.get(key)]
         for key in ended:
             self._end_line(key)
@@ -338,8 +338,8 @@ class Fleet:
             if planned != poller.at:
                 continue
             if not self._once:
-                at, missed = next_time(planned, poller.interval, now)
-                self.statistics.skipped += missed
+                at, skips = next_time(planned, poller.interval, now)
+                self.statistics.skipped += skips
                 self._plan(poller, at)
             self._lines[poller.config.connection_key].due(poller, planned)
         self._set_alarm()
@@ -426,16 +426,16 @@ class Fleet:
         """
         poller = self._pollers[device]
         points = poller.config.map
-        wanted = dict(values)
-        for name in points.keys() & wanted.keys():
+        writes = dict(values)
+        for name in points.keys() & writes.keys():
             with inside(name):
-                wanted[name] = json_value(points[name], wanted[name])
+                writes[name] = json_value(points[name], writes[name])
         if device not in self._rewrites:
             self._rewrites[device] = Rewrites(
                 device, points, partial(self._send, poller), self._closing
             )
-        writing = self._rewrites[device].write(wanted)
-        await self._lines[poller.config.connection_key].poll_after(writing, poller, wanted)
+        writing = self._rewrites[device].write(writes)
+        await self._lines[poller.config.connection_key].poll_after(writing, poller, writes)
 
     async def _send(self, poller: Poller, values: Mapping[str, Any]) -> None:
         line = self._lines[poller.config.connection_key]

@@ -246,8 +246,8 @@ class Poller(LineRequest):
         assert self._steps is not None
         try:
             self._requests, self._outcomes = self._steps.send(outcomes), []
-        except StopIteration as done:
-            self._answers = done.value
+        except StopIteration as stop:
+            self._answers = stop.value
             if self._first_error is None:
                 self._first_error = next(filter(None, map(_error_of, self._answers)), None)
 
@@ -312,8 +312,8 @@ def offline(device: DeviceConfig, time: float, still_read: Collection[str] = ())
     """Return readings that take back the points of a device, without those named."""
     points = [device.map[name] for name in device.names if name not in still_read]
     return [
-        Reading(time, device.name, each.name, None, each.units, "offline", labels=device.labels)
-        for each in points
+        Reading(time, device.name, point.name, None, point.units, "offline", labels=device.labels)
+        for point in points
     ]
 
 

@@ -43,7 +43,7 @@ class Reading(NamedTuple):
         device: the name of the device.
         name: the name of the point in the map of the device.
         value: the scaled value; None unless the quality is "good".
-        unit: the unit of the value, such as "V".
+        units: the units of the value, such as "V".
         quality: "good"; "bad" if the device refused the request or the value is invalid; "down"
             if the device did not answer; "offline" if the point is not polled any more, because it
             was removed, or because a worker lost its lease.
@@ -61,7 +61,7 @@ class Reading(NamedTuple):
     device: str
     name: str
     value: Any
-    unit: str
+    units: str
     quality: Quality
     reason: str = ""
     id: int = 0
@@ -98,7 +98,7 @@ def classified(value: Any) -> tuple[Any, Quality, str]:
     if isinstance(value, list) and (lacks := [*filter(None, map(_lack, value))]):
         if len(lacks) == len(value):
             return None, "bad", lacks[0]
-        return [None if _lack(each) else each for each in value], "good", lacks[0]
+        return [None if _lack(item) else item for item in value], "good", lacks[0]
     return value, "good", ""
 
 
@@ -204,8 +204,8 @@ class Buffer(AsyncIterator[Reading]):
         return len(self._kept)
 
     async def __anext__(self) -> Reading:
-        if found := await self.take_readings(1):
-            return found[0]
+        if readings := await self.take_readings(1):
+            return readings[0]
         raise StopAsyncIteration
 
     def put_readings(self, readings: Sequence[Reading]) -> None:
@@ -266,18 +266,18 @@ class Buffer(AsyncIterator[Reading]):
 
     async def take_polls(self, most: int, timeout: float | None = None) -> list[Reading]:
         """As `take_readings`, with all readings of the last poll, even if these are more."""
-        taken = await self.take_readings(most, timeout)
-        while taken and self._kept and self._kept[0].poll == taken[-1].poll:
-            taken.append(self._kept.popleft())
-        return taken
+        readings = await self.take_readings(most, timeout)
+        while readings and self._kept and self._kept[0].poll == readings[-1].poll:
+            readings.append(self._kept.popleft())
+        return readings
 
     async def polls(self, most: int) -> list[list[Reading]]:
         """Return the readings of the first polls, which stay in the buffer."""
         while True:
-            groups = groupby(self._kept, lambda each: each.poll)
-            found = [list(group) for _, group in islice(groups, most)]
-            if len(found) == most or not await self._fetch(most):
-                return found
+            groups = groupby(self._kept, lambda reading: reading.poll)
+            polls = [list(group) for _, group in islice(groups, most)]
+            if len(polls) == most or not await self._fetch(most):
+                return polls
 
     async def _fetch(self, most: int) -> bool:
         """Add about so many readings; return False if there are no others now."""

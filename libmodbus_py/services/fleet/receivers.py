@@ -58,13 +58,13 @@ class Receivers:
 
     async def start(self, commands: Commands) -> None:
         """Open the journal and start the outputs; raise JournalError if it cannot be used."""
-        names = _unlike(each.name for each in self.outputs)
+        names = _unlike(output.name for output in self.outputs)
         places: dict[int, Buffer] = {}
         if self._journal is not None:
-            kept = _unlike(each.identity for each in self.outputs)
-            at = [i for i, each in enumerate(self.outputs) if not each.is_live]
-            opened = await self._journal.open([kept[each] for each in at])
-            places = dict(zip(at, opened, strict=True))
+            identities = _unlike(output.identity for output in self.outputs)
+            at = [i for i, output in enumerate(self.outputs) if not output.is_live]
+            buffers = await self._journal.open([identities[number] for number in at])
+            places = dict(zip(at, buffers, strict=True))
         for number, output in enumerate(self.outputs):
             if output.takes_commands:
                 output.attach_commands(commands)
@@ -103,9 +103,9 @@ class Receivers:
         waiting = asyncio.create_task(event.wait())
         try:
             tasks = [waiting, *(pump.task for pump in self._pumps)]
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for each in done:
-                each.result()
+            ends, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in ends:
+                task.result()
         finally:
             waiting.cancel()
 
@@ -137,18 +137,18 @@ def _checked(outputs: object) -> list[Output]:
     """Return outputs as a list; raise TypeError for what cannot be one."""
     if isinstance(outputs, str | bytes) or not isinstance(outputs, Iterable):
         raise WrongType("outputs", f"must be a list of outputs, not {type(outputs).__name__}")
-    found = list(outputs)
-    for at, output in enumerate(found):
+    result = list(outputs)
+    for at, output in enumerate(result):
         if not isinstance(output, Output):
             raise WrongType(("outputs", at), f"must be an Output, not {type(output).__name__}")
-    return found
+    return result
 
 
 def _unlike(names: Iterable[str]) -> list[str]:
     """Return names with numbers behind those that others have too."""
     counts: Counter[str] = Counter()
-    found: list[str] = []
+    result: list[str] = []
     for name in names:
         counts[name] += 1
-        found.append(f"{name} ({counts[name]})" if counts[name] > 1 else name)
-    return found
+        result.append(f"{name} ({counts[name]})" if counts[name] > 1 else name)
+    return result

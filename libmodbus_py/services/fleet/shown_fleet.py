@@ -41,7 +41,7 @@ def problems(fleet: Fleet) -> list[str]:
     states = {name: poller.state for name, poller in pollers.items()}
     down = [name for name, state in states.items() if state is DeviceState.DOWN]
     new = [name for name, state in states.items() if state is DeviceState.NEW]
-    bad = [f"{name} {point}" for name, each in pollers.items() for point in each.bad_points]
+    bad = [f"{name} {point}" for name, poller in pollers.items() for point in poller.bad_points]
     texts = [f"{len(down)} of {len(pollers)} devices down{first_names(down)}"] if down else []
     if new:
         texts.append(
@@ -84,12 +84,12 @@ class PageOutput(Output):
 
 
 def _points(devices: Mapping[str, Poller]) -> Iterator[ShownPoint]:
-    for each in devices.values():
-        config = each.config
-        for name, units in zip(each.reads.names, each.reads.units, strict=True):
+    for device in devices.values():
+        config = device.config
+        for name, units in zip(device.reads.names, device.reads.units, strict=True):
             is_stepped = config.on_change or name in config.dead_bands
             every = None if is_stepped else config.map[name].interval or config.interval
-            yield ShownPoint(each.name, name, units, every)
+            yield ShownPoint(device.name, name, units, every)
 
 
 class ShownFleet:
@@ -116,9 +116,9 @@ class ShownFleet:
         return f"all {count} devices answer" if count else "no devices", False
 
     def figures(self) -> Mapping[str, float]:
-        found = self._fleet.statistics
+        statistics = self._fleet.statistics
         names = ("devices", "up", "down", "polls", "readings")
-        return {name: getattr(found, name) for name in names}
+        return {name: getattr(statistics, name) for name in names}
 
     def rows(self) -> Sequence[PageRow]:
         return [*destinations(self._fleet), *self._values.rows]
@@ -204,8 +204,8 @@ class PollerRow:
         points, every = f"{len(poller.reads.names)} points", f"every {config.interval:g} s"
         name = {"group": "", "own": cell_text(poller.name), "place": cell_text(place)}
         state = {"word": word, "reason": reason, "since": round(poller.since, 1)}
-        shown = {"name": name, "state": state, "value": {"text": points, "units": every}}
-        return {**shown, "age": round(poller.answered_at, 1)}
+        row = {"name": name, "state": state, "value": {"text": points, "units": every}}
+        return {**row, "age": round(poller.answered_at, 1)}
 
 
 # --- on a terminal -----------------------------------------------------------------------------
@@ -229,10 +229,10 @@ def fleet_lines(fleet: Fleet, title: str) -> list[tuple[str, bool]]:
             since, why = clock_text(poller.since), str(poller.error).rpartition("): ")[2]
             lines.append(f"{poller.name[:WIDEST]} is down since {since}: {why}")
     values = ((poller.name, value) for poller in pollers for value in poller.last_values())
-    shown = list(islice(values, MOST_LINES))
-    device_width = min(max((len(device) for device, _ in shown), default=0), WIDEST)
-    name_width = min(max((len(value.name) for _, value in shown), default=0), WIDEST)
-    for device, value in shown:
+    rows = list(islice(values, MOST_LINES))
+    device_width = min(max((len(device) for device, _ in rows), default=0), WIDEST)
+    name_width = min(max((len(value.name) for _, value in rows), default=0), WIDEST)
+    for device, value in rows:
         text = f"- ({value.reason})" if value.reason else value_text(value.value)
         where = f"{device[:WIDEST]:<{device_width}}  {value.name[:WIDEST]:<{name_width}}"
         lines.append(f"{where}  {text[:MAX_TEXT_CHARACTERS]:>14} {value.units}".rstrip())

@@ -36,7 +36,7 @@ class Tried(NamedTuple):
 
 def overloads(devices: Iterable[DeviceConfig]) -> list[str]:
     """Return a sentence for each serial line that cannot keep the intervals of its devices."""
-    found: list[str] = []
+    sentences: list[str] = []
     for group in by_connection(devices).values():
         endpoint = group[0].endpoint
         if not endpoint.is_serial:
@@ -53,8 +53,8 @@ def overloads(devices: Iterable[DeviceConfig]) -> list[str]:
         needed = sum(seconds * shortest / interval for interval, seconds in loads)
         if needed > shortest:
             line = f"line {endpoint.url.partition('?')[0]} at {port.baudrate}"
-            found.append(f"{line}: {needed:.3g} s of requests each {shortest:g} s")
-    return found
+            sentences.append(f"{line}: {needed:.3g} s of requests each {shortest:g} s")
+    return sentences
 
 
 def _characters(device: DeviceConfig) -> dict[float, float]:
@@ -65,26 +65,26 @@ def _characters(device: DeviceConfig) -> dict[float, float]:
     points: defaultdict[float, list[int]] = defaultdict(list)
     for at, own in enumerate(device.reads.intervals):
         points[own or device.interval].append(at)
-    found = dict.fromkeys(points, 0.0)
+    counts = dict.fromkeys(points, 0.0)
     for interval, due in points.items():
         requests: Any = device.reads.plan_of(tuple(due)).requests
-        for each in requests:
-            for pdu in (each.encode(), each.encode_response([0] * each.count)):
-                found[interval] += len(framer.encode(Frame(device.unit, pdu))) + silence
-    return found
+        for request in requests:
+            for pdu in (request.encode(), request.encode_response([0] * request.count)):
+                counts[interval] += len(framer.encode(Frame(device.unit, pdu))) + silence
+    return counts
 
 
 async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]:
     """Poll each device once, those of a line one after the other; yield results as they come."""
-    found: asyncio.Queue[Tried | Exception] = asyncio.Queue()
+    results: asyncio.Queue[Tried | Exception] = asyncio.Queue()
     free = asyncio.Semaphore(MOST_AT_ONCE)
     tasks = [
-        asyncio.create_task(_try_line(group, free, found))
+        asyncio.create_task(_try_line(group, free, results))
         for group in by_connection(devices).values()
     ]
     try:
         for _ in devices:
-            result = await found.get()
+            result = await results.get()
             if isinstance(result, Exception):
                 raise result  # a defect, after which no more results of its line come
             yield result
@@ -95,15 +95,15 @@ async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]
 
 
 async def _try_line(
-    devices: list[DeviceConfig], free: asyncio.Semaphore, found: asyncio.Queue[Tried | Exception]
+    devices: list[DeviceConfig], free: asyncio.Semaphore, results: asyncio.Queue[Tried | Exception]
 ) -> None:
     async with free:
         client = AsyncClient(devices[0].endpoint.url)
         try:
             for device in devices:
-                found.put_nowait(await _try(client, device))
+                results.put_nowait(await _try(client, device))
         except Exception as error:
-            found.put_nowait(error)
+            results.put_nowait(error)
         finally:
             await client.close()
 

@@ -105,29 +105,29 @@ def changes(
         yield Put(SETTINGS, settings.encode(), view.seen_at(SETTINGS).revision)
     # Compared as encoded: the order of keys has no meaning.
     target = {connection.bucket_key: connection.encode() for connection in connections}
-    stored = {connection.bucket_key: connection.encode() for connection in view.all_connections}
+    values = {connection.bucket_key: connection.encode() for connection in view.all_connections}
     for key, value in target.items():
-        if stored.get(key) != value:
+        if values.get(key) != value:
             yield Put(key, value, view.seen_at(key).revision)
-    for key in stored.keys() - target.keys():
+    for key in values.keys() - target.keys():
         yield Put(key, None, view.seen_at(key).revision)
 
 
 async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connection]) -> Pushed:
     """Make the bucket match a fleet file, unless other programs change it at the same time."""
-    new = changed = gone = 0
+    new = updated = deletions = 0
     for _ in range(MOST_TRIES):
         view = await seen_now(bucket)
         puts = list(changes(view, settings, connections))
         if not puts:
-            return Pushed(new, changed, gone)
+            return Pushed(new, updated, deletions)
         # Revisions do not show which keys are new: deleted keys have revisions, too.
-        stored = {SETTINGS, *(connection.bucket_key for connection in view.all_connections)}
+        keys = {SETTINGS, *(connection.bucket_key for connection in view.all_connections)}
         deleted = [put for put in puts if put.value is None]
         updates = [put for put in puts if put.value is not None]
-        gone += len(deleted)
-        new += sum(put.key not in stored for put in updates)
-        changed += sum(put.key in stored and put.key != SETTINGS for put in updates)
+        deletions += len(deleted)
+        new += sum(put.key not in keys for put in updates)
+        updated += sum(put.key in keys and put.key != SETTINGS for put in updates)
         for several in (updates, deleted):
             for at in range(0, len(several), AT_ONCE):
                 await asyncio.gather(*(bucket.put(*put) for put in several[at : at + AT_ONCE]))

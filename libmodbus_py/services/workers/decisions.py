@@ -26,15 +26,15 @@ order. A write succeeds only if its key has not changed.
 ====================  ===========================================================================
 slot                  what a worker with a valid lease does
 ====================  ===========================================================================
-mine, and I am heir   polls its connections that all others have acknowledged
-mine, other heir      stops polling, and writes the heir; does not poll before the key changes
+mine, and I am owner  polls its connections that all others have acknowledged
+mine, other owner     stops polling, and writes the owner; does not poll before the key changes
 of a silent worker    nothing, until it is heard or `OTHERS_PART` of its lease is over: then it
                       writes that the worker has ended
-of an ended worker    the heir writes itself
-of an unknown worker  the heir writes itself after `OTHERS_PART` of the longest lease
+of an ended worker    the owner writes itself
+of an unknown worker  the owner writes itself after `OTHERS_PART` of the longest lease
 ====================  ===========================================================================
 
-The heirs are those of `share`, among the workers that were heard within `HEARD_PART` of their
+The owners are those of `share`, among the workers that were heard within `HEARD_PART` of their
 leases. `may_ask` of the worker is the only guard that does not depend on anything being written.
 """
 
@@ -134,7 +134,7 @@ class _Deciding:
         self.renew_lease(report)
         return Decision(active, self.puts, self.due, self.is_blind(), unserved)
 
-    def put(self, key: str, value: bytes | None) -> None:
+    def put_key(self, key: str, value: bytes | None) -> None:
         """Write a key, unless the same was written recently and the key has not changed."""
         pause = self.lease * AGAIN
         if self.worker.has_written(key):
@@ -151,7 +151,7 @@ class _Deciding:
         for member in self.others:
             at = max(self.worker.hears_since, self.view.seen_at(member.bucket_key).at)
             if self.has_passed(at + member.lease * OTHERS_PART):
-                self.put(member.bucket_key, replace(member, state="ended").encode())
+                self.put_key(member.bucket_key, replace(member, state="ended").encode())
 
     def forget_ended(self) -> None:
         """Delete workers that ended long ago, and hold no slots with connections."""
@@ -160,7 +160,7 @@ class _Deciding:
             at = self.view.seen_at(member.bucket_key).at
             is_gone = member.state == "ended" and member.id not in holders
             if is_gone and self.has_passed(at + REMEMBERED_S):
-                self.put(member.bucket_key, None)
+                self.put_key(member.bucket_key, None)
 
     def renew_lease(self, report: Mapping[str, Any]) -> None:
         worker, view = self.worker, self.view
@@ -190,14 +190,14 @@ class _Deciding:
         }
         eligible[self.me] = self.worker.zones
         slots = {slot for slot in self.used_slots if holders.get(slot) not in self.silent}
-        for slot, heir in share(slots, holders, eligible).items():
+        for slot, owner in share(slots, holders, eligible).items():
             if holders.get(slot) == self.me:
-                # The write of another heir may still succeed: this one does, or that one.
-                moves = heir != self.me or not self.worker.is_mine(slot)
+                # The write of another owner may still succeed: this one does, or that one.
+                moves = owner != self.me or not self.worker.is_mine(slot)
             else:
-                moves = heir == self.me and self.is_free(slot)
+                moves = owner == self.me and self.is_free(slot)
             if moves:
-                self.put(slot.key, Holding(slot, heir, self.me).encode())
+                self.put_key(slot.key, Holding(slot, owner, self.me).encode())
 
     def is_free(self, slot: Slot) -> bool:
         holder = self.view.holder(slot)
@@ -288,17 +288,17 @@ def _shared(
 ) -> Iterator[tuple[Slot, str]]:
     """Yield the worker of each slot; all of these workers may hold any of them."""
     has: dict[str, list[Slot]] = {worker: [] for worker in workers}
-    homeless: list[Slot] = []
+    free: list[Slot] = []
     for slot in slots:
-        has.get(holders.get(slot, ""), homeless).append(slot)
+        has.get(holders.get(slot, ""), free).append(slot)
     least, more = divmod(len(slots), len(workers))
     # The workers with the most slots get the larger quotas, so that fewer slots move.
     by_size = sorted(workers, key=lambda worker: (-len(has[worker]), worker))
     quota = {worker: least + (at < more) for at, worker in enumerate(by_size)}
     for worker, its in has.items():
-        homeless += its[quota[worker] :]
+        free += its[quota[worker] :]
         del its[quota[worker] :]
     for worker, its in has.items():
         while len(its) < quota[worker]:
-            its.append(homeless.pop())
+            its.append(free.pop())
         yield from ((slot, worker) for slot in its)

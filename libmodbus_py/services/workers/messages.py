@@ -123,10 +123,10 @@ PAUSE_S = 0.25
 class CommandService:
     """Answers the commands that are published to ``modbus.write.DEVICE.POINT``."""
 
-    def __init__(self, client: Client, commands: Commands, say: Callable[[str], None]) -> None:
+    def __init__(self, client: Client, commands: Commands, log: Callable[[str], None]) -> None:
         self._client = client
         self._commands = commands
-        self._say = say
+        self._log = log
         self._tasks = KeptTasks()
         self._is_on = False
 
@@ -144,7 +144,7 @@ class CommandService:
                 try:
                     subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._receive)
                 except Exception as error:
-                    self._say(f"commands: {what(error)}")
+                    self._log(f"commands: {what(error)}")
                     await asyncio.sleep(PAUSE_S)
             await asyncio.Event().wait()
         finally:

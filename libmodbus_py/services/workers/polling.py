@@ -44,8 +44,8 @@ PAUSE_S = 0.25
 TIMEOUT_S = 3.0
 
 # Seconds before the same line is logged again, and the most lines that are remembered for this.
-SAID_AGAIN_S = 60.0
-MOST_SAID_LINES = 100
+REPORT_AGAIN_S = 60.0
+MOST_REPORTS = 100
 
 
 class Polling:
@@ -76,7 +76,7 @@ class Polling:
             outputs=[Stream(client, limits), *outputs], journal=journal, may_ask=self._may_ask
         )
         self.fleet.commands.refusal = self._refusal
-        self._service = CommandService(client, self.fleet.commands, self._say)
+        self._service = CommandService(client, self.fleet.commands, self._log_problem)
         self._service.switch(settings.commands)
         # Set when a decision is needed.
         self._woken = asyncio.Event()
@@ -89,7 +89,7 @@ class Polling:
         # The keys of the connections that were reported "offline" because no worker polls them.
         self._unserved: set[str] = set()
         self._writes = KeptTasks()
-        self._said: dict[str, float] = {}
+        self._reports: dict[str, float] = {}
         self._was_valid = True
         # The number of polls at a time, and the rate up to then.
         self._polls: tuple[int, float] = 0, self.now()
@@ -144,7 +144,7 @@ class Polling:
                     timer.cancel()
                     await watch.end()
             except EngineError as error:
-                self._say(f"the engine: {error}")
+                self._log_problem(f"the engine: {error}")
             await asyncio.sleep(PAUSE_S)
         raise EngineError("the connection to NATS was closed; start the worker again")
 
@@ -170,7 +170,7 @@ class Polling:
         try:
             await self._bucket.put(*put)
         except EngineError as error:
-            self._say(f"the engine: {error}")
+            self._log_problem(f"the engine: {error}")
 
     # --- decisions ------------------------------------------------------------------------------
 
@@ -233,7 +233,7 @@ class Polling:
             return devices_of(connection)
         except ValueError as error:
             # No record may stop a worker: others would take over the connection, and stop as well.
-            self._say(str(error))
+            self._log_problem(str(error))
             return []
 
     def _report_unserved(self, connections: Sequence[Connection]) -> None:
@@ -280,13 +280,13 @@ class Polling:
                 if is_early and not self.worker.may_poll(now):
                     self.fleet.take_back()
         for problem in self.worker.view.unreadable.values():
-            self._say(f"the bucket: {problem}")
+            self._log_problem(f"the bucket: {problem}")
 
-    def _say(self, text: str) -> None:
+    def _log_problem(self, text: str) -> None:
         """Log a line, unless it was logged within the last minute."""
         now = self.now()
-        if now > self._said.get(text, -math.inf) + SAID_AGAIN_S:
-            if len(self._said) > MOST_SAID_LINES:
-                self._said.clear()
-            self._said[text] = now
+        if now > self._reports.get(text, -math.inf) + REPORT_AGAIN_S:
+            if len(self._reports) > MOST_REPORTS:
+                self._reports.clear()
+            self._reports[text] = now
             logger.warning("%s", text)

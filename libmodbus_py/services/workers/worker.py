@@ -83,7 +83,7 @@ class Worker:
         self.beat: int = 0
         self.sent_at: float = -math.inf
         # By number of each value that was not seen yet: until when it extends the lease.
-        self._sent: dict[int, float] = {}
+        self._leases: dict[int, float] = {}
         self.active: Mapping[str, Connection] = {}
         self.attempts: dict[str, tuple[int, float]] = {}
         self.due: float = -math.inf
@@ -130,8 +130,8 @@ class Worker:
                 assert self.view.settings is not None
                 self.beat, self.sent_at = self.beat + 1, now
                 # Older values cannot extend the lease any more.
-                self._sent = {beat: until for beat, until in self._sent.items() if now < until}
-                self._sent[self.beat] = now + self.view.settings.lease * OWN_PART
+                self._leases = {beat: until for beat, until in self._leases.items() if now < until}
+                self._leases[self.beat] = now + self.view.settings.lease * OWN_PART
             else:
                 self.attempts[put.key] = put.last, now
 
@@ -145,7 +145,7 @@ class Worker:
         me = self.view.members.get(self.id)
         if me is not None and me.state != "ended":
             self.joined = True
-            self.lease_until = max(self.lease_until, self._sent.get(me.beat, -math.inf))
+            self.lease_until = max(self.lease_until, self._leases.get(me.beat, -math.inf))
         elif me is not None or self.joined:
             self.left = self.is_leaving
             self._join()

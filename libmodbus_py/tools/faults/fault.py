@@ -157,12 +157,12 @@ class Fault:
     def __post_init__(self) -> None:
         _one_of(KINDS)("kind", self.kind)
         needed = KINDS[self.kind]
-        allowed = WHICH.keys() | {needed, *OPTIONAL.get(self.kind, ())}
+        keys = WHICH.keys() | {needed, *OPTIONAL.get(self.kind, ())}
         for name, check in (SETTINGS | WHICH).items():
             if (value := getattr(self, name)) is None:
                 if name == needed:
                     raise WrongValue(name, f"is missing, which {self.kind} needs")
-            elif name not in allowed:
+            elif name not in keys:
                 raise WrongValue(name, f"does not apply to {self.kind}")
             else:
                 check(name, value)
@@ -219,13 +219,13 @@ class Fault:
             answer = answer._replace(unit=answer.unit % 247 + 1)  # one that a serial line can have
         adu = framer.encode(answer)
         parts = _parts(self, adu, framer)
-        traced = tuple((each, answer if each == adu else None) for each in parts if each)
+        traced = tuple((part, answer if part == adu else None) for part in parts if part)
         data = b"".join(parts)
         wait = self.seconds or 0
         if kind != "trickle":
             return [Fragment(wait, data, kind == "disconnect", traced)]
-        found = [Fragment(wait if at else 0, data[at : at + 1]) for at in range(len(data))]
-        return [*found[:-1], found[-1]._replace(traced=traced)]
+        fragments = [Fragment(wait if at else 0, data[at : at + 1]) for at in range(len(data))]
+        return [*fragments[:-1], fragments[-1]._replace(traced=traced)]
 
 
 class Counter:

@@ -27,22 +27,24 @@ WHOLE = frozenset(get_args(IntegerType))
 
 WORD_OF = {character: word for word, character in PADDINGS.items()}
 
-_DEFAULTS = {each.name: each.default for each in fields(Point) if each.init}
+_DEFAULTS = {field.name: field.default for field in fields(Point) if field.init}
 
 
 def toml_text(points: Iterable[Point]) -> str:
     """Return points as TOML: a table for each, with the arguments that are not defaults."""
     return "\n".join(
-        "\n".join(["[[point]]", *(f"{key} = {_shown(value)}" for key, value in _said(point)), ""])
+        "\n".join(
+            ["[[point]]", *(f"{key} = {_shown(value)}" for key, value in _arguments(point)), ""]
+        )
         for point in points
     )
 
 
 def csv_text(points: Iterable[Point]) -> str:
     """Return points as CSV: a line for each."""
-    said = [dict(_said(point)) for point in points]
-    used = [key for key in _DEFAULTS if any(key in keys for keys in said)]
-    return csv_rows([used, *([_cell(keys.get(key, "")) for key in used] for keys in said)])
+    rows = [dict(_arguments(point)) for point in points]
+    columns = [key for key in _DEFAULTS if any(key in keys for keys in rows)]
+    return csv_rows([columns, *([_cell(keys.get(key, "")) for key in columns] for keys in rows)])
 
 
 def _cell(value: Any) -> Any:
@@ -62,7 +64,7 @@ def _cell(value: Any) -> Any:
     return "; ".join(f"{key} = {name}" for key, name in value.items())
 
 
-def _said(point: Point) -> list[tuple[str, Any]]:
+def _arguments(point: Point) -> list[tuple[str, Any]]:
     return [
         (key, value)
         for key, default in _DEFAULTS.items()
@@ -72,7 +74,7 @@ def _said(point: Point) -> list[tuple[str, Any]]:
 
 def _shown(value: Any) -> str:
     if isinstance(value, Mapping):
-        pairs = (f"{shown_key(str(key))} = {_shown(each)}" for key, each in value.items())
+        pairs = (f"{shown_key(str(key))} = {_shown(item)}" for key, item in value.items())
         return f"{{ {', '.join(pairs)} }}"
     # Printable text, numbers and lists are written alike in JSON and TOML.
     return json.dumps(value, ensure_ascii=False)
@@ -175,29 +177,29 @@ def class_text(map: RegisterMap, stem: str) -> str:
     if name in re.findall(r"\w+", FILE):  # which has, or imports, this name
         name += "Map"
     names = attribute_names(map)
-    readable = [each for each in map.values() if each.is_readable]
-    writable = [each for each in map.values() if each.is_writable]
-    words = [f"    {names[each.name]!r},\n" for each in readable]
+    readable = [point for point in map.values() if point.is_readable]
+    writable = [point for point in map.values() if point.is_writable]
+    words = [f"    {names[point.name]!r},\n" for point in readable]
     values = [
-        f"    {names[each.name]}: {_kind(each).replace('list', 'Sequence')}\n" for each in writable
+        f"    {names[row.name]}: {_kind(row).replace('list', 'Sequence')}\n" for row in writable
     ]
-    has_times = any("datetime" in _kind(each) for each in map.values())
+    has_times = any("datetime" in _kind(point) for point in map.values())
     return FILE.format(
         name=name,
         about=_docstring(f"The points of {stem}, {MARK}.", ""),
-        sequence=", Sequence" if any("Sequence" in each for each in values) else "",
+        sequence=", Sequence" if any("Sequence" in kind for kind in values) else "",
         datetime="from datetime import datetime\n" if has_times else "",
         literal="    Literal,\n" if words else "",
         attributes=f"Literal[\n{''.join(words)}]" if words else "str",
         values="".join(["\n", *values]) if values else "",
         points="".join(_points(map)),
-        properties="".join(_property(each, names[each.name]) for each in readable),
+        properties="".join(_property(point, names[point.name]) for point in readable),
     )
 
 
 def class_name(stem: str) -> str:
     """Return the name of a class for a file without its ending: ``Sdm630V2`` for "sdm630-v2"."""
-    words = [each for each in re.split("_+", spelled(stem)) if each]
+    words = [word for word in re.split("_+", spelled(stem)) if word]
     text = "".join(word[0].upper() + word[1:] for word in words) or "Meter"
     text = unicodedata.normalize("NFKC", text)
     return text if text.isidentifier() and not keyword.iskeyword(text) else f"Map{text}"
@@ -209,8 +211,8 @@ def _points(map: RegisterMap) -> Iterator[str]:
         for key, default in _DEFAULTS.items():
             value = getattr(point, key)
             if value != default:
-                shown = dict(value) if isinstance(value, Mapping) else value
-                yield f"            {key}={shown!r},\n"
+                content = dict(value) if isinstance(value, Mapping) else value
+                yield f"            {key}={content!r},\n"
         yield "        ),\n"
 
 
@@ -240,7 +242,7 @@ def _kind_of_one(point: Point) -> str:
         return "dict[str, int]"
     if point.read.kind is None or (point.bit is not None and ".." not in str(point.bit)):
         return "bool"
-    is_whole = not any(each % 1 for each in (point.scale, point.offset))
+    is_whole = not any(factor % 1 for factor in (point.scale, point.offset))
     if point.type in WHOLE:
         return "int" if is_whole and point.scale_from is None else "float"
     if str(point.type).startswith("float"):
@@ -258,7 +260,7 @@ def _about(point: Point) -> str:
     facts = [f"{many}{point.type or 'bit'}"]
     facts += [point.units] if point.units else []
     if point.has_bounds:
-        low, high = ("" if each is None else each for each in (point.minimum, point.maximum))
+        low, high = ("" if limit is None else limit for limit in (point.minimum, point.maximum))
         facts.append(f"{low}..{high}")
     facts += ["read-only"] if not point.is_writable else []
     first = f"{point.name}: {', '.join(facts)}."

@@ -22,30 +22,30 @@ from ...protocol.mistakes import Path, inside, item
 __all__ = ["parts_of_tables", "roles"]
 
 
-def roles(path: Path, given: object) -> Rules:
+def roles(path: Path, value: object) -> Rules:
     """
     Return the rules of all roles; the empty name stands for clients without a role.
 
     Raises:
         TypeError, ValueError: a role has a wrong name or key; the message has the path of it.
     """
-    if isinstance(given, Rules):  # those of the file, for a unit without its own
-        return given
-    named = table(path, given)
-    found = {
-        name or None: ALLOW.read((*path, shown_key(name)), each) for name, each in named.items()
+    if isinstance(value, Rules):  # those of the file, for a unit without its own
+        return value
+    tables = table(path, value)
+    rules = {
+        name or None: ALLOW.read((*path, shown_key(name)), texts) for name, texts in tables.items()
     }
     with inside(*path):
-        return Rules(found)
+        return Rules(rules)
 
 
-def parts_of_tables(path: Path, given: object) -> Any:
+def parts_of_tables(path: Path, value: object) -> Any:
     """Return names of tables, and an `Access` for each part of a table."""
-    if not isinstance(given, list):
-        return given
+    if not isinstance(value, list):
+        return value
     return [
-        PART.read(item(path, at), each) if isinstance(each, dict) else each
-        for at, each in enumerate(given)
+        PART.read(item(path, at), part) if isinstance(part, dict) else part
+        for at, part in enumerate(value)
     ]
 
 

@@ -111,15 +111,15 @@ class CaptureWriter:
         """Close the file; any number of times."""
         self._file.close()
 
-    def write(self, heard: Heard, link: int = 0) -> None:
+    def write(self, event: Heard, link: int = 0) -> None:
         """Write a frame or damaged bytes of a connection; raise OSError if the disk is full."""
         port = FIRST_CLIENT_PORT + link % (65536 - FIRST_CLIENT_PORT)
-        if heard.frame is None:
+        if event.frame is None:
             # The sender is unknown: both ports are those of the client.
-            data = _tag(_DISSECTOR, b"mbrtu") + _ports(port, port) + bytes(4) + heard.data
+            data = _tag(_DISSECTOR, b"mbrtu") + _ports(port, port) + bytes(4) + event.data
         else:
-            data = self._exported(heard.frame, port, is_request=heard.part == "request")
-        time = max(round(heard.ended * 1_000_000), 0)
+            data = self._exported(event.frame, port, is_request=event.part == "request")
+        time = max(round(event.ended * 1_000_000), 0)
         head = struct.pack("<IIIII", 0, time >> 32, time & 0xFFFFFFFF, len(data), len(data))
         self._write(_block(PACKET, head + _padded(data)))
 
@@ -141,10 +141,10 @@ class CaptureWriter:
         rest = data
         try:
             while rest:  # a pipe may take less, or nothing until its reader goes on
-                written = self._file.write(rest)
-                if not written and not select.select([], [self._file], [], READER_TIME_S)[1]:
+                count = self._file.write(rest)
+                if not count and not select.select([], [self._file], [], READER_TIME_S)[1]:
                     raise OSError(errno.EAGAIN, "the reader of the pipe has stopped reading")
-                rest = rest[written or 0 :]
+                rest = rest[count or 0 :]
         except OSError as error:
             # What is left is valid without a part of a block; a pipe cannot be cut.
             if rest != data:

@@ -120,9 +120,9 @@ class Listener:
 
     def _free(self) -> None:
         self._end_all()  # what was heard is written, and `rest` returns it
-        for each in (self._source, self._writer, self._poller, self._waker):
-            if each is not None:
-                each.close()
+        for part in (self._source, self._writer, self._poller, self._waker):
+            if part is not None:
+                part.close()
 
     @contextlib.contextmanager
     def _iterating(self) -> Iterator[None]:
@@ -143,12 +143,12 @@ class Listener:
         return self
 
     def __next__(self) -> Transaction:
-        found = None
+        transaction = None
         with self._iterating(), contextlib.suppress(Woken):
-            found = run(self._next(), self._waker)
-        if found is None:
+            transaction = run(self._next(), self._waker)
+        if transaction is None:
             raise StopIteration
-        return found
+        return transaction
 
     def __aiter__(self) -> Self:
         return self
@@ -157,10 +157,10 @@ class Listener:
         with self._iterating():
             # There is no other wait in a flood or a capture, but other tasks must run, too.
             await asyncio.sleep(0)
-            found = await run_async(self._next())
-        if found is None:
+            transaction = await run_async(self._next())
+        if transaction is None:
             raise StopAsyncIteration
-        return found
+        return transaction
 
     def rest(self) -> list[Transaction]:
         """Return the transactions that were not iterated; pending requests count as unanswered."""
@@ -187,8 +187,8 @@ class Listener:
         if not is_ready:
             self._tick_after = IDLE
             now = self._clock()
-            for each in self._separators.values():
-                self._add(each.tick(now))
+            for separator in self._separators.values():
+                self._add(separator.tick(now))
             return
         try:
             pieces = source.receive()
@@ -216,11 +216,11 @@ class Listener:
 
     def _read_on(self, reader: CaptureReader) -> bool:
         """Read a frame; at the end of the capture, return True if there are transactions left."""
-        for found in reader.recorded:
-            if isinstance(found, Packet):
-                self._add(self._streams.take(found))
+        for event in reader.recorded:
+            if isinstance(event, Packet):
+                self._add(self._streams.take(event))
             else:
-                self._add(self._separator(found[0]).take(found[1]))
+                self._add(self._separator(event[0]).take(event[1]))
             return True
         self._end_all()
         return bool(self._ready)
@@ -231,26 +231,26 @@ class Listener:
             self._separators[link] = Separator(self._framing, on_heard, self._pause)
         return self._separators[link]
 
-    def _record(self, link: int, heard: Heard) -> None:
+    def _record(self, link: int, event: Heard) -> None:
         """Write to the capture; if that fails, end the capture, but continue to listen."""
         if self._writer is None or self.capture_error is not None:
             return
         try:
-            self._writer.write(heard, link=link)
+            self._writer.write(event, link=link)
         except OSError as error:
             self.capture_error = of_system(error)
             logger.warning("%s: %s; the capture ends here", error.filename, error.strerror)
 
     def _end_all(self) -> None:
         separators, self._separators = self._separators, {}
-        for each in separators.values():
-            self._add(each.end())
+        for separator in separators.values():
+            self._add(separator.end())
         self._add(self._streams.end())
 
-    def _add(self, done: list[Transaction]) -> None:
-        for each in done:
-            self.summary.note(each)
-        self._ready += done
+    def _add(self, transactions: list[Transaction]) -> None:
+        for transaction in transactions:
+            self.summary.add_transaction(transaction)
+        self._ready += transactions
 
 
 class Clock:
@@ -301,7 +301,7 @@ def listen(
     clock = Clock()
     framing: LineFraming = "rtu"
     pause = 0.0
-    with contextlib.ExitStack() as opened:
+    with contextlib.ExitStack() as stack:
         source: Source | CaptureReader
         if isinstance(url, str) and url.endswith(CAPTURES) and "://" not in url:
             if between is not None:
@@ -314,17 +314,17 @@ def listen(
             source = _source(endpoint, None if between is None else parse_to_listen(between), clock)
             name = str(source.endpoint if isinstance(source, Tap) else endpoint)
             framing, pause = "ascii" if endpoint.framing == "ascii" else "rtu", endpoint.pause
-        opened.callback(source.close)
+        stack.callback(source.close)
         writer = None if capture is None else CaptureWriter(capture, name)
         if writer is not None:
-            opened.callback(writer.close)
+            stack.callback(writer.close)
         try:
             listener = Listener(name, framing, source, writer, clock, pause)
         except OSError as error:  # no descriptor is left
             raise ModbusConnectionError(
                 f"cannot listen to {name}: {error.strerror}", errno=error.errno
             ) from error
-        opened.pop_all()
+        stack.pop_all()
         return listener
 
 
@@ -336,9 +336,9 @@ IN_TLS = (
 
 def _source(endpoint: Endpoint, target: Endpoint | None, clock: Clock) -> Source:
     """Open the source; raise ValueError if it is not possible to listen to it."""
-    for each in filter(None, (endpoint, target)):
-        if each.is_secure:
-            raise ValueError(f"{each}: {IN_TLS}")
+    for place in filter(None, (endpoint, target)):
+        if place.is_secure:
+            raise ValueError(f"{place}: {IN_TLS}")
     if endpoint.is_serial:
         if target is not None:
             raise ValueError("between needs rtu+tcp or ascii+tcp; a serial port is only read")

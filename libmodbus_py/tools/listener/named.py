@@ -105,20 +105,20 @@ class MapDecoder:
 
     def decode(self, transaction: Transaction) -> list[NamedValue]:
         """Return the values that a transaction completes, those that it writes first."""
-        unit, found = transaction.unit or 0, list[NamedValue]()
+        unit, values = transaction.unit or 0, list[NamedValue]()
         for cells in _cells_of(transaction, self._masked(unit, transaction.request)):
-            heard = list(zip(cells.addresses, cells.values, strict=False))
-            for address, value in heard:
+            pairs = list(zip(cells.addresses, cells.values, strict=False))
+            for address, value in pairs:
                 if (cells.table, address) in self._used:
                     self._known[unit, cells.table, address] = value
-            for address, _ in heard:
+            for address, _ in pairs:
                 for point in self._ending.get((cells.table, address), ()):
                     judged = self._judged(unit, point)
                     if judged is None or not (cells.is_written or point.is_readable):
                         continue
                     whose = transaction.time, unit, point.name, judged.value, point.units
-                    found.append(NamedValue(*whose, cells.is_written, *judged[1:]))
-        return found
+                    values.append(NamedValue(*whose, cells.is_written, *judged[1:]))
+        return values
 
     def _masked(self, unit: int, request: object) -> Mapping | None:
         """Return the register that a masked write changes; None if it is not known."""
@@ -139,7 +139,7 @@ class MapDecoder:
 
 
 @dataclass
-class _Asked:
+class _Cell:
     """The use that masters make of a cell, and the bounds of its values."""
 
     is_read: bool = False
@@ -147,7 +147,7 @@ class _Asked:
     lowest: int | None = None
     highest: int | None = None
 
-    def note(self, value: int) -> None:
+    def add_value(self, value: int) -> None:
         self.lowest = value if self.lowest is None else min(self.lowest, value)
         self.highest = value if self.highest is None else max(self.highest, value)
 
@@ -166,19 +166,19 @@ class LearnedMap:
     """The cells that masters read and write, also those that no unit answers."""
 
     def __init__(self) -> None:
-        self._cells: dict[tuple[int, str, int], _Asked] = {}
+        self._cells: dict[tuple[int, str, int], _Cell] = {}
 
-    def note(self, transaction: Transaction) -> None:
+    def add_transaction(self, transaction: Transaction) -> None:
         """Add the cells of a transaction."""
         for table, addresses, values, is_written in _cells_of(transaction):
             if table not in TABLES:
                 continue
             for address in addresses:
-                asked = self._cells.setdefault((transaction.unit or 0, table, address), _Asked())
-                asked.is_written |= is_written
-                asked.is_read |= not is_written
+                cell = self._cells.setdefault((transaction.unit or 0, table, address), _Cell())
+                cell.is_written |= is_written
+                cell.is_read |= not is_written
             for address, value in zip(addresses, values, strict=False):
-                self._cells[transaction.unit or 0, table, address].note(int(value))
+                self._cells[transaction.unit or 0, table, address].add_value(int(value))
 
     def points(self) -> list[Point]:
         """Return a point for each cell, whose group is its unit; its description, its values."""
@@ -187,9 +187,9 @@ class LearnedMap:
                 f"unit_{unit}_{table}_{address}",
                 table,  # type: ignore[arg-type]
                 address,
-                access=asked.rights,
+                access=cell.rights,
                 group=f"unit {unit}",
-                description=asked.description,
+                description=cell.description,
             )
-            for (unit, table, address), asked in sorted(self._cells.items())
+            for (unit, table, address), cell in sorted(self._cells.items())
         ]

@@ -107,46 +107,46 @@ class Pairing:
     def ask(self, began: float, ended: float, frame: Frame) -> None:
         """Take a request; its function code is in 1..127."""
         repeats = 0
-        for each in self._open.copy():
-            if each.frame.transaction == frame.transaction or each.spoiled is not None:
-                repeats = each.repeats + 1 if each.frame == frame else repeats
-                self._give_up(each)
+        for earlier in self._open.copy():
+            if earlier.frame.transaction == frame.transaction or earlier.spoiled is not None:
+                repeats = earlier.repeats + 1 if earlier.frame == frame else repeats
+                self._give_up(earlier)
         request = decoded(frame.pdu) or RawRequest.decode(frame.pdu)
-        asked = OpenRequest(began, ended, frame, request, repeats)
+        new = OpenRequest(began, ended, frame, request, repeats)
         if (self._is_line and frame.unit == 0) or not request.expects_response:
-            self._end(asked, Ending("broadcast"))
+            self._end(new, Ending("broadcast"))
             return
         if len(self._open) >= MOST:
             self._give_up(self._open[0])
-        self._open.append(asked)
+        self._open.append(new)
 
     def answer(self, began: float, ended: float, frame: Frame) -> Ending | None:
         """Take a response; return how it ended an open request, or None if it ended none."""
         if not frame.pdu[0] & 0x7F:
             self.misuse(began, ended, frame)
             return None
-        outcomes = [(each, each.outcome(frame)) for each in self._open]
+        outcomes = [(open_request, open_request.outcome(frame)) for open_request in self._open]
         invalid = [pair for pair in outcomes if pair[1].kind == "invalid"]
         valid = [pair for pair in outcomes if pair[1].kind in ("answered", "exception")]
-        asked, outcome = [*valid, *invalid, (None, Ending("unasked"))][0]
-        if (asked is None or outcome.kind == "invalid") and self._end_late(began, ended, frame):
+        request, outcome = [*valid, *invalid, (None, Ending("unasked"))][0]
+        if (request is None or outcome.kind == "invalid") and self._end_late(began, ended, frame):
             return None
-        if asked is None:
+        if request is None:
             which = "" if self._is_line else f", transaction {frame.transaction}"
             text = f"sent as unit {frame.unit}, function {frame.pdu[0] & 0x7F}{which}"
             wrong = Ending("invalid", None, InvalidResponse(text, received=frame.pdu))
             due = self.due if self._is_server else None
             self._set_aside(ended, unasked(began, frame), due, wrong)
             return None
-        for each in self._open[: self._open.index(asked)]:
-            if each.frame.transaction == frame.transaction:  # a later one was answered
-                self._give_up(each)
-        self._open.remove(asked)
-        if asked.spoiled is not None:
-            self.done.append(asked.spoiled.alone)
+        for earlier in self._open[: self._open.index(request)]:
+            if earlier.frame.transaction == frame.transaction:  # a later one was answered
+                self._give_up(earlier)
+        self._open.remove(request)
+        if request.spoiled is not None:
+            self.done.append(request.spoiled.alone)
         if outcome.kind != "invalid":
             self._late.pop(_key(frame), None)
-        self._end(asked, outcome, ended)
+        self._end(request, outcome, ended)
         return outcome
 
     def damage(self, began: float, ended: float, data: bytes) -> None:
@@ -155,24 +155,24 @@ class Pairing:
 
     def misuse(self, began: float, ended: float, frame: Frame) -> None:
         """Take a frame whose function code is not allowed, instead of a response or alone."""
-        asked = self.due
-        is_of_unit = asked is not None and asked.frame.unit == frame.unit
-        self._set_aside(ended, misused(began, frame), asked if is_of_unit else None)
+        due = self.due
+        is_of_unit = due is not None and due.frame.unit == frame.unit
+        self._set_aside(ended, misused(began, frame), due if is_of_unit else None)
 
-    def withdraw(self, asked: OpenRequest) -> None:
+    def withdraw(self, request: OpenRequest) -> None:
         """Turn an open request into a response that belongs to no request."""
-        self._open.remove(asked)
-        self.done.append(unasked(asked.began, asked.frame))
+        self._open.remove(request)
+        self.done.append(unasked(request.began, request.frame))
 
     def tick(self, at: float) -> None:
         """End the requests that have been open for too long at this time, all at infinity."""
-        for each in self._open.copy():
-            if at - each.ended > self._timeout or at == math.inf:
-                self._give_up(each)
+        for request in self._open.copy():
+            if at - request.ended > self._timeout or at == math.inf:
+                self._give_up(request)
 
     def is_idle(self, at: float) -> bool:
         """Return True if no earlier request can be answered any more."""
-        return not self._open and all(at - each.ended > LATEST for each in self._late.values())
+        return not self._open and all(at - late.ended > LATEST for late in self._late.values())
 
     def _end_late(self, began: float, ended: float, frame: Frame) -> bool:
         """Return True if a response belongs to a request that was given up."""
@@ -190,40 +190,40 @@ class Pairing:
         self,
         ended: float,
         alone: Transaction,
-        asked: OpenRequest | None,
+        request: OpenRequest | None,
         outcome: Ending | None = None,
     ) -> None:
         """Keep what may be the spoiled response to a request; without a request, report it."""
-        if asked is None:
+        if request is None:
             self.done.append(alone)
             return
-        if asked.spoiled is not None:
-            self.done.append(asked.spoiled.alone)
-        asked.spoiled = Spoiled(ended, outcome or Ending(alone.kind, None, alone.error), alone)
+        if request.spoiled is not None:
+            self.done.append(request.spoiled.alone)
+        request.spoiled = Spoiled(ended, outcome or Ending(alone.kind, None, alone.error), alone)
 
-    def _give_up(self, asked: OpenRequest) -> None:
-        self._open.remove(asked)
-        self._late.pop(_key(asked.frame), None)
+    def _give_up(self, request: OpenRequest) -> None:
+        self._open.remove(request)
+        self._late.pop(_key(request.frame), None)
         if len(self._late) >= MOST:
             del self._late[next(iter(self._late))]
-        self._late[_key(asked.frame)] = asked
-        if asked.spoiled is None:
-            self._end(asked, Ending("unanswered"))
+        self._late[_key(request.frame)] = request
+        if request.spoiled is None:
+            self._end(request, Ending("unanswered"))
         else:
-            self._end(asked, asked.spoiled.outcome, asked.spoiled.ended)
+            self._end(request, request.spoiled.outcome, request.spoiled.ended)
 
-    def _end(self, asked: OpenRequest, outcome: Ending, ended: float | None = None) -> None:
+    def _end(self, request: OpenRequest, outcome: Ending, ended: float | None = None) -> None:
         self.done.append(
             Transaction(
-                asked.began,
+                request.began,
                 outcome.kind,
-                asked.frame.unit,
-                asked.frame.pdu[0],
-                asked.request,
+                request.frame.unit,
+                request.frame.pdu[0],
+                request.request,
                 outcome.response,
                 outcome.error,
-                None if ended is None else max(ended - asked.ended, 0.0),
-                asked.repeats,
+                None if ended is None else max(ended - request.ended, 0.0),
+                request.repeats,
             )
         )
 
@@ -285,17 +285,17 @@ class TracePairing:
 
     def _pairing(self, traced: Traced) -> Pairing:
         key = traced.endpoint, traced.peer
-        found = self._connections.pop(key, None)
-        if found is None:
+        pairing = self._connections.pop(key, None)
+        if pairing is None:
             is_line = framing_of(traced.endpoint) in ("rtu", "ascii")
-            found = Pairing(is_line=is_line, is_server=self._is_server, timeout=self._timeout)
+            pairing = Pairing(is_line=is_line, is_server=self._is_server, timeout=self._timeout)
         while len(self._connections) >= MOST_CONNECTIONS:
             oldest = next(iter(self._connections))
             self._connections[oldest].tick(math.inf)
             self._collect(oldest[1], self._connections.pop(oldest))
-        self._connections[key] = found  # the latest is the last
-        return found
+        self._connections[key] = pairing  # the latest is the last
+        return pairing
 
     def _collect(self, peer: str | None, pairing: Pairing) -> None:
-        self.done += [Exchange(peer, each) for each in pairing.done]
+        self.done += [Exchange(peer, pair) for pair in pairing.done]
         pairing.done.clear()

@@ -84,11 +84,11 @@ def _requests(path: str | os.PathLike[str]) -> Iterator[tuple[int, Request[Any],
     if not name.endswith(CAPTURES):
         raise WrongValue((), f"{name}: the name of a capture must end with .pcap or .pcapng")
     with listen(name) as captured:
-        for each in captured:
-            if each.kind in ("broadcast", "late"):
+        for transaction in captured:
+            if transaction.kind in ("broadcast", "late"):
                 continue
-            if each.unit is not None and each.request is not None:
-                yield each.unit, each.request, each
+            if transaction.unit is not None and transaction.request is not None:
+                yield transaction.unit, transaction.request, transaction
 
 
 def _response(request: Request[Any], transaction: Transaction) -> bytes:

@@ -93,7 +93,7 @@ class _RtuHearing:
         self._times: list[float] = []  # when each piece arrived
         self._damage: Damage | None = None  # more bytes may belong to it
 
-    def hear(self, data: bytes, at: float) -> Found:
+    def split(self, data: bytes, at: float) -> Found:
         # At most one for each byte that waits for the rest of its frame.
         self._offsets.append(self._start + len(self._data))
         self._times.append(at)
@@ -120,8 +120,8 @@ class _RtuHearing:
                 yield from self._flush()
                 frame = Frame(data[start], data[start + 1 : end - 2])
                 yield Candidate(began, ended, frame, *may_be(frame.pdu))
-        done = max(bisect_right(self._offsets, self._start) - 1, 0)
-        del self._offsets[:done], self._times[:done]
+        index = max(bisect_right(self._offsets, self._start) - 1, 0)
+        del self._offsets[:index], self._times[:index]
 
     def _flush(self) -> Iterator[Damage]:
         damage, self._damage = self._damage, None
@@ -145,29 +145,29 @@ class _AsciiHearing:
     def quiet(self) -> float:
         return self.framer.quiet
 
-    def hear(self, data: bytes, at: float) -> Found:
+    def split(self, data: bytes, at: float) -> Found:
         self._at = at
         began = at if self._began is None else self._began
-        found = self.framer.scan(data)
-        if not found and not self.framer.pending:  # skipped bytes, such as those before a colon
+        items = self.framer.scan(data)
+        if not items and not self.framer.pending:  # skipped bytes, such as those before a colon
             yield Damage(began, at, data[:MAX_RECEIVED])
-        yield from self._heard(found, began)
+        yield from self._candidates(items, began)
         if not self.framer.pending:
             self._began = None
-        elif self._began is None or found:
+        elif self._began is None or items:
             self._began = at
 
     def silence(self, *, is_over: bool) -> Found:
         began = self._at if self._began is None else self._began
-        yield from self._heard(self.framer.scan_silence(), began)
+        yield from self._candidates(self.framer.scan_silence(), began)
         self._began = None
 
-    def _heard(self, found: list[Frame | FrameError], began: float) -> Found:
-        for each in found:
-            if isinstance(each, FrameError):
-                yield Damage(began, self._at, each.received)
+    def _candidates(self, items: list[Frame | FrameError], began: float) -> Found:
+        for item in items:
+            if isinstance(item, FrameError):
+                yield Damage(began, self._at, item.received)
             else:
-                yield Candidate(began, self._at, each, *may_be(each.pdu))
+                yield Candidate(began, self._at, item, *may_be(item.pdu))
             began = self._at
 
 
@@ -183,8 +183,8 @@ class _LearntTimes:
         slowest = max(self.answers.get(unit, ()), default=0.0)
         # One of the shortest times, because clients may pause before the next request; but not the
         # shortest, because a frame that is merged into a damaged one looks like a request.
-        known = sorted(self.timeouts)
-        timeout = known[len(known) // 4] if len(known) >= 4 else USUAL_TIMEOUT
+        units = sorted(self.timeouts)
+        timeout = units[len(units) // 4] if len(units) >= 4 else USUAL_TIMEOUT
         return math.sqrt(max(slowest, min(SHORTEST_ANSWER, timeout / 4)) * timeout)
 
 
@@ -210,7 +210,7 @@ class Separator:
     def __init__(
         self,
         framing: LineFraming,
-        on_heard: OnHeard = lambda heard: None,
+        on_heard: OnHeard = lambda event: None,
         pause: float = 0.0,
     ) -> None:
         if framing not in ("rtu", "ascii"):
@@ -222,7 +222,7 @@ class Separator:
         self._pairing = Pairing()
         self._times = _LearntTimes()
         self._is_certain = True  # the open request cannot be a response
-        self._held: Heard | None = None  # a request that may turn out to be a response
+        self._doubtful: Heard | None = None  # a request that may turn out to be a response
         self._hearings: dict[Direction | None, _RtuHearing | _AsciiHearing] = {}
         self._last: dict[Direction | None, float] = {}
         self._is_quiet: set[Direction | None] = set()
@@ -241,15 +241,15 @@ class Separator:
         if data:
             self._last[direction] = at
             self._is_quiet.discard(direction)
-            self._take(direction, self._hearing(direction).hear(data, at))
-        return self._given()
+            self._take(direction, self._hearing(direction).split(data, at))
+        return self._new_transactions()
 
     def tick(self, at: float) -> list[Transaction]:
         """Note that no more bytes arrived until this time; otherwise like `feed`."""
         self._wait(at)
         self._pairing.tick(at)
         self._release()
-        return self._given()
+        return self._new_transactions()
 
     def end(self) -> list[Transaction]:
         """Note that no more bytes will arrive; otherwise like `feed`."""
@@ -258,12 +258,12 @@ class Separator:
         self._last.clear()
         self._pairing.tick(math.inf)
         self._release()
-        return self._given()
+        return self._new_transactions()
 
-    def take(self, found: Candidate | Damage) -> list[Transaction]:
+    def take(self, item: Candidate | Damage) -> list[Transaction]:
         """Take a frame or damaged bytes that were separated before; otherwise like `feed`."""
-        self._name(found)
-        return self._given()
+        self._name(item)
+        return self._new_transactions()
 
     def _wait(self, at: float) -> None:
         for direction, last in list(self._last.items()):
@@ -275,17 +275,17 @@ class Separator:
             if is_over:
                 del self._last[direction]
 
-    def _take(self, direction: Direction | None, found: Found) -> None:
+    def _take(self, direction: Direction | None, items: Found) -> None:
         asks = direction == "client"
-        for each in found:
-            if direction is None or isinstance(each, Damage):
-                self._name(each)
+        for item in items:
+            if direction is None or isinstance(item, Damage):
+                self._name(item)
             else:
-                self._name(each._replace(may_ask=asks, may_answer=not asks))
+                self._name(item._replace(may_ask=asks, may_answer=not asks))
 
-    def _given(self) -> list[Transaction]:
-        done, self._pairing.done = self._pairing.done, []
-        return done
+    def _new_transactions(self) -> list[Transaction]:
+        pairs, self._pairing.done = self._pairing.done, []
+        return pairs
 
     def _hearing(self, direction: Direction | None) -> _RtuHearing | _AsciiHearing:
         if direction not in self._hearings:
@@ -295,85 +295,85 @@ class Separator:
                 self._hearings[direction] = _RtuHearing(self._pause, direction)
         return self._hearings[direction]
 
-    def _name(self, found: Candidate | Damage) -> None:
+    def _name(self, item: Candidate | Damage) -> None:
         """Decide what the next frame is, and pair it."""
-        began, ended = found.began, found.ended
+        began, ended = item.began, item.ended
         self._pairing.tick(began)
-        if isinstance(found, Damage):
-            self._note(Heard(began, ended, "damage", None, found.data))
-            self._pairing.damage(*found)
-        elif not _has_function(found):
-            part: Part = "response" if found.may_answer else "request"
-            self._note(Heard(began, ended, part, found.frame))
-            self._pairing.misuse(began, ended, found.frame)
-        elif self._is_request(found):
-            self._take_request(found)
+        if isinstance(item, Damage):
+            self._report(Heard(began, ended, "damage", None, item.data))
+            self._pairing.damage(*item)
+        elif not _has_function(item):
+            part: Part = "response" if item.may_answer else "request"
+            self._report(Heard(began, ended, part, item.frame))
+            self._pairing.misuse(began, ended, item.frame)
+        elif self._is_request(item):
+            self._take_request(item)
         else:
-            self._note(Heard(began, ended, "response", found.frame))
-            asked = self._pairing.due
-            outcome = self._pairing.answer(began, ended, found.frame)
-            if asked is not None and outcome is not None and outcome.kind != "invalid":
-                self._times.answers[found.frame.unit].append(max(began - asked.ended, 0.0))
+            self._report(Heard(began, ended, "response", item.frame))
+            request = self._pairing.due
+            outcome = self._pairing.answer(began, ended, item.frame)
+            if request is not None and outcome is not None and outcome.kind != "invalid":
+                self._times.answers[item.frame.unit].append(max(began - request.ended, 0.0))
 
     def _release(self) -> None:
         """Release the held request: after it is given up, it cannot turn out to be a response."""
         if self._pairing.due is None:
-            self._note(None)
+            self._report(None)
 
-    def _note(self, heard: Heard | None) -> None:
+    def _report(self, event: Heard | None) -> None:
         """Call `on_heard` in the order of the line: first with the request that was held."""
-        held, self._held = self._held, None
-        for each in (held, heard):
-            if each is not None:
-                self._on_heard(each)
+        former, self._doubtful = self._doubtful, None
+        for item in (former, event):
+            if item is not None:
+                self._on_heard(item)
 
-    def _is_request(self, found: Candidate) -> bool:
-        if found.may_ask != found.may_answer:
-            return found.may_ask
-        asked = self._pairing.due
-        asks = found.may_ask and decoded(found.frame.pdu) is not None
-        answers = found.may_answer and asked is not None and asked.fits(found.frame)
-        if asks and answers and asked is not None:
-            return self._is_repeated(asked, found)
+    def _is_request(self, candidate: Candidate) -> bool:
+        if candidate.may_ask != candidate.may_answer:
+            return candidate.may_ask
+        request = self._pairing.due
+        asks = candidate.may_ask and decoded(candidate.frame.pdu) is not None
+        answers = candidate.may_answer and request is not None and request.fits(candidate.frame)
+        if asks and answers and request is not None:
+            return self._is_repeated(request, candidate)
         if asks:
-            return not self._is_late_echo(found)
-        return not answers and not (asked is not None and asked.is_for(found.frame))
+            return not self._is_late_echo(candidate)
+        return not answers and not (request is not None and request.is_for(candidate.frame))
 
-    def _is_repeated(self, asked: OpenRequest, found: Candidate) -> bool:
+    def _is_repeated(self, request: OpenRequest, candidate: Candidate) -> bool:
         """Return True if a frame that could be both arrived too late for a response."""
-        spoiled = asked.spoiled
-        if spoiled is not None and found.began - spoiled.ended > GLUED:
+        spoiled = request.spoiled
+        if spoiled is not None and candidate.began - spoiled.ended > GLUED:
             return True  # the damaged bytes were the response
-        return not self._is_soon(asked, found.began)
+        return not self._is_soon(request, candidate.began)
 
-    def _is_late_echo(self, found: Candidate) -> bool:
+    def _is_late_echo(self, candidate: Candidate) -> bool:
         """Return True for the response to an earlier request while another one is awaited."""
-        asked, late = self._pairing.due, self._pairing.given_up(found.frame.unit)
-        if asked is None or asked.spoiled or late is None or not late.fits(found.frame):
+        request, late = self._pairing.due, self._pairing.given_up(candidate.frame.unit)
+        if request is None or request.spoiled or late is None or not late.fits(candidate.frame):
             return False
-        return found.began - asked.ended <= self._times.limit(found.frame.unit)
+        return candidate.began - request.ended <= self._times.limit(candidate.frame.unit)
 
-    def _is_soon(self, asked: OpenRequest, at: float) -> bool:
-        return at - asked.ended <= self._times.limit(asked.frame.unit)
+    def _is_soon(self, request: OpenRequest, at: float) -> bool:
+        return at - request.ended <= self._times.limit(request.frame.unit)
 
-    def _take_request(self, found: Candidate) -> None:
-        before, began = self._pairing.due, found.began
+    def _take_request(self, candidate: Candidate) -> None:
+        before, began = self._pairing.due, candidate.began
         if before is not None and before.spoiled is None:
             if not self._is_certain and self._is_soon(before, began):  # it was a response
-                self._held = self._held and self._held._replace(part="response")
+                self._doubtful = self._doubtful and self._doubtful._replace(part="response")
                 self._pairing.withdraw(before)
-            elif self._is_certain and not found.may_answer:
+            elif self._is_certain and not candidate.may_answer:
                 # Times are not learnt from guesses, because they decide the next guess.
                 self._times.timeouts.append(began - before.ended)
-        heard = Heard(began, found.ended, "request", found.frame)
-        self._note(None if found.may_answer else heard)
-        self._held = heard if found.may_answer else None
-        self._is_certain = not found.may_answer
-        self._pairing.ask(began, found.ended, found.frame)
+        event = Heard(began, candidate.ended, "request", candidate.frame)
+        self._report(None if candidate.may_answer else event)
+        self._doubtful = event if candidate.may_answer else None
+        self._is_certain = not candidate.may_answer
+        self._pairing.ask(began, candidate.ended, candidate.frame)
         self._release()
 
 
-def _has_function(found: Candidate) -> bool:
+def _has_function(candidate: Candidate) -> bool:
     """Return True if the function code is valid (application protocol, 4.1)."""
-    code = found.frame.pdu[0]
-    return 0 < code < 0x80 or (code > 0x80 and found.may_answer)
+    code = candidate.frame.pdu[0]
+    return 0 < code < 0x80 or (code > 0x80 and candidate.may_answer)

@@ -7,13 +7,16 @@ Headers: RFC 791 (IPv4), RFC 8200 (IPv6), RFC 9293 (TCP), tcpdump.org/linktypes.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 from ...protocol.framing import Frame
 from .packets import Packet
-from .transaction import Ending, Heard, Part, Transaction, answered, decoded, misused, unasked
+from .pairing import Pairing
+from .transaction import Heard, Part, Transaction, misused
 
 __all__ = ["LINKS", "MODBUS_PORT", "TcpStreams"]
 
@@ -32,7 +35,7 @@ EXTENSIONS = (0, 43, 60)
 # EtherTypes: IPv4, IPv6, tags of VLANs.
 IPV4, IPV6, VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8)
 
-# Segments behind a hole after which it is taken to be lost, because nothing may fill it.
+# Segments behind a gap after which it is taken to be lost, because nothing may fill it.
 MAX_WAITING = 32
 
 OnHeard = Callable[[int, Heard], object]
@@ -125,22 +128,22 @@ class TcpStreams:
             return []
         if segment is None:
             return []
-        key, done = frozenset((segment.source, segment.target)), list[Transaction]()
+        key, transactions = frozenset((segment.source, segment.target)), list[Transaction]()
         is_new = segment.flags & FIN_SYN == SYN and not segment.flags & ACK
         if is_new and key in self._connections and not self._connections[key].is_as(segment):
-            done = self._connections.pop(key).end()
+            transactions = self._connections.pop(key).end()
         if key not in self._connections:
             self._count += 1
             self._connections[key] = TcpConnection(self._count, self._on_heard, segment)
-        done += self._connections[key].take(segment, packet.at)
+        transactions += self._connections[key].take(segment, packet.at)
         if segment.flags & RST:
-            done += self._connections.pop(key).end()
-        return done
+            transactions += self._connections.pop(key).end()
+        return transactions
 
     def end(self) -> list[Transaction]:
         """Return the transactions that the end of the capture ends."""
         connections, self._connections = self._connections, {}
-        return [each for connection in connections.values() for each in connection.end()]
+        return [row for stream in connections.values() for row in stream.end()]
 
 
 class TcpConnection:
@@ -157,7 +160,7 @@ class TcpConnection:
             server = min(ends, key=lambda end: (end[1] != MODBUS_PORT, end[1]))
         self._server = server
         self._directions = {end: Direction() for end in ends}
-        self._open: dict[int, tuple[float, Frame]] = {}
+        self._pairing = Pairing(is_line=False)
 
     def is_as(self, segment: Segment) -> bool:
         """Return True if a first segment is that of this connection, sent again."""
@@ -172,47 +175,30 @@ class TcpConnection:
 
     def end(self) -> list[Transaction]:
         """Return what the last frames end, and the requests without a response."""
-        done = []
+        transactions = []
         for end, direction in self._directions.items():
-            done += self._paired(direction.rest(), is_response=end == self._server)
-        requests, self._open = self._open, {}
-        return done + [_transaction(*request, None) for request in requests.values()]
+            transactions += self._paired(direction.rest(), is_response=end == self._server)
+        self._pairing.tick(math.inf)
+        return transactions + self._ended()
 
     def _paired(
-        self, frames: Iterator[tuple[float, int, Frame]], *, is_response: bool
+        self, frames: Iterator[tuple[float, Frame]], *, is_response: bool
     ) -> list[Transaction]:
-        done = []
-        for at, transaction, frame in frames:
+        for at, frame in frames:
             part: Part = "response" if is_response else "request"
             self._on_heard(self._number, Heard(at, at, part, frame))
-            request = self._open.pop(transaction, None)
-            if not is_response:
-                if request is not None:  # its id is used again
-                    done.append(_transaction(*request, None))
-                self._open[transaction] = (at, frame)
-            elif request is not None and request[1].unit == frame.unit:
-                done.append(_transaction(*request, (at, frame)))
+            if is_response:
+                self._pairing.answer(at, at, frame)
+            elif 0 < frame.pdu[0] < 0x80:
+                self._pairing.ask(at, at, frame)
             else:
-                done.append(unasked(at, frame))
-                if request is not None:
-                    self._open[transaction] = request
-        return done
+                self._pairing.done.append(misused(at, frame))
+        return self._ended()
 
-
-def _transaction(began: float, request: Frame, response: tuple[float, Frame] | None) -> Transaction:
-    unit, pdu, _ = request
-    question = decoded(pdu)
-    if question is None and not 0 < pdu[0] < 0x80:
-        return misused(began, request)
-    if response is None:
-        return Transaction(began, "unanswered", unit, pdu[0], question)
-    at, frame = response
-    if question is None:
-        return Transaction(began, "answered", unit, pdu[0], None, frame.pdu, None, at - began)
-    ending: Ending = answered(question, frame.pdu)
-    return Transaction(
-        began, ending.kind, unit, pdu[0], question, ending.response, ending.error, at - began
-    )
+    def _ended(self) -> list[Transaction]:
+        # TCP repeats what is lost: a request sent again had a response that the capture lacks.
+        transactions, self._pairing.done = self._pairing.done, []
+        return [replace(transaction, repeats=0) for transaction in transactions]
 
 
 class Direction:
@@ -221,11 +207,11 @@ class Direction:
     def __init__(self) -> None:
         self.acknowledged: int | None = None  # by the other end
         self._next: int | None = None
-        self._waiting: dict[int, tuple[float, bytes]] = {}  # segments behind a hole, by number
+        self._waiting: dict[int, tuple[float, bytes]] = {}  # segments behind a gap, by number
         self._data = b""
 
-    def take(self, segment: Segment, at: float) -> Iterator[tuple[float, int, Frame]]:
-        """Yield the time, the transaction id and the frame of each whole ADU."""
+    def take(self, segment: Segment, at: float) -> Iterator[tuple[float, Frame]]:
+        """Yield the time and the frame of each whole ADU."""
         number = segment.number
         if segment.flags & SYN:
             number += 1
@@ -235,12 +221,12 @@ class Direction:
             self._waiting.setdefault(number & 0xFFFFFFFF, (at, segment.data))
             yield from self._in_order()
             while self._waiting and self._is_lost():
-                yield from self._over_a_hole()
+                yield from self._over_a_gap()
 
-    def rest(self) -> Iterator[tuple[float, int, Frame]]:
-        """Yield the frames behind holes that nothing has filled."""
+    def rest(self) -> Iterator[tuple[float, Frame]]:
+        """Yield the frames behind gaps that nothing has filled."""
         while self._waiting:
-            yield from self._over_a_hole()
+            yield from self._over_a_gap()
 
     def _is_lost(self) -> bool:
         """Return True if the capture lacks what is before the segments that wait."""
@@ -254,7 +240,7 @@ class Direction:
         assert self._next is not None
         return (number - self._next + 0x80000000 & 0xFFFFFFFF) - 0x80000000
 
-    def _in_order(self) -> Iterator[tuple[float, int, Frame]]:
+    def _in_order(self) -> Iterator[tuple[float, Frame]]:
         while self._waiting and self._behind(number := min(self._waiting, key=self._behind)) <= 0:
             at, data = self._waiting.pop(number)
             data = data[-self._behind(number) :]
@@ -263,12 +249,12 @@ class Direction:
                 self._next = self._next + len(data) & 0xFFFFFFFF
                 yield from self._frames(at, data)
 
-    def _over_a_hole(self) -> Iterator[tuple[float, int, Frame]]:
+    def _over_a_gap(self) -> Iterator[tuple[float, Frame]]:
         self._next = min(self._waiting, key=self._behind)
         self._data = b""
         yield from self._in_order()
 
-    def _frames(self, at: float, data: bytes) -> Iterator[tuple[float, int, Frame]]:
+    def _frames(self, at: float, data: bytes) -> Iterator[tuple[float, Frame]]:
         self._data += data
         while len(self._data) >= 8:
             transaction, protocol, size, unit = struct.unpack_from(">HHHB", self._data)
@@ -278,4 +264,4 @@ class Direction:
             if len(self._data) < 6 + size:
                 return
             pdu, self._data = self._data[7 : 6 + size], self._data[6 + size :]
-            yield at, transaction, Frame(unit, pdu)
+            yield at, Frame(unit, pdu, transaction)

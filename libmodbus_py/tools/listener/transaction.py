@@ -83,9 +83,9 @@ class Transaction:
 
     def __str__(self) -> str:
         where = "" if self.unit is None else f"unit {self.unit}: "
-        asked = "" if self.request is None else f"{self.request} "
+        question = "" if self.request is None else f"{self.request} "
         again = f" (repeat {self.repeats})" if self.repeats else ""
-        return f"{where}{asked}-> {self.outcome()}{again}"
+        return f"{where}{question}-> {self.outcome()}{again}"
 
     def outcome(self, show: Callable[[Any], str] = repr) -> str:
         """
@@ -171,7 +171,7 @@ class AnswerTimes:
     def mean(self) -> float:
         return self.total / self.count if self.count else 0.0
 
-    def note(self, seconds: float) -> None:
+    def add_time(self, seconds: float) -> None:
         """Count one more."""
         self.shortest = min(self.shortest, seconds) if self.count else seconds
         self.longest = max(self.longest, seconds)
@@ -189,7 +189,7 @@ class UnitSummary:
     repeats: int = 0
     times: AnswerTimes = field(default_factory=AnswerTimes)
 
-    def note(self, transaction: Transaction) -> None:
+    def add_transaction(self, transaction: Transaction) -> None:
         """Count a transaction of this unit; the request of a late response is counted already."""
         if transaction.kind not in ("late", "unasked"):
             self.transactions += 1
@@ -200,13 +200,13 @@ class UnitSummary:
         elif transaction.kind not in ("answered", "broadcast"):
             self.errors[transaction.kind] += 1
         if transaction.kind in ("answered", "exception") and transaction.duration is not None:
-            self.times.note(transaction.duration)
+            self.times.add_time(transaction.duration)
 
     def __str__(self) -> str:
         functions = ", ".join(f"{code} ({count})" for code, count in sorted(self.functions.items()))
         errors = ", ".join(f"{count} {name}" for name, count in self.errors.most_common())
         times = (self.times.shortest, self.times.mean, self.times.longest)
-        took = " / ".join(f"{each * 1000:.1f}" for each in times) + " ms (shortest, mean, longest)"
+        took = " / ".join(f"{time * 1000:.1f}" for time in times) + " ms (shortest, mean, longest)"
         return (
             f"{self.transactions} transactions, {self.repeats} repeats\n"
             f"  functions     {functions or '-'}\n"
@@ -233,12 +233,12 @@ class Summary:
     def transactions(self) -> int:
         return sum(unit.transactions for unit in self.units.values())
 
-    def note(self, transaction: Transaction) -> None:
+    def add_transaction(self, transaction: Transaction) -> None:
         """Count one more."""
         if transaction.unit is None:
             self.damaged += 1
         else:
-            self.units.setdefault(transaction.unit, UnitSummary()).note(transaction)
+            self.units.setdefault(transaction.unit, UnitSummary()).add_transaction(transaction)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the counts as a dict that JSON can represent; times are in seconds."""

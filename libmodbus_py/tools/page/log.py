@@ -73,8 +73,8 @@ class LogRow(NamedTuple):
 class Log:
     """Collects the trace of a server, in the server's loop, and returns rows, in any thread."""
 
-    def __init__(self, shown: Callable[[], ShownServer]) -> None:
-        self._shown = shown
+    def __init__(self, server_of: Callable[[], ShownServer]) -> None:
+        self._shown = server_of
         self._adus: deque[Traced] = deque(maxlen=MOST_ADUS)
         self._pairing = TracePairing()
         self._rows: deque[LogRow] = deque(maxlen=MOST_ROWS)
@@ -92,14 +92,14 @@ class Log:
         if traced.function is None or traced.function & 0x7F not in WRITES:
             return
         self._writes.take(traced)
-        done, self._writes.done = self._writes.done, []
+        exchanges, self._writes.done = self._writes.done, []
         is_line = framing_of(traced.endpoint) in ("rtu", "ascii")
-        for peer, each in done:
-            if each.kind in DONE and each.request is not None and each.unit is not None:
-                shown = self._shown()
-                for number in shown.units_of(each.unit, is_line=is_line):
-                    mapping = shown.units[number].device.mapping
-                    for access in touched(each.request, mapping=mapping).writes:
+        for peer, exchange in exchanges:
+            if exchange.kind in DONE and exchange.request is not None and exchange.unit is not None:
+                server = self._shown()
+                for number in server.units_of(exchange.unit, is_line=is_line):
+                    mapping = server.units[number].device.mapping
+                    for access in touched(exchange.request, mapping=mapping).writes:
                         stop = access.address + access.count
                         self.wrote(number, access.table, range(access.address, stop), peer or "")
 
@@ -127,39 +127,40 @@ class Log:
             for _ in range(len(self._adus)):
                 self._pairing.take(self._adus.popleft())
             self._pairing.tick(time.time())
-            done, self._pairing.done = self._pairing.done, []
-            self._rows += [self._row(each) for each in done[-MOST_ROWS:]]
+            exchanges, self._pairing.done = self._pairing.done, []
+            self._rows += [self._row(exchange) for exchange in exchanges[-MOST_ROWS:]]
             return list(self._rows)
 
     def download(self, query: Mapping[str, str]) -> str:
         """Return rows as CSV, of a "unit", or only "writes" or "errors", as the query says."""
         unit = query.get("unit", "")
-        wanted = query.get("writes") == "1", query.get("errors") == "1"
+        choice = query.get("writes") == "1", query.get("errors") == "1"
         rows = [
-            [time_text(each.time), *each[2:6], each.named, each.outcome, each.kind, each.seconds]
-            for each in self.rows()
-            if unit in ("", str(each.unit)) and _is_wanted(each, *wanted)
+            [time_text(row.time), *row[2:6], row.named, row.outcome, row.kind, row.seconds]
+            for row in self.rows()
+            if unit in ("", str(row.unit)) and _is_wanted(row, *choice)
         ]
         return csv_rows([HEAD, *(map(_cell, row) for row in rows)])
 
     def _row(self, exchange: Exchange) -> LogRow:
-        (peer, each), named = exchange, ""
-        if each.request is not None and each.unit is not None and each.kind in DONE:
-            shown = self._shown()
-            for number in shown.units_of(each.unit, is_line=False)[:1]:
-                named = named_cells(shown.units[number], each.request, each.response)
+        (peer, transaction), names = exchange, ""
+        request, unit = transaction.request, transaction.unit
+        if request is not None and unit is not None and transaction.kind in DONE:
+            server = self._shown()
+            for number in server.units_of(unit, is_line=False)[:1]:
+                names = named_cells(server.units[number], request, transaction.response)
         return LogRow(
             next(self._row_numbers),
-            each.time,
+            transaction.time,
             peer or "",
-            each.unit,
-            each.function,
-            "" if each.request is None else request_words(each.request),
-            cell_text(each.outcome(_listed)),
-            each.kind,
-            each.duration,
-            named,
-            each.function in WRITES,
+            transaction.unit,
+            transaction.function,
+            "" if transaction.request is None else request_words(transaction.request),
+            cell_text(transaction.outcome(_listed)),
+            transaction.kind,
+            transaction.duration,
+            names,
+            transaction.function in WRITES,
         )
 
 
@@ -179,16 +180,16 @@ def request_name(kind: type[Request[Any]]) -> str:
 
 def request_words(request: Request[Any]) -> str:
     """Return a text such as ``read holding registers 100..102``."""
-    given = arguments(request)
+    values = arguments(request)
     match request:
         case pdu.WriteCoil() | pdu.WriteRegister():
             return f"write {_table(request)} {request.address}: {int(request.value)}"
         case pdu.WriteCoils() | pdu.WriteRegisters():
             span = _span(request.address, len(request.values))
             return f"write {_table(request)} {span}: {_listed(request.values)}"
-        case _ if list(given) == ["address", "count"] and type(request) in ACCESSES:
-            return f"read {_table(request)} {_span(**given)}"
-    words = [f"{name.replace('_', ' ')} {_short.repr(value)}" for name, value in given.items()]
+        case _ if list(values) == ["address", "count"] and type(request) in ACCESSES:
+            return f"read {_table(request)} {_span(**values)}"
+    words = [f"{name.replace('_', ' ')} {_short.repr(value)}" for name, value in values.items()]
     return ": ".join(filter(None, [request_name(type(request)), ", ".join(words)]))
 
 
@@ -203,24 +204,24 @@ def _span(address: int, count: int) -> str:
 
 def _listed(values: Any) -> str:
     """Return the first few bits or registers as numbers; other values in the form of Python."""
-    if not isinstance(values, list | tuple) or not all(isinstance(each, int) for each in values):
+    if not isinstance(values, list | tuple) or not all(isinstance(value, int) for value in values):
         return _short.repr(values)
     more = "" if len(values) <= MOST_VALUES else f", ... ({len(values)})"
-    return ", ".join(str(int(each)) for each in values[:MOST_VALUES]) + more
+    return ", ".join(str(int(value)) for value in values[:MOST_VALUES]) + more
 
 
 def named_cells(unit: ShownUnit, request: Request[Any], response: Any) -> str:
     """Return the points that a request reads or writes as a whole, with their values."""
     accesses = touched(request, mapping=unit.device.mapping)
-    ranges = [(each, each.values) for each in accesses.writes]
+    ranges = [(write, write.values) for write in accesses.writes]
     if isinstance(response, list | tuple):
-        ranges += [(each, tuple(response[: each.count])) for each in accesses.reads]
-    found: list[str] = []
+        ranges += [(read, tuple(response[: read.count])) for read in accesses.reads]
+    texts: list[str] = []
     for access, cells in ranges:
         for point in unit.index.touched(access)[: MOST_POINTS + 2]:
             start, stop = (at - access.address for at in (point.cells.start, point.cells.stop))
             if start >= 0 and stop <= len(cells):
                 _, text = unit.value_and_text(point, list(cells[start:stop]))
-                found.append(f"{point.name} {text} {point.units}".rstrip())
-    more = ", ..." if len(found) > MOST_POINTS else ""
-    return cell_text(", ".join(found[:MOST_POINTS]) + more)
+                texts.append(f"{point.name} {text} {point.units}".rstrip())
+    more = ", ..." if len(texts) > MOST_POINTS else ""
+    return cell_text(", ".join(texts[:MOST_POINTS]) + more)

@@ -55,10 +55,10 @@ class _PageGuard:
         self._port = port
         self._cookie = f"libmodbus_page_{port}"
         self.set_cookie: str = f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
-        self._is_any = any(ip_address(each.partition("%")[0]).is_unspecified for each in addresses)
+        self._is_any = any(ip_address(text.partition("%")[0]).is_unspecified for text in addresses)
         is_here = self._is_any or any(map(is_loopback, addresses))
         names = (host, *addresses, *(["localhost"] if is_here else []))
-        self._names = {each.lower() for each in names}
+        self._names = {name.lower() for name in names}
         # Through a proxy: the Origin header, and the Host header if the proxy passes it on.
         self._outer_host = None if outer is None else outer.netloc.lower()
         self._outer_origin = None if outer is None else f"{outer.scheme}://{self._outer_host}"
@@ -71,8 +71,8 @@ class _PageGuard:
         origins = None, f"http://{host}", self._outer_origin
         if (is_change and origin is None) or origin not in origins:
             raise Refused(403, f"the Origin header is not the address of this page; {PROXY}")
-        given = [token, *self._kept(headers)]
-        if not any(hmac.compare_digest(each.encode(), self.token.encode()) for each in given):
+        tokens = [token, *self._kept(headers)]
+        if not any(hmac.compare_digest(text.encode(), self.token.encode()) for text in tokens):
             raise Refused(403, "the token is missing or wrong: open the URL that was printed")
 
     def _is_own(self, host: str) -> bool:
@@ -92,8 +92,8 @@ class _PageGuard:
     def _kept(self, headers: Message) -> Iterator[str]:
         """Yield the values of the page's cookie; `http.cookies` stops at one with JSON."""
         for header in headers.get_all("Cookie", []):
-            for each in header.split(";"):
-                name, _, value = each.strip().partition("=")
+            for cookie in header.split(";"):
+                name, _, value = cookie.strip().partition("=")
                 if name == self._cookie:
                     yield value
 
@@ -111,9 +111,9 @@ FILES = {
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/icon.svg": ("icon.svg", "image/svg+xml"),
 } | {
-    f"/scripts/{each.name}": (f"scripts/{each.name}", "text/javascript; charset=utf-8")
-    for each in FOLDER.joinpath("scripts").iterdir()
-    if each.name.endswith(".js")
+    f"/scripts/{script.name}": (f"scripts/{script.name}", "text/javascript; charset=utf-8")
+    for script in FOLDER.joinpath("scripts").iterdir()
+    if script.name.endswith(".js")
 }
 """Path -> file in this folder, and its media type."""
 
@@ -196,12 +196,12 @@ class Handler(BaseHTTPRequestHandler):
         if action is None:
             raise Refused(404, "not found")
         try:
-            found = action(self._body())
+            result = action(self._body())
         except KeyError as error:
             raise Refused(400, f"{error} is missing") from None
         except (TypeError, ValueError) as error:
             raise Refused(400, str(error)) from None
-        self._send_json(found or {})
+        self._send_json(result or {})
 
     def _body(self) -> dict[str, Any]:
         if self.headers.get_content_type() != "application/json":
@@ -212,12 +212,12 @@ class Handler(BaseHTTPRequestHandler):
         if len(length) > 9 or int(length) > MOST_BODY:
             raise Refused(413, f"the body has more than {MOST_BODY} bytes")
         try:
-            found = json.loads(self.rfile.read(int(length)))
+            body = json.loads(self.rfile.read(int(length)))
         except (ValueError, RecursionError):
             raise Refused(400, "the body is not valid JSON") from None
-        if not isinstance(found, dict):
+        if not isinstance(body, dict):
             raise Refused(400, "the body is not a JSON object")
-        return found
+        return body
 
     def _send(
         self, kind: str, data: bytes, status: int = 200, *, with_cookie: bool = False
@@ -230,8 +230,8 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(data)
 
-    def _send_json(self, found: object, status: int = 200) -> None:
-        self._send("application/json", json_text(found).encode(), status)
+    def _send_json(self, result: object, status: int = 200) -> None:
+        self._send("application/json", json_text(result).encode(), status)
 
     def _stream(self) -> None:
         with self.server.streams.opened(self.connection) as messages:
@@ -318,13 +318,13 @@ def _outer_url(text: str) -> SplitResult:
     """Return the checked URL under which a proxy shows a page, as browsers write it."""
     if not isinstance(text, str):
         raise TypeError(f"url must be a string, not {type(text).__name__}")
-    wanted = f"the page's URL must be as https://HOST or https://HOST/PATH, not {text!r}"
+    form = f"the page's URL must be as https://HOST or https://HOST/PATH, not {text!r}"
     try:
         url = urlsplit(text)
         default = DEFAULT_PORTS[url.scheme]
         host, _ = split_host_and_port(url.netloc)
     except (KeyError, ValueError):
-        raise ValueError(wanted) from None
+        raise ValueError(form) from None
     if not host or "@" in host or url.query or url.fragment:
-        raise ValueError(wanted)
+        raise ValueError(form)
     return url._replace(netloc=url.netloc.lower().removesuffix(f":{default}"))

@@ -49,8 +49,8 @@ def _is_number(value: object) -> bool:
     return type(value) in (float, int, bool) and -most <= value <= most  # type: ignore[operator]
 
 
-def _is_gap(passed: float, every: float | None) -> bool:
-    return every is not None and passed > GAP * max(every, SHORTEST)
+def _is_gap(seconds: float, every: float | None) -> bool:
+    return every is not None and seconds > GAP * max(every, SHORTEST)
 
 
 class Samples:
@@ -73,12 +73,13 @@ class Samples:
             number = value
             self.low = number if self.low is None else min(self.low, number)
             self.high = number if self.high is None else max(self.high, number)
-        passed = time - self.newest
-        if 0 <= passed < SHORTEST:
+        seconds = time - self.newest
+        if 0 <= seconds < SHORTEST:
             if number == number:  # a gap must not replace a number
                 self._numbers[-1] = number
             return
-        if self._numbers and self._numbers[-1] == self._numbers[-1] and _is_gap(passed, self.every):
+        last = self._numbers[-1] if self._numbers else math.nan
+        if last == last and _is_gap(seconds, self.every):
             self._numbers.extend((self.newest + SHORTEST, math.nan))
         self.newest = time
         self._numbers.extend((time, number))
@@ -92,25 +93,25 @@ class Samples:
     def pairs(self, since: float = -math.inf) -> Pairs:
         """Return the samples after a time in its order, also if the clock was set back."""
         numbers = self._numbers[:]
-        found = [
+        samples = [
             (time, value if value == value else None)
             for time, value in zip(numbers[::2], numbers[1::2], strict=True)
             if time > since
         ]
-        return sorted(found, key=lambda each: each[0])
+        return sorted(samples, key=lambda sample: sample[0])
 
     def spark(self) -> list[int]:
         """Return the last samples as levels from 0 to 20, and -1 for each gap."""
         values = self._numbers[-2 * SPARK :][1::2]
-        numbers = [each for each in values if each == each]
+        numbers = [value for value in values if value == value]
         if not numbers:
             return []
         low = min(numbers)
         span = max(numbers) - low
         if not 0 < span < math.inf:  # all are equal, or too far apart
-            return [LEVELS // 2 if each == each else -1 for each in values]
+            return [LEVELS // 2 if value == value else -1 for value in values]
         by = LEVELS / span
-        return [int((each - low) * by) if each == each else -1 for each in values]
+        return [int((value - low) * by) if value == value else -1 for value in values]
 
 
 class Series(NamedTuple):
@@ -122,11 +123,11 @@ class Series(NamedTuple):
 
 def charted(pairs: Pairs, now: float, units: str, every: float | None) -> dict[str, Any]:
     """Return the samples up to now as JSON for a chart; `every` as for `Samples`."""
-    shown = [(at, value) for at, value in pairs if at <= now]
+    past = [(at, value) for at, value in pairs if at <= now]
     return {
         "now": now,
-        "times": [round(at, 2) for at, _ in shown],
-        "values": [value if _is_number(value) else None for _, value in shown],
+        "times": [round(at, 2) for at, _ in past],
+        "values": [value if _is_number(value) else None for _, value in past],
         "units": units,
         "is_stepped": every is None,
     }
@@ -134,12 +135,12 @@ def charted(pairs: Pairs, now: float, units: str, every: float | None) -> dict[s
 
 def with_gaps(pairs: Pairs, every: float | None) -> Pairs:
     """Return samples, in the order of their times, with a gap where one is missing."""
-    found = pairs[:1]
+    result = pairs[:1]
     for before, after in pairwise(pairs):
         if _is_gap(after[0] - before[0], every) and None not in (before[1], after[1]):
-            found.append((before[0] + SHORTEST, None))
-        found.append(after)
-    return found
+            result.append((before[0] + SHORTEST, None))
+        result.append(after)
+    return result
 
 
 # --- numbers computed from counters ---------------------------------------------------------------
@@ -161,10 +162,10 @@ class Counts(NamedTuple):
     waiting: int | None = None
 
 
-def _figures(before: Counts, now: Counts, passed: float) -> dict[str, float | None]:
+def _figures(before: Counts, now: Counts, seconds: float) -> dict[str, float | None]:
     answers = now.answers - before.answers
     took = round((now.seconds - before.seconds) / answers * 1000, 2) if answers > 0 else None
-    rate = round(max(0, now.requests - before.requests) / passed, 2)
+    rate = round(max(0, now.requests - before.requests) / seconds, 2)
     return {"rate": rate, "time": took, "queue": now.waiting}
 
 
@@ -188,23 +189,23 @@ class RowHistory:
         if 0 <= now - self._at < SAMPLED or not self._lock.acquire(blocking=False):
             return
         try:
-            passed, self._at = now - self._at, now
-            counted = dict(self._counts())
-            most = samples_of_each(len(counted) * len(UNITS))
+            seconds, self._at = now - self._at, now
+            rows = dict(self._counts())
+            most = samples_of_each(len(rows) * len(UNITS))
             self._known = {
-                name: self._row(name, counts, now, passed, most) for name, counts in counted.items()
+                name: self._row(name, counts, now, seconds, most) for name, counts in rows.items()
             }
         finally:
             self._lock.release()
 
     def _row(
-        self, name: Name, counts: Counts, now: float, passed: float, most: int
+        self, name: Name, counts: Counts, now: float, seconds: float, most: int
     ) -> tuple[Counts, dict[str, Samples]]:
         if name not in self._known:
             return counts, {column: Samples(SAMPLED, most) for column in UNITS}
         before, series = self._known[name]
-        if passed > 0:
-            for column, figure in _figures(before, counts, passed).items():
+        if seconds > 0:
+            for column, figure in _figures(before, counts, seconds).items():
                 series[column].resize(most)
                 series[column].add(now, figure)
         return counts, series
@@ -216,7 +217,7 @@ class RowHistory:
 
     def series(self, name: Name, column: str) -> Series | None:
         """Return the numbers of a row; None if there is no such row or column."""
-        known = self._known.get(name)
-        if known is None or column not in known[1]:
+        former = self._known.get(name)
+        if former is None or column not in former[1]:
             return None
-        return Series(known[1][column], UNITS[column])
+        return Series(former[1][column], UNITS[column])

@@ -62,11 +62,11 @@ def set_point(unit: ShownUnit, point: Point, text: str) -> None:
         _check_set(unit, point, cells_after(point, mapping))
 
 
-def _set_cells(unit: ShownUnit, given: Given, text: str) -> Point:
+def _set_cells(unit: ShownUnit, query: Given, text: str) -> Point:
     """Set cells from an address on to a value of a type, and return them as a point."""
-    table, address = _table(given["table"]), _address(given)
-    kind = None if TABLES[table].is_bits else given["type"]
-    point = Point("value", table, address, type=kind, order=given["order"])  # type: ignore[arg-type]
+    table, address = _table(query["table"]), _address(query)
+    kind = None if TABLES[table].is_bits else query["type"]
+    point = Point("value", table, address, type=kind, order=query["order"])  # type: ignore[arg-type]
     is_register = point.type == "uint16"
     value = typed_register(text) if is_register else typed_value(point, text)
     with unit.device.mapping as mapping:
@@ -102,10 +102,11 @@ def _readings_at(unit: ShownUnit, table: str, address: int) -> list[dict[str, st
 
 def _row(fault: Fault) -> dict[str, str]:
     """Return the kind, and all other settings, such as ``seconds 1.5, function 3``."""
-    given = {each.name: getattr(fault, each.name) for each in fields(fault) if each.name != "kind"}
+    names = [field.name for field in fields(fault) if field.name != "kind"]
+    options = {name: getattr(fault, name) for name in names}
     settings = ", ".join(
         f"{name} {value.hex(' ') if isinstance(value, bytes) else value}"
-        for name, value in given.items()
+        for name, value in options.items()
         if value is not None
     )
     return {"kind": fault.kind, "settings": settings}
@@ -136,13 +137,13 @@ class ServerSource:
             self._shown = shown_of(self._server)
         return self._shown.units
 
-    def _unit(self, given: Given) -> ShownUnit:
+    def _unit(self, query: Given) -> ShownUnit:
         """Return the unit that a request names."""
-        units, number = self._units(), given["unit"]
-        found = units.get(number) if isinstance(number, int | None) else None
-        if found is None:
+        units, number = self._units(), query["unit"]
+        unit = units.get(number) if isinstance(number, int | None) else None
+        if unit is None:
             raise ValueError(f"there is no unit {number}")
-        return found
+        return unit
 
     def common(self) -> Tables:
         counters = asdict(self._server.statistics)
@@ -155,16 +156,16 @@ class ServerSource:
                 for state in faults
                 if isinstance(state.fault, Fault)
             },
-            "counters": {name: each for name, each in counters.items() if isinstance(each, int)},
+            "counters": {name: count for name, count in counters.items() if isinstance(count, int)},
             **self.log.tables(),
         }
 
-    def view(self, given: Given) -> View:
-        first, stop = (integer(name, given[name], 0, TABLE_SIZE) for name in ("first", "stop"))
-        what = given["what"]
+    def view(self, query: Given) -> View:
+        first, stop = (integer(name, query[name], 0, TABLE_SIZE) for name in ("first", "stop"))
+        what = query["what"]
         if what != "points":
             _table(what)
-        return self._unit(given).number, what, first, stop
+        return self._unit(query).number, what, first, stop
 
     def viewed(self, view: View) -> Tables:
         """Return a table whose name is that of the unit and of the table that are shown."""
@@ -178,55 +179,55 @@ class ServerSource:
             rows = cell_rows(unit, what, first, stop)
         return {f"{_name(number)}/{what}": rows}
 
-    def _history(self, given: Given) -> dict[str, Any]:
-        row = given["row"]
+    def _history(self, query: Given) -> dict[str, Any]:
+        row = query["row"]
         if not isinstance(row, list) or len(row) != 2 or not isinstance(row[1], str):
             raise ValueError("row must be a unit and a name")
         unit = self._unit({"unit": row[0]})
         samples = unit.samples.get(row[1])
-        units = [each.units for each in unit.points if each.name == row[1]]
+        units = [point.units for point in unit.points if point.name == row[1]]
         if samples is None:
             raise ValueError("this value no longer exists")
         now = time.time()
-        since = now - number("seconds", given["seconds"], 1, MOST_SECONDS)
+        since = now - number("seconds", query["seconds"], 1, MOST_SECONDS)
         return charted(samples.pairs(since), now, units[0], SAMPLED)
 
-    def _set(self, given: Given) -> None:
-        unit, text = self._unit(given), given["text"]
+    def _set(self, query: Given) -> None:
+        unit, text = self._unit(query), query["text"]
         if not isinstance(text, str):
             raise TypeError("text must be a string")
         if len(text) > MOST_TEXT:
             raise ValueError(f"value must have at most {MOST_TEXT} characters")
-        if "point" in given:
-            point = _point(unit, given)
+        if "point" in query:
+            point = _point(unit, query)
             set_point(unit, point, text)
         else:
-            point = _set_cells(unit, given, text)
+            point = _set_cells(unit, query, text)
         self.log.wrote(unit.number, point.table, point.cells, "this page")
 
-    def _read(self, given: Given) -> object:
-        table = _table(given["table"])
-        return {"readings": _readings_at(self._unit(given), table, _address(given))}
+    def _read(self, query: Given) -> object:
+        table = _table(query["table"])
+        return {"readings": _readings_at(self._unit(query), table, _address(query))}
 
-    def _hold(self, given: Given) -> None:
-        unit = self._unit(given)
-        point = _point(unit, given)
+    def _hold(self, query: Given) -> None:
+        unit = self._unit(query)
+        point = _point(unit, query)
         if not isinstance(unit.device, SimulatedDevice):
             raise ValueError(f"{point.name} never moves by itself")
-        unit.device.hold(point, is_on=given["on"] is True)
+        unit.device.hold(point, is_on=query["on"] is True)
 
-    def _switch(self, given: Given) -> None:
+    def _switch(self, query: Given) -> None:
         switch = self._server.fault_switch
-        number = integer("number", given["number"], 0, 1_000_000_000)
-        found = [each for each in switch.states() if each.number == number]
-        if not found:
+        number = integer("number", query["number"], 0, 1_000_000_000)
+        states = [state for state in switch.states() if state.number == number]
+        if not states:
             raise ValueError("this fault no longer exists")
-        switch.turn(found[0], is_on=given["on"] is True)
+        switch.turn(states[0], is_on=query["on"] is True)
 
-    def _add(self, given: Given) -> None:
+    def _add(self, query: Given) -> None:
         switch = self._server.fault_switch
-        unit = None if given["unit"] is None else self._unit(given).number
-        fault = Fault(**{name: given[name] for name in SETTINGS if given.get(name) is not None})
+        unit = None if query["unit"] is None else self._unit(query).number
+        fault = Fault(**{name: query[name] for name in SETTINGS if query.get(name) is not None})
         if len(switch.states()) >= MOST_FAULTS:
             raise ValueError(f"there are {MOST_FAULTS} faults already, which is the maximum")
         switch.switch_on(fault, unit=unit)
@@ -236,9 +237,9 @@ def _name(number: int | None) -> str:
     return "every" if number is None else str(number)
 
 
-def _point(unit: ShownUnit, given: Given) -> Point:
-    point = unit.points[integer("point", given["point"], 0, len(unit.points) - 1)]
-    if point.name != given["name"]:
+def _point(unit: ShownUnit, query: Given) -> Point:
+    point = unit.points[integer("point", query["point"], 0, len(unit.points) - 1)]
+    if point.name != query["name"]:
         raise ValueError("this point no longer exists")
     return point
 
@@ -249,5 +250,5 @@ def _table(name: object) -> str:
     return name
 
 
-def _address(given: Given) -> int:
-    return integer("address", given["address"], 0, TABLE_SIZE)
+def _address(query: Given) -> int:
+    return integer("address", query["address"], 0, TABLE_SIZE)

@@ -62,7 +62,7 @@ class PageSource(Protocol):
     actions: Mapping[str, Action]
     downloads: Mapping[str, Download]
 
-    def view(self, given: Mapping[str, Any]) -> Hashable:
+    def view(self, query: Mapping[str, Any]) -> Hashable:
         """Return the view that a request names; raise as an `Action` if there is no such view."""
         ...
 
@@ -73,15 +73,15 @@ class PageSource(Protocol):
 
 def difference(before: Tables, after: Tables) -> dict[str, Any]:
     """Return the rows that have changed; None in place of rows and tables that are gone."""
-    found: dict[str, Any] = {}
+    changes: dict[str, Any] = {}
     for table, rows in after.items():
         old = before.get(table)
         if old is None:
-            found[table] = rows
+            changes[table] = rows
         elif old != rows:
-            changed = {key: row for key, row in rows.items() if key not in old or old[key] != row}
-            found[table] = changed | dict.fromkeys(old.keys() - rows.keys())
-    return found | dict.fromkeys(before.keys() - after.keys())
+            updates = {key: row for key, row in rows.items() if key not in old or old[key] != row}
+            changes[table] = updates | dict.fromkeys(old.keys() - rows.keys())
+    return changes | dict.fromkeys(before.keys() - after.keys())
 
 
 class Refused(Exception):
@@ -125,11 +125,11 @@ class Streams:
                 del self._pages[page.head["stream"]]
                 page.flag.close()
 
-    def look_at(self, given: Mapping[str, Any]) -> None:
+    def look_at(self, query: Mapping[str, Any]) -> None:
         """Set the view of a page; raise as an `Action` if there is no such page or view."""
-        view = self.source.view(given)
+        view = self.source.view(query)
         with self._lock:
-            name = given["stream"]
+            name = query["stream"]
             page = self._pages.get(name) if isinstance(name, str) else None
             if page is None:
                 raise ValueError("this page is no longer open")
@@ -140,14 +140,14 @@ class Streams:
         poll = select.poll()
         poll.register(connection, select.POLLIN | select.POLLHUP)
         poll.register(page.flag.descriptor, select.POLLIN)
-        sent: Tables = {}
+        former: Tables = {}
         spoke = time.monotonic()
         while True:
             began = time.thread_time()
-            tables = self._tables(page, sent)
-            if changed := difference(sent, tables):
-                sent, spoke = tables, time.monotonic()
-                yield f"data: {COMPACT_JSON.encode(changed)}\n\n"
+            tables = self._tables(page, former)
+            if changes := difference(former, tables):
+                former, spoke = tables, time.monotonic()
+                yield f"data: {COMPACT_JSON.encode(changes)}\n\n"
             elif time.monotonic() - spoke > HEARTBEAT:
                 spoke = time.monotonic()
                 yield ": \n\n"
@@ -157,7 +157,7 @@ class Streams:
                 return
             page.flag.clear()
 
-    def _tables(self, page: _OpenPage, sent: Tables) -> Tables:
+    def _tables(self, page: _OpenPage, former: Tables) -> Tables:
         """Return what the page shows now; what was sent if that cannot be found out."""
         try:
             with self._lock:
@@ -167,5 +167,5 @@ class Streams:
             if not self._has_failed:  # once, not ten times a second
                 self._has_failed = True
                 logger.exception("the page cannot be updated; this is logged once")
-            return sent
+            return former
         return {"page": {"script": self.source.script, **page.head}, **common, **viewed}

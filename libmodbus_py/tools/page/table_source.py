@@ -87,52 +87,52 @@ class TableSource:
 
     script = "table.js"
 
-    def __init__(self, shown: Shown) -> None:
-        self._shown = shown
+    def __init__(self, source: Shown) -> None:
+        self._shown = source
         self.actions: Mapping[str, Action] = {"/history": self._history}
-        log = shown.log
+        log = source.log
         self.downloads: Mapping[str, Download] = {} if log is None else {"/log.csv": log.download}
 
     def common(self) -> Tables:
-        shown, log = self._shown, self._shown.log
-        text, is_problem = shown.status()
+        source, log = self._shown, self._shown.log
+        text, is_problem = source.status()
         head = {
-            "kind": shown.kind,
-            "title": cell_text(shown.title),
-            "columns": [column._asdict() for column in shown.columns],
+            "kind": source.kind,
+            "title": cell_text(source.title),
+            "columns": [column._asdict() for column in source.columns],
             "has_log": log is not None,
-            "has_journal": shown.older is not None,
+            "has_journal": source.older is not None,
             "status": {"text": cell_text(text), "is_problem": is_problem},
         }
-        return {"head": head, "figures": dict(shown.figures()), **(log.tables() if log else {})}
+        return {"head": head, "figures": dict(source.figures()), **(log.tables() if log else {})}
 
-    def view(self, given: Mapping[str, Any]) -> View:
-        wanted = given["find"]
-        first, stop = (integer(each, given[each], 0, MOST_ROWS) for each in ("first", "stop"))
-        if not isinstance(wanted, str) or len(wanted) > MOST_FOUND:
+    def view(self, query: Mapping[str, Any]) -> View:
+        pattern = query["find"]
+        first, stop = (integer(key, query[key], 0, MOST_ROWS) for key in ("first", "stop"))
+        if not isinstance(pattern, str) or len(pattern) > MOST_FOUND:
             raise ValueError(f"find must be a string of at most {MOST_FOUND} characters")
-        return wanted.lower(), given["problems"] is True, first, min(stop, first + MOST_VISIBLE)
+        return pattern.lower(), query["problems"] is True, first, min(stop, first + MOST_VISIBLE)
 
     def viewed(self, view: View) -> Tables:
-        wanted, only, first, stop = view
-        rows, words = self._shown.rows(), wanted.split()
+        pattern, only, first, stop = view
+        rows, words = self._shown.rows(), pattern.split()
         if only:
-            rows = [each for each in rows if each.is_problem]
+            rows = [row for row in rows if row.is_problem]
         if words:
-            rows = [row for row in rows if all(each in row.words for each in words)]
-        shown = {at: row.cells() for at, row in enumerate(rows[first:stop], first)}
-        return {"view": {"count": len(rows), "find": wanted}, "rows": shown}
+            rows = [row for row in rows if all(word in row.words for word in words)]
+        cells = {at: row.cells() for at, row in enumerate(rows[first:stop], first)}
+        return {"view": {"count": len(rows), "find": pattern}, "rows": cells}
 
-    def _history(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        name, column = given["row"], given["column"]
+    def _history(self, query: Mapping[str, Any]) -> dict[str, Any]:
+        name, column = query["row"], query["column"]
         texts = [*name, column] if isinstance(name, list) else []
-        if len(texts) != 3 or not all(isinstance(each, str) for each in texts):
+        if len(texts) != 3 or not all(isinstance(text, str) for text in texts):
             raise ValueError("row must be a list of two strings, and column a string")
         series = self._shown.series((name[0], name[1]), column)
         if series is None:
             raise ValueError("this value no longer exists")
         now = time.time()
-        since = now - number("seconds", given["seconds"], 1, MOST_SECONDS)
+        since = now - number("seconds", query["seconds"], 1, MOST_SECONDS)
         every = series.samples.every
         pairs = self._with_older(series.samples.pairs(since), name, since, now, every)
         return charted(pairs, now, cell_text(series.units), every)
@@ -146,7 +146,7 @@ class TableSource:
         older = self._shown.older(name[0], name[1], since, until, MOST_OLDER)
         # Of each of `MOST_OLDER` / 3 spans of time, a journal returns three samples at most.
         apart = None if every is None else max(every, 2 * 3 / MOST_OLDER * (until - since))
-        return with_gaps([*(each for each in older if each[0] < until), *recent], apart)
+        return with_gaps([*(sample for sample in older if sample[0] < until), *recent], apart)
 
 
 # --- rows of values, each device's below a row of the device --------------------------------------
@@ -216,8 +216,8 @@ class ValueRow:
         state = {"word": reading[5], "reason": cell_text(in_words(reason))}
         bounds = {"lowest": samples.low, "highest": samples.high}
         texts = {key: "" if bound is None else value_text(bound) for key, bound in bounds.items()}
-        shown = {"name": name, "state": state, "value": value, "last values": spark}
-        return {**shown, **texts, "age": round(age, 1)}
+        row = {"name": name, "state": state, "value": value, "last values": spark}
+        return {**row, **texts, "age": round(age, 1)}
 
 
 class Values:
@@ -231,9 +231,9 @@ class Values:
     def describe(self, points: Iterable[ShownPoint]) -> None:
         """Take new points, each device's together, and keep the values of those that stay."""
         before, rows, after = self._values, list[PageRow](), dict[tuple[str, str], ValueRow]()
-        given = list(points)
-        most, devices = samples_of_each(len(given)), dict[str, GroupRow]()
-        for point in given:
+        listed = list(points)
+        most, devices = samples_of_each(len(listed)), dict[str, GroupRow]()
+        for point in listed:
             if point.device not in devices:
                 devices[point.device] = self._device_row(point.device)
                 rows.append(devices[point.device])
@@ -246,15 +246,15 @@ class Values:
 
     def put_readings(self, readings: Iterable[tuple[Any, ...]]) -> None:
         """Take readings, each with the fields of `ValueRow.reading`."""
-        for each in readings:
-            value = self._values.get((each[1], each[2]))
+        for reading in readings:
+            value = self._values.get((reading[1], reading[2]))
             if value is not None:
-                value.reading = each
-                value.samples.add(each[0], each[3])
+                value.reading = reading
+                value.samples.add(reading[0], reading[3])
 
     def bad(self) -> list[ValueRow]:
         """Return the values that are not good, although their device answers."""
-        return [each for each in self._values.values() if each.is_problem]
+        return [value for value in self._values.values() if value.is_problem]
 
     def series(self, name: tuple[str, str], column: str) -> Series | None:
         """Return the numbers of a value; None if there is no such value."""

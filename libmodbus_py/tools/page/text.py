@@ -29,10 +29,10 @@ LONGEST = 12
 
 def cell_text(text: object) -> str:
     """Return a text for a cell: cut, and without characters that cannot be printed."""
-    found = text if isinstance(text, str) else str(text)
-    cut = found[:MOST_TEXT]
+    whole = text if isinstance(text, str) else str(text)
+    cut = whole[:MOST_TEXT]
     plain = cut if cut.isprintable() else "".join(x if x.isprintable() else "?" for x in cut)
-    return plain if len(found) <= MOST_TEXT else f"{plain}..."
+    return plain if len(whole) <= MOST_TEXT else f"{plain}..."
 
 
 def first_names(names: Sequence[str]) -> str:
@@ -55,10 +55,10 @@ def value_text(value: Any) -> str:
         return text if len(text := repr(value)) <= LONGEST else f"{value:.7g}"
     if isinstance(value, list | tuple):
         more = ", ..." if len(value) > MOST_VALUES else ""
-        shown = ("-" if each is None else value_text(each) for each in value[:MOST_VALUES])
-        return cell_text(", ".join(shown) + more)
+        items = ("-" if item is None else value_text(item) for item in value[:MOST_VALUES])
+        return cell_text(", ".join(items) + more)
     if isinstance(value, dict):
-        return cell_text(" ".join(f"{name}={value_text(each)}" for name, each in value.items()))
+        return cell_text(" ".join(f"{name}={value_text(item)}" for name, item in value.items()))
     return cell_text(value if isinstance(value, int | str) else reprlib.repr(value))
 
 
@@ -71,7 +71,7 @@ def point_text(point: Point, cells: list[Any], source: Any) -> tuple[Any, str]:
     if value is None:
         return None, f"- ({reason})"
     values = value if point.count > 1 else [value]
-    return value, cell_text(", ".join(_text_of(point, each) for each in values[:MOST_TEXT]))
+    return value, cell_text(", ".join(_text_of(point, item) for item in values[:MOST_TEXT]))
 
 
 def _text_of(point: Point, value: Any) -> str:
@@ -81,6 +81,6 @@ def _text_of(point: Point, value: Any) -> str:
     if isinstance(value, str):
         return value if value.isprintable() else reprlib.repr(value)
     if isinstance(value, dict):
-        return " ".join(f"{name}={int(each)}" for name, each in value.items())
+        return " ".join(f"{name}={int(bit)}" for name, bit in value.items())
     is_plain = not point.is_part and (point.scale, point.offset, point.scale_from) == (1, 0, None)
     return text_of(value, kind) if is_plain and kind is not None else str(value)

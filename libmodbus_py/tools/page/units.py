@@ -70,7 +70,7 @@ class ShownUnit:
             self._computed.clear()
         key = table, addresses
         runs = self._computed.get(key, [addresses])
-        self._computed[key] = [each for run in runs for each in self._refreshed(table, run)]
+        self._computed[key] = [cell for run in runs for cell in self._refreshed(table, run)]
 
     def _refreshed(self, table: str, run: range) -> list[range]:
         """Return the parts of a range that were computed."""
@@ -79,7 +79,7 @@ class ShownUnit:
         except ExceptionResponse:
             middle = len(run) // 2
             parts = [run[:middle], run[middle:]] if middle else []
-            return [each for part in parts for each in self._refreshed(table, part)]
+            return [cell for part in parts for cell in self._refreshed(table, part)]
         except BaseException:  # a hook may raise it to end a server, but must not end the page
             if not self._has_failed:
                 self._has_failed = True
@@ -113,11 +113,11 @@ class ShownUnit:
             "name": str(getattr(self.device, "name", "")),
             "description": str(getattr(self.device, "description", "")),
             "tables": {
-                table: [[each.start, each.stop] for each in ranges]
+                table: [[cells.start, cells.stop] for cells in ranges]
                 for table, ranges in tables.items()
                 if ranges
             },
-            "points": [_point_row(each) for each in self.points],
+            "points": [_point_row(point) for point in self.points],
         }
 
 
@@ -149,9 +149,10 @@ class ShownServer(NamedTuple):
 
 def shown_of(server: Server) -> ShownServer:
     """Return the devices that a server has now."""
-    given = server.devices
-    devices = {None: given} if isinstance(given, Device) else dict(sorted(given.items()))
-    return ShownServer(given, {number: ShownUnit(number, each) for number, each in devices.items()})
+    served = server.devices
+    devices = {None: served} if isinstance(served, Device) else dict(sorted(served.items()))
+    units = {number: ShownUnit(number, device) for number, device in devices.items()}
+    return ShownServer(served, units)
 
 
 def point_rows(unit: ShownUnit, first: int, stop: int) -> dict[int, Any]:
@@ -180,9 +181,9 @@ def cell_rows(unit: ShownUnit, name: str, first: int, stop: int) -> dict[int, li
         return {}
     with mapping:
         for run in table.ranges:
-            shown = range(max(run.start, begin), min(run.stop, stop))
-            if shown:
-                unit.refresh(name, shown)
+            part = range(max(run.start, begin), min(run.stop, stop))
+            if part:
+                unit.refresh(name, part)
         start = begin - table.addresses.start
         cells = [None] * (begin - first) + table.view[start : start + stop - begin].tolist()
     return {first + at: cells[at : at + CHUNK] for at in range(0, len(cells), CHUNK)}

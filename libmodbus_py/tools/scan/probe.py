@@ -136,8 +136,8 @@ def places(
         timeout = endpoint.client_options.get("timeout", usual)
     timeout = seconds("timeout", timeout)
     if not endpoint.is_serial:
-        for name, given in (("baudrates", baudrates), ("parities", parities)):
-            if given is not None:
+        for name, items in (("baudrates", baudrates), ("parities", parities)):
+            if items is not None:
                 raise ValueError(f"{name} are for serial ports, not for {endpoint.scheme}://")
         return [Place(endpoint, timeout, security)]
     options = endpoint.options
@@ -149,29 +149,29 @@ def places(
         for parity in dict.fromkeys(map(parity_of, listed("parities", parities, kinds)))
     ]
     if baudrates is None and parities is None:
-        settings.sort(key=lambda each: USUAL.index(each) if each in USUAL else len(USUAL))
-    found = []
+        settings.sort(key=lambda setting: USUAL.index(setting) if setting in USUAL else len(USUAL))
+    result = []
     for rate, parity in settings:
-        chosen = {"stop_bits": _STOP_BITS[parity], **options, "baudrate": rate, "parity": parity}
-        setting = replace(endpoint, options=chosen)
-        found.append(Place(setting, timeout, security))
-    return found
+        line = {"stop_bits": _STOP_BITS[parity], **options, "baudrate": rate, "parity": parity}
+        setting = replace(endpoint, options=line)
+        result.append(Place(setting, timeout, security))
+    return result
 
 
-def listed(name: str, given: Iterable[Item] | None, usual: Iterable[Item]) -> list[Item]:
+def listed(name: str, items: Iterable[Item] | None, usual: Iterable[Item]) -> list[Item]:
     """Return each value once, in the order given."""
-    chosen = usual if given is None else given
-    if not isinstance(chosen, Iterable):
-        raise TypeError(f"{name} must be a list, not {type(given).__name__}")
-    found = list(dict.fromkeys(chosen))
-    if not found:
+    source = usual if items is None else items
+    if not isinstance(source, Iterable):
+        raise TypeError(f"{name} must be a list, not {type(items).__name__}")
+    result = list(dict.fromkeys(source))
+    if not result:
         raise ValueError(f"{name} must hold at least one")
-    return found
+    return result
 
 
-def checked_progress(given: Callable[[State], object] | None) -> Callable[[State], object]:
+def checked_progress(function: Callable[[State], object] | None) -> Callable[[State], object]:
     """Return a function of a user that takes the progress, or one that does nothing."""
-    return (lambda state: None) if given is None else checked_callback("on_progress", given)
+    return (lambda state: None) if function is None else checked_callback("on_progress", function)
 
 
 # --- requests -----------------------------------------------------------------------------------
@@ -181,7 +181,7 @@ PROBE = pdu.ReadHoldingRegisters(0, 1)
 # Bytes of the probe and its response, and of the longest request and response, as RTU frames.
 PROBE_SIZE, LONGEST_SIZE = 8 + 7, 8 + 256
 
-NO_UNIT_CODES = [each.code for each in NO_UNIT]
+NO_UNIT_CODES = [error.code for error in NO_UNIT]
 
 # Pages of identification that are read; most devices have one.
 MOST_PAGES = 4
@@ -252,7 +252,7 @@ class Prober:
     def identification(self, unit: int) -> DeviceIdentification | None:
         """Read the regular identification (43/14), without a page that is wrong."""
         steps = identify("regular")
-        found: DeviceIdentification | None = None
+        identification: DeviceIdentification | None = None
         objects: dict[int, bytes] = {}
         try:
             request = next(steps)
@@ -261,13 +261,13 @@ class Prober:
                 if page is None:
                     break
                 objects.update(page.objects)
-                found = DeviceIdentification(page.conformity, objects, complete=False)
+                identification = DeviceIdentification(page.conformity, objects, complete=False)
                 request = steps.send(page)
-        except StopIteration as done:
-            found = done.value
+        except StopIteration as stop:
+            identification = stop.value
         except InvalidResponse:
             pass
-        return found
+        return identification
 
     def read_any(self, unit: int, request: Any) -> Any:
         """Send a request that units may lack; return None if it fails."""
@@ -303,14 +303,15 @@ class Prober:
     def _traced(self, traced: Traced) -> None:
         self.requests += traced.direction == "sent"
         self._pairing.take(traced, self.waker.now())
-        done, self._pairing.done = self._pairing.done, []
-        for _, each in done:
-            is_answer = each.kind in ("answered", "exception", "late")
-            if is_answer and each.unit != self._unit and each.unit in self._silent:
-                code = each.error.code if isinstance(each.error, ExceptionResponse) else None
-                self._silent.discard(each.unit)
+        pairs, self._pairing.done = self._pairing.done, []
+        for _, transaction in pairs:
+            is_answer = transaction.kind in ("answered", "exception", "late")
+            if is_answer and transaction.unit != self._unit and transaction.unit in self._silent:
+                error = transaction.error
+                code = error.code if isinstance(error, ExceptionResponse) else None
+                self._silent.discard(transaction.unit)
                 if code not in NO_UNIT_CODES:
-                    self._late.append((each.unit, Answer(each.duration or 0.0, code)))
+                    self._late.append((transaction.unit, Answer(transaction.duration or 0.0, code)))
 
 
 class Walker(Generic[Item]):

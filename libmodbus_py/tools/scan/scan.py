@@ -129,11 +129,11 @@ class Scan(Walker[Found]):
         self.longest_first: float = longest[0]
         self.longest_found: float = max(map(_longest_found, asked_at))
         scans = [_PlaceScan(place, self.units) for place in asked_at]
-        asked = _Rounds(scans, rounds, on_progress, self.total, self.longest)
-        self.tried: dict[str, list[int]] = asked.tried
-        self.notes: list[str] = asked.notes
+        plan = _Rounds(scans, rounds, on_progress, self.total, self.longest)
+        self.tried: dict[str, list[int]] = plan.tried
+        self.notes: list[str] = plan.notes
         prober = Prober()
-        super().__init__(prober, asked.steps(prober))
+        super().__init__(prober, plan.steps(prober))
 
 
 @dataclass
@@ -149,17 +149,17 @@ class _Rounds:
     notes: list[str] = field(default_factory=list)
 
     def steps(self, prober: Prober) -> Generator[Found, None, None]:
-        done = 0
+        count = 0
         try:
             for units in self.rounds:
                 # The devices on a line have the same settings, mostly.
-                for scan in sorted(self.scans, key=lambda each: not each.has_found):
+                for scan in sorted(self.scans, key=lambda scan: not scan.has_found):
                     if not scan.is_left:
-                        tell = partial(self._tell, scan.place, done)
+                        tell = partial(self._tell, scan.place, count)
                         yield from scan.steps(prober, units, tell)
-                    done += len(units)
+                    count += len(units)
                     self.left -= len(units) * _each(scan.place)
-                    if scan.refused is not None and all(each.refused for each in self.scans):
+                    if scan.refused is not None and all(other.refused for other in self.scans):
                         raise scan.refused
         finally:
             for scan in self.scans:
@@ -167,8 +167,8 @@ class _Rounds:
 
     def _tell(self, place: Place, before: int, at: int, unit: int) -> None:
         """Report the probe of a unit, with its index in the round, after probes elsewhere."""
-        left = max(0.0, self.left - at * _each(place))
-        self.on_progress(Progress(str(place), unit, before + at, self.total, left))
+        seconds = max(0.0, self.left - at * _each(place))
+        self.on_progress(Progress(str(place), unit, before + at, self.total, seconds))
         self.tried.setdefault(str(place), []).append(unit)
 
 
@@ -205,7 +205,7 @@ class _PlaceScan:
                         break
                 is_over = self.is_left or units[-1] == self._units[-1]
                 if self._alike and not self._others and is_over:
-                    yield self._found(prober, *self._alike[0], is_any=True)
+                    yield self._found_unit(prober, *self._alike[0], is_any=True)
         except ModbusConnectionError as error:
             # A setting that this port refuses does not affect the others.
             if prober.is_closed or not self.place.endpoint.is_serial or error.errno != errno.EINVAL:
@@ -221,24 +221,24 @@ class _PlaceScan:
             self.is_left = answer.exception is None
         else:
             self._others += 1
-            yield self._found(prober, unit, answer)
+            yield self._found_unit(prober, unit, answer)
         for late, answer in prober.late():
             self._latest = max(self._latest, answer.took)
             if late in self._units:
                 self._nothing.pop(late, None)
                 self._others += 1
-                yield replace(self._found(prober, late, answer), is_late=True)
+                yield replace(self._found_unit(prober, late, answer), is_late=True)
 
     def _answers_of_none(self, prober: Prober) -> set[int | None]:
         """Return the answer of units that cannot exist: a server that ignores the unit has one."""
         if self._impossible is None:
-            chosen = [unit for unit in RESERVED if unit not in self._units][:2]
-            answers = [prober.probe(unit) for unit in chosen]
-            codes = [each.exception for each in answers if isinstance(each, Answer)]
+            reserved = [unit for unit in RESERVED if unit not in self._units][:2]
+            answers = [prober.probe(unit) for unit in reserved]
+            codes = [answer.exception for answer in answers if isinstance(answer, Answer)]
             self._impossible = set(codes) if len(codes) == 2 and len(set(codes)) == 1 else set()
         return self._impossible
 
-    def _found(self, prober: Prober, unit: int, answer: Answer, is_any: bool = False) -> Found:
+    def _found_unit(self, prober: Prober, unit: int, answer: Answer, is_any: bool = False) -> Found:
         return Found(
             unit,
             self.place.url(unit),
@@ -254,12 +254,12 @@ class _PlaceScan:
         if self.refused is not None:
             yield str(self.refused)
         errors = list(self._nothing.values())
-        if gateway := sum(isinstance(each, NO_UNIT) for each in errors):
+        if gateway := sum(isinstance(error, NO_UNIT) for error in errors):
             yield (
                 f"a gateway reports {gateway} units as absent (exception 10 or 11);"
                 " they are not counted as found"
             )
-        noise = [each for each in errors if each.received and not isinstance(each, NO_UNIT)]
+        noise = [error for error in errors if error.received and not isinstance(error, NO_UNIT)]
         if noise:
             hint = "; a device may use another rate or parity, or others send"
             yield (
@@ -349,8 +349,8 @@ def scan(
         place.context().close()  # which checks the rest of the URL
     usual = _usual_units(endpoint)
     lowest = int(not endpoint.has_transactions)  # without them 0 is a broadcast
-    chosen = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]
-    rounds = [chosen]
+    numbers = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]
+    rounds = [numbers]
     if units is None and len(asked_at) > 1 and len(usual) > len(USUAL_UNITS):
         rounds = [
             [*FIRST_UNITS],
@@ -361,7 +361,7 @@ def scan(
 
 
 def _usual_units(endpoint: Endpoint) -> list[int]:
-    told = endpoint.client_options.get("unit")
-    if told is not None:
-        return [told]
+    unit = endpoint.client_options.get("unit")
+    if unit is not None:
+        return [unit]
     return [*UNITS, DIRECT] if endpoint.has_transactions else [*UNITS]

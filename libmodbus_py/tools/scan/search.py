@@ -63,12 +63,12 @@ class Cells:
 
     def ask(self, read: range) -> Reads:
         """Yield a read; a refusal proves something only if it is of a single cell."""
-        answered = yield read
-        if answered:
+        answer = yield read
+        if answer:
             self.states[read.start : read.stop] = bytes([THERE]) * len(read)
         elif len(read) == 1:
             self.states[read.start] = MISSING
-        return answered
+        return answer
 
     @property
     def ranges(self) -> list[range]:
@@ -81,8 +81,8 @@ class Cells:
         return max((len(run) for run in self._runs(UNKNOWN)), default=0)
 
     def _runs(self, state: int) -> Iterator[range]:
-        for found in re.finditer(b"%c+" % state, self.states):
-            yield range(*found.span())
+        for match in re.finditer(b"%c+" % state, self.states):
+            yield range(*match.span())
 
 
 def halving(cells: Cells) -> Generator[range, bool, None]:
@@ -99,8 +99,8 @@ def halving(cells: Cells) -> Generator[range, bool, None]:
             if address and cells.states[address - 1] == UNKNOWN:
                 yield from cells.ask(range(address - 1, address))
             first = yield from _grow(cells, address, -1)
-            around = [last + each for each in BEHIND] + [first - each for each in BEFORE]
-            near += [each for each in around if 0 <= each < TABLE_SIZE]
+            around = [last + step for step in BEHIND] + [first - step for step in BEFORE]
+            near += [at for at in around if 0 <= at < TABLE_SIZE]
 
 
 def _places() -> Iterator[int]:
@@ -253,8 +253,8 @@ class _Tables:
     def steps(self, place: Place) -> Generator[Extent, None, None]:
         with self.prober.at(place):
             for index, table in enumerate(TABLES):
-                left = self.most_requests - self.prober.requests
-                ended = self._table(table, left // (len(TABLES) - index))
+                rest = self.most_requests - self.prober.requests
+                ended = self._table(table, rest // (len(TABLES) - index))
                 yield self.extents[-1]
                 if ended in (GONE, BUSY):
                     return
@@ -270,7 +270,7 @@ class _Tables:
             requests = self.prober.requests - begun
             unseen = 0 if ended == NO_FUNCTION else cells.unseen
             ranges = cells.ranges
-            values = [[cells.values[at] for at in each] for each in ranges]
+            values = [[cells.values[at] for at in bounds] for bounds in ranges]
             extent = Extent(table, ranges, values, unseen, ended, cells.most, requests)
             self.extents.append(extent)
         return ended

@@ -40,7 +40,7 @@ from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import TABLES, joined
 from ..faults.fault import LONGEST, Fault
 from ..files.rights import roles
-from .clockwork import Clockwork
+from .movements import Movements
 from .points import CONTENTS, DEFAULTS, Maps, points_of
 from .simulated import SimulatedDevice, Simulation
 
@@ -65,32 +65,33 @@ def _unit_id(path: Path, value: object) -> int:
 
 def _maps(path: Path, value: object) -> list[tuple[Path, str]]:
     """Check one path of a register map, or several; return each with its own place."""
-    found = [((*path, at), name) for at, name in enumerate(value)] if type(value) is list else []
-    for where, name in found or [(path, value)]:
+    names = [((*path, at), name) for at, name in enumerate(value)] if type(value) is list else []
+    for where, name in names or [(path, value)]:
         if not isinstance(name, str):
             raise WrongValue(where, "must be the path of a register map, or a list of them")
-    return found or [(path, str(value))]
+    return names or [(path, str(value))]
 
 
 def _each(keys: Keys) -> Check:
     """Return a check for an array of tables that have these keys."""
 
     def check(path: Path, value: object) -> list[Any]:
-        return [keys.read((*path, at), each) for at, each in enumerate(tables(path, value))]
+        return [keys.read((*path, at), raw) for at, raw in enumerate(tables(path, value))]
 
     return check
 
 
 def _registers(path: Path, value: object) -> list[int]:
-    found = [integer((*path, at), each, 0, 0xFFFF) for at, each in enumerate(a_list(path, value))]
-    if len(found) > MOST_QUEUED:
-        raise WrongValue(path, f"must have 0..{MOST_QUEUED} registers, not {len(found)}")
-    return found
+    items = enumerate(a_list(path, value))
+    numbers = [integer((*path, at), item, 0, 0xFFFF) for at, item in items]
+    if len(numbers) > MOST_QUEUED:
+        raise WrongValue(path, f"must have 0..{MOST_QUEUED} registers, not {len(numbers)}")
+    return numbers
 
 
 def _identification(path: Path, value: object) -> dict[int, bytes]:
     numbers = {name: number for number, name in OBJECT_NAMES.items()}
-    found: dict[int, bytes] = {}
+    objects: dict[int, bytes] = {}
     for key, content in table(path, value).items():
         where = (*path, shown_key(key))
         number = numbers.get(key, int(key) if key.isdecimal() and len(key) < 4 else -1)
@@ -98,8 +99,8 @@ def _identification(path: Path, value: object) -> dict[int, bytes]:
             names = ", ".join(numbers)
             reason = f"no such key; allowed are {names}, and the numbers 0..6, 128..255"
             raise WrongValue.about(where, reason + close_to(key, numbers))
-        found[number] = bytes_or_text(0, 244)(where, content)
-    return found
+        objects[number] = bytes_or_text(0, 244)(where, content)
+    return objects
 
 
 MOST_QUEUED = 31
@@ -233,16 +234,16 @@ def mapped_simulation(
 
 
 def _simulation(content: dict[str, Any], maps: Maps, clock: Clock) -> Simulation:
-    given = FILE.read((), content)
-    faults: dict[int | None, list[Fault]] = {None: given.get("fault", [])}
+    file = FILE.read((), content)
+    faults: dict[int | None, list[Fault]] = {None: file.get("fault", [])}
     devices: dict[int | None, SimulatedDevice] = {}
-    of_all = {"roles": given["roles"]} if "roles" in given else {}
-    for at, own in enumerate(given["unit"]):
+    of_all = {"roles": file["roles"]} if "roles" in file else {}
+    for at, own in enumerate(file["unit"]):
         path = ("unit", at)
-        if "id" not in own and len(given["unit"]) > 1:
+        if "id" not in own and len(file["unit"]) > 1:
             raise WrongValue((*path, "id"), "is missing; only a single unit can be without")
         unit = UNIT.read(path, of_all | own)
-        unit["defaults"] = given.get("defaults", {}) | unit.get("defaults", {})
+        unit["defaults"] = file.get("defaults", {}) | unit.get("defaults", {})
         # Compared after the file was read again, together with what it takes from elsewhere.
         definition = own, content.get("roles"), unit["defaults"]
         number = unit.get("id")
@@ -252,7 +253,7 @@ def _simulation(content: dict[str, Any], maps: Maps, clock: Clock) -> Simulation
         faults[number] = faults.get(number, []) + unit.get("fault", [])
     if not devices:
         raise WrongValue("unit", "must not be empty")
-    return Simulation(devices, {unit: each for unit, each in faults.items() if each}, maps.files)
+    return Simulation(devices, {unit: fault for unit, fault in faults.items() if fault}, maps.files)
 
 
 def _device(
@@ -260,13 +261,13 @@ def _device(
 ) -> SimulatedDevice:
     """Return the device of a unit, whose keys are checked."""
     points = points_of(path, unit, maps)
-    in_tables = [each for each in points if not each.file]
-    spans = {table: [each.span for each in points if each.table == table] for table in TABLES}
-    mapping = Tables(**{table: joined(each) for table, each in spans.items()})
-    records: dict[int, dict[int, int]] = {each.file: {} for each in points if each.file}
-    for each in points:
-        if each.file:
-            records[each.file].update(dict.fromkeys(each.span, 0))
+    in_tables = [point for point in points if not point.file]
+    spans = {table: [point.span for point in points if point.table == table] for table in TABLES}
+    mapping = Tables(**{table: joined(span) for table, span in spans.items()})
+    records: dict[int, dict[int, int]] = {point.file: {} for point in points if point.file}
+    for point in points:
+        if point.file:
+            records[point.file].update(dict.fromkeys(point.span, 0))
     fifos: dict[int, list[int]] = {}
     for at, queue in enumerate(unit.get("fifo", ())):
         if queue["address"] in fifos:
@@ -277,9 +278,9 @@ def _device(
         mapping,
         name=unit.get("name", ""),
         description=unit.get("description", ""),
-        definition=(*definition, [each.point for each in points if each.is_mapped]),
+        definition=(*definition, [point.point for point in points if point.is_mapped]),
         contents=points,
-        clockwork=Clockwork(mapping, in_tables, clock),
+        movements=Movements(mapping, in_tables, clock),
         files=records,
         fifos=fifos,
         identification=unit.get("identification"),

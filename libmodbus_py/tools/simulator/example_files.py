@@ -32,18 +32,18 @@ def map_file(word: str) -> str:
     """Return the path of a register map; a word without folder and suffix is a name."""
     if os.path.basename(word) != word or os.path.splitext(word)[1]:
         return word
-    known = maps()
-    if word not in known:
+    files = maps()
+    if word not in files:
         raise ValueError(
             f"{word!r} is neither the path of a register map, which ends with .csv or .toml, "
-            f"nor an example; the examples are {', '.join(known)}"
+            f"nor an example; the examples are {', '.join(files)}"
         )
     return os.path.join(_folder(), f"{word}.csv")
 
 
 def maps() -> dict[str, str]:
     """Return the name of each register map with the first sentence of its first comment."""
-    stems = sorted(os.path.splitext(each) for each in os.listdir(_folder()))
+    stems = sorted(os.path.splitext(name) for name in os.listdir(_folder()))
     lines = {
         stem: _first_line(stem + suffix)
         for stem, suffix in stems

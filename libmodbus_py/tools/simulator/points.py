@@ -22,8 +22,8 @@ from ...protocol.mistakes import Path, WrongValue, inside, path_text
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLES
 from ...protocol.values import value_type
-from .clockwork import BEHAVIOURS, SimulatedPoint
 from .example_files import map_file
+from .movements import BEHAVIOURS, SimulatedPoint
 
 __all__ = ["CONTENTS", "DEFAULTS", "Maps", "points_of"]
 
@@ -45,11 +45,11 @@ POINT_KEYS = POINT.but("table", "initial")
 TYPING = POINT.only("type", "order", "encoding", "padding")
 
 
-def _defaults(**given: Any) -> dict[str, Any]:
+def _defaults(**values: Any) -> dict[str, Any]:
     """Check defaults of points: one of any type must be possible."""
-    typing = {key: value for key, value in given.items() if key not in ("type", "access")}
-    value_type(given.get("type", "string:1"), **typing)
-    return given
+    typing = {key: value for key, value in values.items() if key not in ("type", "access")}
+    value_type(values.get("type", "string:1"), **typing)
+    return values
 
 
 DEFAULTS = Keys((TYPING | POINT.only("access")).optional().values(), _defaults)
@@ -107,43 +107,43 @@ class Maps:
 
 def points_of(path: Path, unit: Mapping[str, Any], maps: Maps) -> list[SimulatedPoint]:
     """Return the points of a unit, and the records of its files."""
-    found = list(_mapped_points(path, unit, maps))
-    points = {each.point.name: each.point for each in found}
+    contents = list(_mapped_points(path, unit, maps))
+    points = {content.point.name: content.point for content in contents}
     paths: dict[str, Path] = {}
     raws = [(table, at, raw) for table in CONTENTS for at, raw in enumerate(unit.get(table, ()))]
     for table, at, raw in raws:
         where = (*path, table, at)
-        each = _own_point(where, table, raw, unit["defaults"])
-        name = each.point.name
-        if not each.file:
+        point = _own_point(where, table, raw, unit["defaults"])
+        name = point.point.name
+        if not point.file:
             if name in points:
                 raise WrongValue.about((*where, "name"), f"there is already a point {name}")
-            points[name], paths[name] = each.point, where
-        found.append(each)
+            points[name], paths[name] = point.point, where
+        contents.append(point)
     for name, mistake in scale_mistakes(points):
         raise mistake.renamed(paths[name])
-    _check_overlaps(found)
-    return found
+    _check_overlaps(contents)
+    return contents
 
 
 def _own_point(
     path: Path, table: str, raw: dict[str, object], defaults: Mapping[str, Any]
 ) -> SimulatedPoint:
     """Return a point of the device file itself, or the records of a file, which are alike."""
-    given: dict[str, Any] = CONTENTS[table].read(path, raw)
-    sources = [key for key in given if key in VALUES or key in MOVES]
+    content: dict[str, Any] = CONTENTS[table].read(path, raw)
+    sources = [key for key in content if key in VALUES or key in MOVES]
     if len(sources) > 1:
         raise WrongValue((*path, sources[1]), f"cannot be given together with {sources[0]}")
     source = sources[0] if sources else ""
-    behaviour = (source, given[source]) if source in MOVES else None
-    if behaviour and given.get("access", "read") != "read":
+    behaviour = (source, content[source]) if source in MOVES else None
+    if behaviour and content.get("access", "read") != "read":
         # A value written by a client would be lost at the next read.
         raise WrongValue((*path, "access"), "must be read for what moves by itself")
-    if source == "values" and "count" in given:
+    if source == "values" and "count" in content:
         raise WrongValue((*path, "count"), "cannot be given together with values")
-    if given.get("values") == []:
+    if content.get("values") == []:
         raise WrongValue((*path, "values"), "must not be empty")
-    first = given["record" if table == "file" else "address"]
+    first = content["record" if table == "file" else "address"]
     rules = TABLES.get(table)
     without = {*TYPING} if rules is not None and rules.is_bits else set()
     if behaviour or (rules is not None and not rules.most_written):
@@ -151,8 +151,8 @@ def _own_point(
     keys = {
         **{key: value for key, value in defaults.items() if key not in without},
         "name": f"{table}_{first}",
-        "count": len(given.get("values", " ")),
-        **{key: value for key, value in given.items() if key in POINT_KEYS},
+        "count": len(content.get("values", " ")),
+        **{key: value for key, value in content.items() if key in POINT_KEYS},
         "table": "holding_registers" if table == "file" else table,
         "address": first,
     }
@@ -162,14 +162,14 @@ def _own_point(
         raise WrongValue(path, f"ends at {point.cells.stop - 1}, after {RECORDS_PER_FILE - 1}")
     # A text may be padded with other than zeros.
     is_text = point.read.kind is not None and point.read.kind.is_text and behaviour is None
-    value = given.get("value", "" if is_text else None)
+    value = content.get("value", "" if is_text else None)
     value = _bits_of((*path, "value"), point, value)
     if rules is not None and rules.is_bits and isinstance(value, list):
-        given["values"] = value
-    if value is not None or "values" in given:
-        values = given.get("values", [value] * point.count)
+        content["values"] = value
+    if value is not None or "values" in content:
+        values = content.get("values", [value] * point.count)
         value = values if point.count > 1 else values[0]
-    return SimulatedPoint(path, point, value, behaviour, (*path, source), given.get("number", 0))
+    return SimulatedPoint(path, point, value, behaviour, (*path, source), content.get("number", 0))
 
 
 def _bits_of(path: Path, point: Point, value: object) -> object:
@@ -190,11 +190,11 @@ def _bits_in(path: Path, table: Mapping[str, object], numbers: range) -> list[bo
     others = False
     for key, value in table.items():
         is_on = flag((*path, key), value)
-        named = state_key((*path, key), key, (numbers[0], numbers[-1]), None)
-        if named == ELSE:
+        bit = state_key((*path, key), key, (numbers[0], numbers[-1]), None)
+        if bit == ELSE:
             others = is_on
             continue
-        low, high = (named.low, named.high) if isinstance(named, NumberSpan) else (named, named)
+        low, high = (bit.low, bit.high) if isinstance(bit, NumberSpan) else (bit, bit)
         for number in range(int(low), int(high) + 1):
             if number in bits:
                 raise WrongValue.about((*path, key), f"{number} is given twice")
@@ -211,8 +211,8 @@ def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[
                 raise WrongValue.about(where, f"an earlier map has a point {point.name}, too")
             points[point.name] = point
     values, moves = unit.get("values", {}), unit.get("moves", {})
-    for key, given in (("values", values), ("moves", moves)):
-        for name in given:
+    for key, names in (("values", values), ("moves", moves)):
+        for name in names:
             if name not in points:
                 reason = f"no such point{close_to(name, points)}"
                 raise WrongValue.about((*path, key, shown_key(name)), reason)
@@ -237,25 +237,26 @@ def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[
 
 def _check_overlaps(points: Iterable[SimulatedPoint]) -> None:
     """Raise WrongValue for points that share cells, and are neither parts nor of maps."""
-    in_order = sorted(points, key=lambda each: (each.area, each.span.start))
-    for before, each in pairwise(each for each in in_order if each.is_mapped and each.behaviour):
-        if before.table == each.table and each.span.start < before.span.stop:
-            raise WrongValue(each.source[:-1], "shares cells with another that moves")
+    in_order = sorted(points, key=lambda point: (point.area, point.span.start))
+    moving = [point for point in in_order if point.is_mapped and point.behaviour]
+    for before, after in pairwise(moving):
+        if before.table == after.table and after.span.start < before.span.stop:
+            raise WrongValue(after.source[:-1], "shares cells with another that moves")
     last, bits = None, 0
-    for each in in_order:
-        own_bits = _bits(each)
-        if last is None or last.area != each.area or last.span.stop <= each.span.start:
-            last, bits = each, own_bits
-        elif last.is_mapped and each.is_mapped:
-            last = max(last, each, key=lambda each: each.span.stop)
-        elif last.span == each.span and bits and own_bits and not bits & own_bits:
+    for point in in_order:
+        own_bits = _bits(point)
+        if last is None or last.area != point.area or last.span.stop <= point.span.start:
+            last, bits = point, own_bits
+        elif last.is_mapped and point.is_mapped:
+            last = max(last, point, key=lambda point: point.span.stop)
+        elif last.span == point.span and bits and own_bits and not bits & own_bits:
             bits |= own_bits
         else:
             around = f"{path_text(last.path)} ({last.span.start}..{last.span.stop - 1})"
-            raise WrongValue(each.path, f"begins at {each.span.start}, within {around}")
+            raise WrongValue(point.path, f"begins at {point.span.start}, within {around}")
 
 
-def _bits(each: SimulatedPoint) -> int:
+def _bits(point: SimulatedPoint) -> int:
     """Return the bits of a point in its registers; 0 if it cannot share them."""
-    is_whole = each.file or each.is_mapped or each.behaviour or not each.point.is_part
-    return 0 if is_whole else each.point.meaning.mask
+    is_whole = point.file or point.is_mapped or point.behaviour or not point.point.is_part
+    return 0 if is_whole else point.point.meaning.mask

@@ -45,7 +45,7 @@ class Reloader:
         self._look_every = LOOK_EVERY_S if is_watching else None
         self._tell = tell
         self._hooks = hooks
-        self._asked = asyncio.Event()
+        self._demand = asyncio.Event()
         self._of_others: Sequence[str] = ()
         self._maps: Sequence[str] = simulation.files
         self._read = self._signatures()
@@ -61,20 +61,20 @@ class Reloader:
     def ask(self, of_others: Sequence[str] = ()) -> None:
         """Request a reading, in the loop of the server; its line ends with those of other files."""
         self._of_others = of_others
-        self._asked.set()
+        self._demand.set()
 
     async def _run(self) -> None:
-        seen = self._read
+        signatures = self._read
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._look_every):
-                    await self._asked.wait()
-            is_asked = self._asked.is_set()
-            self._asked.clear()
-            before, seen = seen, self._signatures()
-            if is_asked or seen == before != self._read:
+                    await self._demand.wait()
+            is_asked = self._demand.is_set()
+            self._demand.clear()
+            before, signatures = signatures, self._signatures()
+            if is_asked or signatures == before != self._read:
                 await self._read_again()
-                seen = self._read
+                signatures = self._read
 
     async def _read_again(self) -> None:
         before = self._signatures()
@@ -106,10 +106,10 @@ class Reloader:
 
     def _signatures(self) -> dict[str, tuple[int, ...]]:
         """Return what changes of the files when they are written or replaced, by path."""
-        found: dict[str, tuple[int, ...]] = {}
+        signatures: dict[str, tuple[int, ...]] = {}
         for path in (self._path, *self._maps):
-            found[path] = ()
+            signatures[path] = ()
             with contextlib.suppress(OSError, ValueError):
                 facts = os.stat(path)
-                found[path] = facts.st_mtime_ns, facts.st_size, facts.st_ino
-        return found
+                signatures[path] = facts.st_mtime_ns, facts.st_size, facts.st_ino
+        return signatures

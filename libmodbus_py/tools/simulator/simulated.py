@@ -19,7 +19,7 @@ from ...maps.register_map import RegisterMap
 from ...protocol.mistakes import WrongValue, placed
 from ...protocol.tables import TABLES
 from ..faults.fault import Fault
-from .clockwork import Clockwork, SimulatedPoint
+from .movements import Movements, SimulatedPoint
 
 __all__ = ["SimulatedDevice", "Simulation"]
 
@@ -43,35 +43,35 @@ class SimulatedDevice(Device):
         description: str,
         definition: object,
         contents: list[SimulatedPoint],
-        clockwork: Clockwork,
+        movements: Movements,
         **options: Any,
     ) -> None:
         self._contents = contents
-        self._moving = [each for each in contents if each.behaviour]
+        self._moving = [point for point in contents if point.behaviour]
         points = [
             # A value that moves could be written, but would be lost at the next read.
-            replace(each.point, access="read")
-            if clockwork.movement(each.table, each.span)
-            else each.point
-            for each in contents
-            if each.table in TABLES
+            replace(point.point, access="read")
+            if movements.movement(point.table, point.span)
+            else point.point
+            for point in contents
+            if point.table in TABLES
         ]
         spans: dict[str, list[range]] = {}
-        for each in self._moving:
-            spans.setdefault(each.table, []).append(each.span)
+        for point in self._moving:
+            spans.setdefault(point.table, []).append(point.span)
         self._refresh_hook = Hook(self._refresh_access, **spans) if spans else None
         super().__init__(mapping, points=RegisterMap(points), **options)
         self.name: str = name
         self.description: str = description
         self._definition = definition
-        self._clockwork = clockwork
+        self._movements = movements
         self._first_fifos = {address: tuple(queue) for address, queue in self.fifos.items()}
 
     def _ruled_cells(self) -> Iterable[RuledCells]:
         yield from super()._ruled_cells()
-        for each in self._contents:
-            if each.file:
-                yield RuledCells(each.area, each.span, each.point.access, each.point)
+        for point in self._contents:
+            if point.file:
+                yield RuledCells(point.area, point.span, point.point.access, point.point)
 
     def __getitem__(self, name: str) -> Any:
         point = known_point(self.points, name)
@@ -89,15 +89,15 @@ class SimulatedDevice(Device):
 
     def _refresh(self, *points: Point) -> None:
         for point in points:
-            self._clockwork.refresh(point.table, point.address, len(point.cells))
+            self._movements.refresh(point.table, point.address, len(point.cells))
 
     def _refresh_access(self, access: Access) -> None:
-        self._clockwork.refresh(access.table, access.address, access.count)
+        self._movements.refresh(access.table, access.address, access.count)
 
     def movement(self, point: Point) -> bool | None:
         """Return True if a point moves, False if it is held, None if it never moves."""
         with self.mapping:
-            return self._clockwork.movement(point.table, point.cells)
+            return self._movements.movement(point.table, point.cells)
 
     def hold(self, point: Point, *, is_on: bool) -> None:
         """
@@ -110,40 +110,40 @@ class SimulatedDevice(Device):
             if self.movement(point) is None:
                 raise WrongValue.about(point.name, "never moves by itself")
             self._refresh(point)
-            self._clockwork.hold(point.table, point.cells, is_on=is_on)
+            self._movements.hold(point.table, point.cells, is_on=is_on)
 
     def set_first_values(self) -> None:
         """Set the values that the device file gives; errors have the path of their key."""
         # What scales others comes first.
         scales = sources_of(self.points.values(), self.points)
         order = {name: at for at, name in enumerate(scales)}
-        valued = [each for each in self._contents if each.value is not None]
-        for each in sorted(valued, key=lambda each: order.get(each.point.name, len(order))):
+        valued = [point for point in self._contents if point.value is not None]
+        for point in sorted(valued, key=lambda point: order.get(point.point.name, len(order))):
             try:
-                if each.file:
-                    cells = tuple(each.point.encode(each.value))
-                    self.files[each.file].write(each.span.start, cells)
+                if point.file:
+                    cells = tuple(point.point.encode(point.value))
+                    self.files[point.file].write(point.span.start, cells)
                 else:
-                    super().update({each.point.name: each.value})
+                    super().update({point.point.name: point.value})
             except (TypeError, ValueError) as error:
                 reason = placed(error, ()).reason
                 about = reason.removeprefix("value ")
                 between = ": " if about == reason else " "
-                raise WrongValue(each.source, about, between) from None
-        for at, each in enumerate(self._contents):
-            cells = self._present(each)
-            self._contents[at] = replace(each, cells=cells if any(cells) else ())
+                raise WrongValue(point.source, about, between) from None
+        for at, point in enumerate(self._contents):
+            cells = self._present(point)
+            self._contents[at] = replace(point, cells=cells if any(cells) else ())
 
     def first_values(self) -> Iterator[Access]:
         """Yield the first values that are not 0, and the present ones of points that move."""
-        for each in self._contents:
-            if each.cells:
-                yield _access(each, each.cells)
-        for each in self._moving:
-            yield _access(each, self._present(each))
+        for point in self._contents:
+            if point.cells:
+                yield _access(point, point.cells)
+        for point in self._moving:
+            yield _access(point, self._present(point))
 
-    def _present(self, each: SimulatedPoint) -> tuple[Any, ...]:
-        return values_at(_access(each), self.mapping, self.files) or ()
+    def _present(self, point: SimulatedPoint) -> tuple[Any, ...]:
+        return values_at(_access(point), self.mapping, self.files) or ()
 
     def is_as(self, other: SimulatedDevice) -> bool:
         """Return True if the file describes both devices alike."""
@@ -151,23 +151,23 @@ class SimulatedDevice(Device):
 
     def go_on_from(self, before: SimulatedDevice) -> None:
         """Take over values that clients wrote into ranges and queues alike in both files."""
-        self._clockwork.go_on_from(before._clockwork)
+        self._movements.go_on_from(before._movements)
         self.diagnostic_register: int = before.diagnostic_register
-        known = {each.identity for each in before._contents}
+        identities = {point.identity for point in before._contents}
         with before.mapping, self.mapping:
-            for each in self._contents:
-                if each.identity in known and each.file:
-                    self.files[each.file].write(each.span.start, before._present(each))
-                elif each.identity in known:
-                    table = getattr(self.mapping, each.table)
-                    table[each.span.start : each.span.stop] = before._present(each)
+            for point in self._contents:
+                if point.identity in identities and point.file:
+                    self.files[point.file].write(point.span.start, before._present(point))
+                elif point.identity in identities:
+                    table = getattr(self.mapping, point.table)
+                    table[point.span.start : point.span.stop] = before._present(point)
             for address, first in self._first_fifos.items():
                 if before._first_fifos.get(address) == first:
                     self.fifos[address] = before.fifos[address]
 
 
-def _access(each: SimulatedPoint, values: tuple[Any, ...] = ()) -> Access:
-    return Access(each.table, each.span.start, len(each.span), values, each.file)
+def _access(point: SimulatedPoint, values: tuple[Any, ...] = ()) -> Access:
+    return Access(point.table, point.span.start, len(point.span), values, point.file)
 
 
 @dataclass(frozen=True)

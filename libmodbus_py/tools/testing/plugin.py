@@ -73,14 +73,14 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
     report: pytest.TestReport = (yield).get_result()
     servers = item.stash.get(SERVERS, [])
     if servers and report.failed:
-        report.sections.append(("modbus transactions", "\n".join(map(_told, servers))))
+        report.sections.append(("modbus transactions", "\n".join(map(_report, servers))))
     if servers and report.when == "teardown":
         del item.stash[SERVERS]
 
 
-def _told(server: RecordingServer) -> str:
+def _report(server: RecordingServer) -> str:
     """Return the transactions of a server as lines."""
-    lines = [_line(each) for each in server.transactions]
+    lines = [_line(transaction) for transaction in server.transactions]
     if not lines:
         return f"{server.url} none"
     left_out = [f"... {len(lines) - SHOWN} earlier ones"] * (len(lines) > SHOWN)

@@ -8,6 +8,7 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Iterable, Mapping
+from operator import attrgetter
 from typing import Self, TypedDict, Unpack
 
 from ...device.device import Device
@@ -103,7 +104,7 @@ class RecordingServer:
         for traced in self._passed.copy():
             pairing.take(traced)
         pairing.end()
-        return sorted((each.transaction for each in pairing.done), key=lambda each: each.time)
+        return sorted((row.transaction for row in pairing.done), key=attrgetter("time"))
 
     def close(self) -> None:
         """Stop, and close all connections. May be called repeatedly. The transactions are kept."""
@@ -145,15 +146,15 @@ class ServerMaker:
         """
         if devices is None:
             devices = Device(Tables(TABLE_SIZE, TABLE_SIZE, TABLE_SIZE, TABLE_SIZE))
-        made = RecordingServer(urls or (USUAL_URL,), devices, faults, **options)
-        self.servers.append(made)
-        return made
+        server = RecordingServer(urls or (USUAL_URL,), devices, faults, **options)
+        self.servers.append(server)
+        return server
 
     def close(self) -> None:
         """Close all servers, the last one first; their transactions are kept."""
         with contextlib.ExitStack() as stack:
-            for each in self.servers:
-                stack.callback(each.close)
+            for server in self.servers:
+                stack.callback(server.close)
 
     def __enter__(self) -> Self:
         return self

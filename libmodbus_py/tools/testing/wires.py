@@ -85,7 +85,7 @@ class _Wire:
 
     def sent_by(self, sender: Literal["client", "server"]) -> bytes:
         """Return all bytes that one side has sent, in one piece."""
-        return b"".join(passed.data for passed in self.passed if passed.sender == sender)
+        return b"".join(part.data for part in self.passed if part.sender == sender)
 
     def unplug(self) -> None:
         """Close both ends, as when a cable is pulled; return when this is done."""
@@ -101,9 +101,9 @@ class _Wire:
                 if key.data is not None:
                     key.data()
                 elif self._sleep.recv(1):
-                    for each in [*self._selector.get_map().values()]:
-                        if each.data is not None:
-                            self._selector.unregister(each.fileobj)
+                    for entry in [*self._selector.get_map().values()]:
+                        if entry.data is not None:
+                            self._selector.unregister(entry.fileobj)
                     self._close_ends()
                     self._unplugged.set()
                     break  # the other descriptors are closed now
@@ -196,5 +196,5 @@ class TcpWire(_Wire):
         self._selector.register(source, selectors.EVENT_READ, carry)
 
     def _close_ends(self) -> None:
-        for each in self._open:
-            each.close()
+        for end in self._open:
+            end.close()

@@ -17,7 +17,7 @@ from libmodbus_py import Client, ModbusConnectionError, ServerDeviceFailure
 from tests.cli.serving import FLEET_OF_ONE, INFO, reload_line, serving
 from tests.support import certificates
 from tests.support.cases import each_case
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.commands import PAGE_TOKEN, Started, on_terminal, page_url, run
 from tests.support.peers import until
 
@@ -142,15 +142,15 @@ def test_a_wrong_token_is_told_and_not_shown(
 
 
 def test_files_of_certificates_are_read_again_on_hangup(
-    command: list[str], papers: Papers, tmp_path: Path
+    command: list[str], pki: Pki, tmp_path: Path
 ) -> None:
-    files = papers.files(certificates.server())
+    files = pki.files(certificates.server())
     crl = tmp_path / "crl.pem"
     crl.write_bytes(certificates.revocation_list())
-    own = ["--cert", files.cert, "--key", files.key, "--ca", papers.ca, "--crl", crl]
+    own = ["--cert", files.cert, "--key", files.key, "--ca", pki.ca, "--crl", crl]
     with serving(*command, "tls://127.0.0.1:0", *own, *INFO) as (process, url):
         port = int(url.rpartition(":")[2])
-        with Client(f"tls://127.0.0.1:{port}", security=papers.client()) as plc:
+        with Client(f"tls://127.0.0.1:{port}", security=pki.client()) as plc:
             plc.read_holding_registers(0, 1)
 
         renewed = certificates.server(days=30)
@@ -165,8 +165,8 @@ def test_files_of_certificates_are_read_again_on_hangup(
         assert reload_line(process) == "certificates and passwords: read again"
         until(lambda: shown(port) == renewed.der)
         with pytest.raises(ModbusConnectionError, match="refused our certificate"):
-            Client(f"tls://127.0.0.1:{port}", security=papers.client()).read_holding_registers(0, 1)
-        with Client(f"tls://127.0.0.1:{port}", security=papers.client("Viewer")) as plc:
+            Client(f"tls://127.0.0.1:{port}", security=pki.client()).read_holding_registers(0, 1)
+        with Client(f"tls://127.0.0.1:{port}", security=pki.client("Viewer")) as plc:
             plc.read_holding_registers(0, 1)
 
 
@@ -182,10 +182,10 @@ FILES = {
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_one_line_says_what_became_of_all_files(name: str, papers: Papers, tmp_path: Path) -> None:
-    files, file, trail = papers.files(certificates.server()), tmp_path / "file", tmp_path / "audit"
+def test_one_line_says_what_became_of_all_files(name: str, pki: Pki, tmp_path: Path) -> None:
+    files, file, trail = pki.files(certificates.server()), tmp_path / "file", tmp_path / "audit"
     arguments, text, what = FILES[name]
-    own = {"cert": files.cert, "key": files.key, "ca": papers.ca}
+    own = {"cert": files.cert, "key": files.key, "ca": pki.ca}
     query = "&".join(f"{key}={value}" for key, value in own.items())
     file.write_text(text.format(url=f"tls://127.0.0.1:1?{query}"))
     options = [] if name == "poll" else [f"--{key}={value}" for key, value in own.items()]

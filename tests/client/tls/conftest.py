@@ -10,7 +10,7 @@ import pytest
 
 from libmodbus_py.tools.certificates import Identity
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.clients import Connect
 from tests.support.secured import context_of
 from tests.support.tls_clients import LONG, Serving, Talking
@@ -24,7 +24,7 @@ def version(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def serving(papers: Papers) -> Serving:
+def serving(pki: Pki) -> Serving:
     """Makes a server; options of `context_of`."""
 
     def make(
@@ -34,13 +34,13 @@ def serving(papers: Papers) -> Serving:
         **options: Any,
     ) -> TlsServer:
         chosen = identity or certificates.server()
-        return TlsServer(context_of(papers, chosen, version, **options), script)
+        return TlsServer(context_of(pki, chosen, version, **options), script)
 
     return make
 
 
 @pytest.fixture
-def talking(connect: Connect, papers: Papers, serving: Serving) -> Talking:
+def talking(connect: Connect, pki: Pki, serving: Serving) -> Talking:
     """Makes a server as `serving` does, and a client that it trusts; `client` has its options."""
 
     @contextmanager
@@ -49,7 +49,7 @@ def talking(connect: Connect, papers: Papers, serving: Serving) -> Talking:
     ) -> Iterator[tuple[TlsServer, Any]]:
         with (
             serving(*arguments, **options) as server,
-            connect(server.url, **{"security": papers.client(), "timeout": LONG, **client}) as plc,
+            connect(server.url, **{"security": pki.client(), "timeout": LONG, **client}) as plc,
         ):
             yield server, plc
 

@@ -15,7 +15,7 @@ import pytest
 
 from libmodbus_py import Client, ModbusError, State, pdu
 from libmodbus_py.ports.tls import TlsPort
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.clients import Connect
 from tests.support.peers import echo, mbap, until
 from tests.support.reads import reads
@@ -67,11 +67,11 @@ def flooding(
 
 @pytest.mark.parametrize("kind", FLOODS)
 def test_a_flood_while_a_request_waits(
-    connect: Connect, papers: Papers, serving: Serving, tmp_path: Path, kind: str
+    connect: Connect, pki: Pki, serving: Serving, tmp_path: Path, kind: str
 ) -> None:
     with (
         flooding(serving, tmp_path, kind, is_asked=True) as (server, sent),
-        connect(server.url, security=papers.client(), timeout=1) as plc,
+        connect(server.url, security=pki.client(), timeout=1) as plc,
     ):
         assert plc.read_holding_registers(1, 1) == [1]
         with pytest.raises(ModbusError):
@@ -82,11 +82,11 @@ def test_a_flood_while_a_request_waits(
 
 @pytest.mark.parametrize("kind", FLOODS)
 def test_a_flood_while_nothing_is_asked(
-    connect: Connect, papers: Papers, serving: Serving, tmp_path: Path, kind: str
+    connect: Connect, pki: Pki, serving: Serving, tmp_path: Path, kind: str
 ) -> None:
     with (
         flooding(serving, tmp_path, kind, is_asked=False) as (server, sent),
-        connect(server.url, security=papers.client(), timeout=LONG, max_pause=0) as plc,
+        connect(server.url, security=pki.client(), timeout=LONG, max_pause=0) as plc,
     ):
         assert plc.read_holding_registers(1, 1) == [1]
         if not isinstance(plc, Client):
@@ -163,7 +163,7 @@ def test_a_request_behind_much_else_that_is_unsent(talking: Talking, tmp_path: P
 
 @pytest.mark.parametrize("seed", range(4))
 def test_nonsense_of_the_server_is_a_modbus_error(
-    connect: Connect, papers: Papers, serving: Serving, seed: int
+    connect: Connect, pki: Pki, serving: Serving, seed: int
 ) -> None:
     """One byte that it sends, in the handshake or after it, is changed, lost, doubled or added."""
     chance = random.Random(seed)
@@ -186,7 +186,7 @@ def test_nonsense_of_the_server_is_a_modbus_error(
     version = "1.2" if seed % 2 else "1.3"
     failed = 0
     with serving(version=version) as server, Relay(server.port, alter) as relay:
-        security = papers.client()
+        security = pki.client()
         for _ in range(25):
             where, how, seen = int(1.01 ** chance.randrange(760)), chance.randrange(4), 0
             plc = connect(relay.url, security=security, timeout=0.15)

@@ -15,7 +15,7 @@ import pytest
 
 from libmodbus_py import AsyncClient, Client, Device, Mapping, ModbusConnectionError, Server, State
 from tests.support import certificates
-from tests.support.certificates import Papers, secured
+from tests.support.certificates import Pki, secured
 from tests.support.clients import Connect
 from tests.support.peers import until
 from tests.support.scripted import run as run_in_loop
@@ -47,10 +47,10 @@ def stalls(sock: socket.socket) -> None:
 
 @pytest.mark.parametrize("talk", [trickles, says_hello_again_and_again, stalls])
 def test_a_handshake_ends_with_the_timeout(
-    connect: Connect, papers: Papers, talk: Callable[[socket.socket], object]
+    connect: Connect, pki: Pki, talk: Callable[[socket.socket], object]
 ) -> None:
     with raw(talk) as url:
-        plc = connect(url, security=papers.client(), timeout=0.2)
+        plc = connect(url, security=pki.client(), timeout=0.2)
         begin = time.monotonic()
         with pytest.raises(ModbusConnectionError) as caught:
             plc.read_holding_registers(0, 1)
@@ -61,7 +61,7 @@ def test_a_handshake_ends_with_the_timeout(
 
 
 def test_a_slow_handshake_is_good_if_there_is_time(
-    connect: Connect, papers: Papers, serving: Serving
+    connect: Connect, pki: Pki, serving: Serving
 ) -> None:
     def bytewise(data: bytes) -> Iterator[bytes]:
         for at in range(0, len(data), 7):
@@ -71,7 +71,7 @@ def test_a_slow_handshake_is_good_if_there_is_time(
     with (
         serving() as server,
         Relay(server.port, bytewise) as relay,
-        connect(relay.url, security=papers.client(), timeout=LONG) as plc,
+        connect(relay.url, security=pki.client(), timeout=LONG) as plc,
     ):
         assert plc.read_holding_registers(5, 1) == [5]
 
@@ -79,7 +79,7 @@ def test_a_slow_handshake_is_good_if_there_is_time(
 # --- closing, cancelling, forking ------------------------------------------------------------
 
 
-def test_close_ends_a_handshake(connect: Connect, papers: Papers) -> None:
+def test_close_ends_a_handshake(connect: Connect, pki: Pki) -> None:
     reached = threading.Event()
 
     def talk(sock: socket.socket) -> None:
@@ -88,7 +88,7 @@ def test_close_ends_a_handshake(connect: Connect, papers: Papers) -> None:
         stalls(sock)
 
     with raw(talk) as url:
-        plc = connect(url, security=papers.client(), timeout=60)
+        plc = connect(url, security=pki.client(), timeout=60)
         with ThreadPoolExecutor(1) as pool:
             waiting = pool.submit(plc.read_holding_registers, 0, 1)
             assert reached.wait(SOON)
@@ -97,21 +97,21 @@ def test_close_ends_a_handshake(connect: Connect, papers: Papers) -> None:
                 waiting.result(SOON)
 
 
-def test_a_handler_that_closes_in_the_handshake(papers: Papers) -> None:
+def test_a_handler_that_closes_in_the_handshake(pki: Pki) -> None:
     with raw(stalls) as url:
-        plc = Client(url, security=papers.client(), timeout=60)
+        plc = Client(url, security=pki.client(), timeout=60)
         before = descriptors()
         with on_alarm(plc.close, 0.3), pytest.raises(ModbusConnectionError):
             plc.connect()
         until(lambda: descriptors() <= before)
 
 
-def test_a_client_goes_on_after_ctrl_c_in_the_handshake(papers: Papers, serving: Serving) -> None:
+def test_a_client_goes_on_after_ctrl_c_in_the_handshake(pki: Pki, serving: Serving) -> None:
     is_silent = True
     with (
         serving() as server,
         Relay(server.port, lambda data: [] if is_silent else [data]) as relay,
-        contextlib.closing(Client(relay.url, security=papers.client(), timeout=LONG)) as plc,
+        contextlib.closing(Client(relay.url, security=pki.client(), timeout=LONG)) as plc,
     ):
         with on_alarm(interrupt, 0.3), pytest.raises(KeyboardInterrupt):
             plc.connect()
@@ -120,7 +120,7 @@ def test_a_client_goes_on_after_ctrl_c_in_the_handshake(papers: Papers, serving:
         assert plc.read_holding_registers(5, 1) == [5]
 
 
-def test_closing_at_each_await_of_a_handshake(papers: Papers) -> None:
+def test_closing_at_each_await_of_a_handshake(pki: Pki) -> None:
     """No descriptor is left, no task, and what is opened next in its place is heard."""
 
     def bytewise(data: bytes) -> Iterator[bytes]:
@@ -128,7 +128,7 @@ def test_closing_at_each_await_of_a_handshake(papers: Papers) -> None:
             yield data[at : at + 40]
 
     async def main(url: str) -> set[str]:
-        security, outcomes = papers.client(), set()
+        security, outcomes = pki.client(), set()
         loop = asyncio.get_running_loop()
         before = descriptors()
         for turns in [*range(30), *range(30, 300, 9)]:
@@ -158,22 +158,22 @@ def test_closing_at_each_await_of_a_handshake(papers: Papers) -> None:
             await asyncio.sleep(0.01)
         return outcomes
 
-    with raw(lambda sock: _serve(papers, sock, bytewise)) as url:
+    with raw(lambda sock: _serve(pki, sock, bytewise)) as url:
         outcomes = run_in_loop(asyncio.wait_for(main(url), 60))
         assert {"failed", "cancelled"} <= outcomes
 
 
-def _serve(papers: Papers, sock: socket.socket, cut: Callable[[bytes], Iterator[bytes]]) -> None:
-    peer = Peer(sock, context_of(papers, certificates.server()))
+def _serve(pki: Pki, sock: socket.socket, cut: Callable[[bytes], Iterator[bytes]]) -> None:
+    peer = Peer(sock, context_of(pki, certificates.server()))
     peer.cut = cut
     peer.shake_hands()
     peer.serve()
 
 
-def test_a_forked_child_leaves_the_connection_alone(papers: Papers) -> None:
+def test_a_forked_child_leaves_the_connection_alone(pki: Pki) -> None:
     """It connects anew, and says no goodbye in the parent's name."""
     server = Server(Device(Mapping(holding_registers=10)))
-    with secured(server, papers) as url, Client(url, timeout=LONG) as plc:
+    with secured(server, pki) as url, Client(url, timeout=LONG) as plc:
         plc.write_register(0, 7)
 
         def ask_and_close() -> None:
@@ -187,7 +187,7 @@ def test_a_forked_child_leaves_the_connection_alone(papers: Papers) -> None:
 
 
 def test_an_asyncio_client_that_ends_in_a_child_leaves_the_connection_alone(
-    papers: Papers,
+    pki: Pki,
 ) -> None:
     async def main(url: str) -> None:
         async with AsyncClient(url, timeout=LONG) as plc:
@@ -196,5 +196,5 @@ def test_an_asyncio_client_that_ends_in_a_child_leaves_the_connection_alone(
             assert await plc.read_holding_registers(0, 1) == [7]
             assert plc.statistics.connects == 1
 
-    with secured(Server(Device(Mapping(holding_registers=10))), papers) as url:
+    with secured(Server(Device(Mapping(holding_registers=10))), pki) as url:
         run_in_loop(main(url))

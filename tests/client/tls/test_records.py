@@ -12,7 +12,7 @@ import pytest
 
 from libmodbus_py import ModbusConnectionError, State, Traced
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.clients import Connect
 from tests.support.peers import echo
 from tests.support.reads import echoes, reads
@@ -27,10 +27,10 @@ ALERT, ACCESS_DENIED = 21, b"\x02\x31"
 
 @pytest.mark.parametrize("key", ["EC", "RSA"])
 def test_both_versions_and_both_kinds_of_keys(
-    talking: Talking, papers: Papers, version: str, key: str
+    talking: Talking, pki: Pki, version: str, key: str
 ) -> None:
     options = {"key": certificates.rsa_key()} if key == "RSA" else {}
-    own = {"security": papers.security(certificates.client(**options))}
+    own = {"security": pki.security(certificates.client(**options))}
     shown = certificates.server(**options)
     with talking(Peer.serve, shown, version, client=own) as (server, plc):
         assert [plc.read_holding_registers(each, 1) for each in range(3)] == echoes(3)
@@ -38,9 +38,9 @@ def test_both_versions_and_both_kinds_of_keys(
     assert server.connections == 1
 
 
-def test_a_chain_with_an_intermediate(talking: Talking, papers: Papers) -> None:
+def test_a_chain_with_an_intermediate(talking: Talking, pki: Pki) -> None:
     below = certificates.intermediate()
-    own = {"security": papers.security(certificates.client(issuer=below))}
+    own = {"security": pki.security(certificates.client(issuer=below))}
     with talking(identity=certificates.server(issuer=below), client=own) as (_, plc):
         assert plc.read_holding_registers(7, 1) == [7]
 
@@ -184,7 +184,7 @@ def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:
 
 
 def test_an_answer_and_an_alert_in_one_go(
-    connect: Connect, papers: Papers, serving: Serving, tmp_path: Path
+    connect: Connect, pki: Pki, serving: Serving, tmp_path: Path
 ) -> None:
     """More requests wait to be sent, and cannot be any more."""
     log = tmp_path / "keys"
@@ -198,7 +198,7 @@ def test_an_answer_and_an_alert_in_one_go(
         peer.sock.sendall(sealed.record(echo(request)) + sealed.record(ACCESS_DENIED, ALERT))
 
     with serving(script, version="1.3", keylog_filename=str(log)) as server:
-        with connect(server.url, security=papers.client(), timeout=600, max_in_flight=4) as plc:
+        with connect(server.url, security=pki.client(), timeout=600, max_in_flight=4) as plc:
             found = plc.execute_many(reads(9), return_exceptions=True)
         kept[0].close()
     refused = [each for each in found if isinstance(each, ModbusConnectionError)]

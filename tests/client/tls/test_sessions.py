@@ -12,7 +12,7 @@ import pytest
 from libmodbus_py import Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.security.security import GivenContext
 from tests.support import certificates
-from tests.support.certificates import Papers, expired
+from tests.support.certificates import Pki, expired
 from tests.support.clients import Connect
 from tests.support.peers import until
 from tests.support.secured import context_of
@@ -48,11 +48,11 @@ def test_a_new_connection_resumes_the_session(
     assert server.resumed == [False, True, True, True]
 
 
-def test_a_server_that_forgot_the_session(talking: Talking, papers: Papers, version: str) -> None:
+def test_a_server_that_forgot_the_session(talking: Talking, pki: Pki, version: str) -> None:
     with talking(once, version=version) as (server, plc):
         for _ in range(3):
             ask_after_each_end(plc, server, 1)
-            server.context = context_of(papers, certificates.server(), version)
+            server.context = context_of(pki, certificates.server(), version)
     assert server.resumed == [False] * 3
 
 
@@ -108,16 +108,16 @@ def test_a_certificate_that_expired_meanwhile_is_not_resumed(
         monkeypatch.undo()
 
 
-def test_our_own_server_knows_who_comes_back(connect: Connect, papers: Papers) -> None:
+def test_our_own_server_knows_who_comes_back(connect: Connect, pki: Pki) -> None:
     roles: list[str | None] = []
     device = Device(
         Mapping(holding_registers=10), before_write=lambda access: roles.append(access.role)
     )
-    server = Server(device, security=papers.server())
+    server = Server(device, security=pki.server())
     with (
         server.background("tls://127.0.0.1:0") as running,
         Relay(int(running.urls[0].rpartition(":")[2])) as relay,
-        connect(relay.url, security=papers.client(), timeout=LONG) as plc,
+        connect(relay.url, security=pki.client(), timeout=LONG) as plc,
     ):
         for each in range(3):
             plc.write_register(0, each)
@@ -127,47 +127,47 @@ def test_our_own_server_knows_who_comes_back(connect: Connect, papers: Papers) -
     assert (server.statistics.handshakes, server.statistics.handshakes_resumed) == (3, 2)
 
 
-def unverified(papers: Papers) -> ssl.SSLContext:
+def unverified(pki: Pki) -> ssl.SSLContext:
     made = ssl.create_default_context()
     made.check_hostname = False
     made.verify_mode = ssl.CERT_NONE
     return made
 
 
-def test_a_given_context_serves_several_connections(papers: Papers, connect: Connect) -> None:
-    given = GivenContext(context(papers, certificates.client()))
+def test_a_given_context_serves_several_connections(pki: Pki, connect: Connect) -> None:
+    given = GivenContext(context(pki, certificates.client()))
     device = Device(Mapping(holding_registers={7: [5579]}))
-    with Server(device, security=papers.server()).background("tls://127.0.0.1:0") as running:
+    with Server(device, security=pki.server()).background("tls://127.0.0.1:0") as running:
         for _ in range(2):
             with connect(running.urls[0], security=given) as plc:
                 assert plc.read_holding_registers(7, 1) == [5579]
 
 
-def test_a_given_context_may_trust_everybody(papers: Papers, connect: Connect) -> None:
-    stranger = context_of(papers, certificates.self_signed(), verify_mode=ssl.CERT_NONE)
+def test_a_given_context_may_trust_everybody(pki: Pki, connect: Connect) -> None:
+    stranger = context_of(pki, certificates.self_signed(), verify_mode=ssl.CERT_NONE)
     with (
         TlsServer(stranger) as server,
-        connect(server.url, security=GivenContext(unverified(papers))) as plc,
+        connect(server.url, security=GivenContext(unverified(pki))) as plc,
     ):
         assert plc.read_holding_registers(7, 1) == [7]
 
 
-def test_what_a_given_context_refuses_is_named(papers: Papers, connect: Connect) -> None:
-    bad = context_of(papers, certificates.server(**expired()), verify_mode=ssl.CERT_NONE)
+def test_what_a_given_context_refuses_is_named(pki: Pki, connect: Connect) -> None:
+    bad = context_of(pki, certificates.server(**expired()), verify_mode=ssl.CERT_NONE)
     with (
         TlsServer(bad) as server,
         pytest.raises(ModbusConnectionError, match=r"cannot trust .*expired: 'CN=") as caught,
-        connect(server.url, security=GivenContext(context(papers))) as plc,
+        connect(server.url, security=GivenContext(context(pki))) as plc,
     ):
         plc.read_holding_registers(7, 1)
     assert "\n" not in str(caught.value)
 
 
-def test_a_refusal_of_ours_names_no_certificate(papers: Papers, connect: Connect) -> None:
+def test_a_refusal_of_ours_names_no_certificate(pki: Pki, connect: Connect) -> None:
     """No context says which one it shows."""
-    given = GivenContext(context(papers))
+    given = GivenContext(context(pki))
     with (
-        Server(Device(Mapping()), security=papers.server()).background("tls://127.0.0.1:0") as at,
+        Server(Device(Mapping()), security=pki.server()).background("tls://127.0.0.1:0") as at,
         pytest.raises(ModbusConnectionError, match="certificate") as caught,
         connect(at.urls[0], security=given) as plc,
     ):
@@ -188,6 +188,6 @@ def test_a_context_must_be_a_clients(given: Any, error: type[Exception]) -> None
         GivenContext(given)
 
 
-def test_a_server_takes_security_only(papers: Papers) -> None:
+def test_a_server_takes_security_only(pki: Pki) -> None:
     with pytest.raises(TypeError, match="security"):
-        Server(Device(Mapping()), security=GivenContext(context(papers)))  # type: ignore[arg-type]
+        Server(Device(Mapping()), security=GivenContext(context(pki)))  # type: ignore[arg-type]

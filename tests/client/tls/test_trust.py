@@ -22,7 +22,7 @@ from libmodbus_py import ModbusConnectionError
 from libmodbus_py.tools.certificates import Identity
 from tests.support import certificates
 from tests.support.certificates import (
-    Papers,
+    Pki,
     expired,
     foreign_authority,
     not_yet_valid,
@@ -80,12 +80,12 @@ BAD: dict[str, tuple[Callable[[], Identity], str]] = {
 
 @pytest.mark.parametrize("kind", BAD)
 def test_a_bad_certificate_is_named_with_what_is_wrong(
-    connect: Connect, papers: Papers, serving: Serving, version: str, kind: str
+    connect: Connect, pki: Pki, serving: Serving, version: str, kind: str
 ) -> None:
     make, reason = BAD[kind]
     identity = make()
     with serving(identity=identity, version=version) as server:
-        error = refusal(connect, server, papers.client())
+        error = refusal(connect, server, pki.client())
     place = server.url.removeprefix("tls://")
     assert re.match(f"cannot trust {place}: ({reason}): ", error.args[0])
     self = "self-signed" if kind == "self-signed" else "issued by 'CN=Test authority'"
@@ -115,7 +115,7 @@ def test_a_bad_certificate_is_named_with_what_is_wrong(
 def test_names_and_addresses(
     monkeypatch: pytest.MonkeyPatch,
     connect: Connect,
-    papers: Papers,
+    pki: Pki,
     serving: Serving,
     host: str,
     hosts: tuple[str, ...],
@@ -126,7 +126,7 @@ def test_names_and_addresses(
         serving(identity=certificates.server(hosts=hosts)) as server,
         reachable_at(server.port, host) as url,
         contextlib.nullcontext() if is_good else mismatch(),
-        connect(url, security=papers.client(), timeout=LONG) as plc,
+        connect(url, security=pki.client(), timeout=LONG) as plc,
     ):
         assert plc.read_holding_registers(1, 1) == [1]
 
@@ -156,44 +156,44 @@ def reachable_at(port: int, host: str) -> Iterator[str]:
     ],
 )
 def test_server_name_is_looked_for_instead_of_the_host(
-    connect: Connect, papers: Papers, serving: Serving, server_name: str, hosts: tuple[str, ...]
+    connect: Connect, pki: Pki, serving: Serving, server_name: str, hosts: tuple[str, ...]
 ) -> None:
     own = certificates.client()
     with serving(identity=certificates.server(hosts=hosts)) as server:
-        security = papers.security(own, server_name=server_name)
+        security = pki.security(own, server_name=server_name)
         with connect(server.url, security=security, timeout=LONG) as plc:
             assert plc.read_holding_registers(1, 1) == [1]
     with serving() as server:
-        error = refusal(connect, server, papers.security(own, server_name=server_name))
+        error = refusal(connect, server, pki.security(own, server_name=server_name))
     assert "mismatch, certificate is not valid for" in str(error)
 
 
 @pytest.mark.parametrize("form", ["file", "digits", "colons", "several"])
 def test_a_pinned_certificate_is_trusted_whoever_signed_it(
-    connect: Connect, papers: Papers, serving: Serving, version: str, form: str
+    connect: Connect, pki: Pki, serving: Serving, version: str, form: str
 ) -> None:
     identity = self_signed(**expired())
     digest = hashlib.sha256(identity.der).hexdigest()
-    file = papers.files(identity).cert
+    file = pki.files(identity).cert
     pin: Any = {
         "file": file,
         "digits": digest,
         "colons": ":".join(re.findall("..", digest.upper())),
-        "several": [papers.files(self_signed()).cert, digest],
+        "several": [pki.files(self_signed()).cert, digest],
     }[form]
     with serving(identity=identity, version=version) as server:
-        security = papers.security(certificates.client(), pin=pin)
+        security = pki.security(certificates.client(), pin=pin)
         with connect(server.url, security=security, timeout=LONG) as plc:
             assert plc.read_holding_registers(1, 1) == [1]
 
 
 def test_another_certificate_than_the_pinned_one_is_named(
-    connect: Connect, papers: Papers, serving: Serving, version: str
+    connect: Connect, pki: Pki, serving: Serving, version: str
 ) -> None:
     """Also one that the same authority signed, for the same key."""
     with serving(version=version) as server:
-        pin = papers.files(certificates.server(days=7)).cert
-        error = refusal(connect, server, papers.security(certificates.client(), pin=pin))
+        pin = pki.files(certificates.server(days=7)).cert
+        error = refusal(connect, server, pki.security(certificates.client(), pin=pin))
     digest = hashlib.sha256(certificates.server().der).hexdigest()
     assert "it is none of the pins: 'CN=Test server'" in str(error)
     assert f"SHA-256 {digest}" in str(error)
@@ -204,13 +204,13 @@ def test_another_certificate_than_the_pinned_one_is_named(
 
 @pytest.mark.parametrize("is_abrupt", [False, True])
 def test_the_servers_refusal_of_our_certificate_is_told(
-    connect: Connect, papers: Papers, serving: Serving, version: str, is_abrupt: bool
+    connect: Connect, pki: Pki, serving: Serving, version: str, is_abrupt: bool
 ) -> None:
     own = certificates.client(issuer=foreign_authority())
     server = serving(version=version)
     server._talk = partial(refusing, server.context, is_abrupt)
     with server, pytest.raises(ModbusConnectionError) as caught:
-        ask(connect, server.url, papers.security(own))
+        ask(connect, server.url, pki.security(own))
     error = caught.value
     place = server.url.removeprefix("tls://")
     assert f"{place} refused our certificate (tlsv1 alert unknown ca): 'CN=Test client'" in str(
@@ -231,7 +231,7 @@ def refusing(context: ssl.SSLContext, is_abrupt: bool, sock: socket.socket) -> N
 
 
 def test_a_reset_behind_the_refusal_does_not_hide_it(
-    connect: Connect, papers: Papers, serving: Serving
+    connect: Connect, pki: Pki, serving: Serving
 ) -> None:
     """The request finds the connection gone; what the server said before is still to be read."""
     own = certificates.client(issuer=foreign_authority())
@@ -245,7 +245,7 @@ def test_a_reset_behind_the_refusal_does_not_hide_it(
     server = serving(version="1.3")
     server._talk = talk
     with server, pytest.raises(ModbusConnectionError, match="refused our certificate"):
-        ask(connect, server.url, papers.security(own), until=gone)
+        ask(connect, server.url, pki.security(own), until=gone)
 
 
 HINT = "it may have refused our certificate"
@@ -268,14 +268,14 @@ def closing_behind(flights: int, context: ssl.SSLContext, sock: socket.socket) -
 def test_a_tls_1_2_server_that_closes_behind_our_certificate(
     connect: Connect, tmp_path: Path, flights: int, is_suspected: bool
 ) -> None:
-    papers = Papers(tmp_path)
+    pki = Pki(tmp_path)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.maximum_version = ssl.TLSVersion.TLSv1_2
-    files = papers.files(certificates.server())
+    files = pki.files(certificates.server())
     context.load_cert_chain(files.cert, files.key)
-    context.load_verify_locations(papers.ca)
+    context.load_verify_locations(pki.ca)
     context.verify_mode = ssl.CERT_REQUIRED
-    own = papers.security(certificates.client(issuer=foreign_authority()))
+    own = pki.security(certificates.client(issuer=foreign_authority()))
     with (
         raw(partial(closing_behind, flights, context)) as url,
         pytest.raises(ModbusConnectionError, match="no TLS handshake") as caught,
@@ -299,14 +299,12 @@ def test_a_tls_1_2_server_that_closes_behind_our_certificate(
         (b"", "closed by the other side"),
     ],
 )
-def test_what_answers_there_is_told(
-    connect: Connect, papers: Papers, says: bytes, text: str
-) -> None:
+def test_what_answers_there_is_told(connect: Connect, pki: Pki, says: bytes, text: str) -> None:
     with (
         raw(lambda sock: sock.sendall(says if sock.recv(4096) else b"")) as url,
         pytest.raises(ModbusConnectionError, match=text) as caught,
     ):
-        connect(url, security=papers.client(), timeout=LONG).connect()
+        connect(url, security=pki.client(), timeout=LONG).connect()
     assert url.removeprefix("tls://") in str(caught.value)
 
 
@@ -319,12 +317,12 @@ def test_what_answers_there_is_told(
     ],
 )
 def test_a_server_with_too_old_a_version_or_cipher(
-    connect: Connect, papers: Papers, version: ssl.TLSVersion, ciphers: str, text: str
+    connect: Connect, pki: Pki, version: ssl.TLSVersion, ciphers: str, text: str
 ) -> None:
-    context = context_of(papers, certificates.server(key=certificates.rsa_key()))
+    context = context_of(pki, certificates.server(key=certificates.rsa_key()))
     context.set_ciphers(ciphers)
     with warnings.catch_warnings(action="ignore"):
         context.minimum_version = context.maximum_version = version
     with TlsServer(context) as server, pytest.raises(ModbusConnectionError, match=text):
-        connect(server.url, security=papers.client(), timeout=LONG).connect()
+        connect(server.url, security=pki.client(), timeout=LONG).connect()
     assert server.errors

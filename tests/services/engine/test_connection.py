@@ -162,7 +162,7 @@ def test_the_reason_that_came_first_is_told(client: type[Client]) -> None:
     assert refused(client) == "nats://192.0.2.1: no server responds"
 
 
-def test_who_stops_it_leaves_nothing_open(client: type[Client]) -> None:
+def test_a_cancelled_connect_closes_its_client(client: type[Client]) -> None:
     client.error = asyncio.CancelledError()
     with pytest.raises(asyncio.CancelledError):
         connect()
@@ -191,7 +191,7 @@ def test_servers_are_read(text: str, servers: list[str]) -> None:
         *("nats://a/path", "nats://a:0", "nats://a:65536", "nats://a:x"),
     ],
 )
-def test_what_is_no_server(text: str) -> None:
+def test_a_peer_that_is_no_nats_server_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="engine"):
         parse_servers(text)
 
@@ -250,7 +250,7 @@ async def fails(said: bytes, closes: bool, patience: float) -> str:
 
 
 @pytest.mark.parametrize("closes", [False, True], ids=["stays", "closes"])
-def test_what_ends_before_it_began_leaves_nothing_open(
+def test_a_connection_that_ends_before_it_began_leaves_no_descriptor_open(
     monkeypatch: pytest.MonkeyPatch, closes: bool
 ) -> None:
     """If nats-py notices it, or a caller that connects waits no longer."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from libmodbus_py import Device, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig, Fleet
-from libmodbus_py.services.fleet.commands import Commands, wanted_of
+from libmodbus_py.services.fleet.commands import Commands, command_of
 from libmodbus_py.services.fleet.statistics import FleetStatistics
 from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, polling
 from tests.support.cases import each, each_case
@@ -90,7 +90,7 @@ def test_every_kind_of_value_can_be_written() -> None:
     ],
 )
 def test_a_name_that_occurs_twice_is_refused(data: bytes) -> None:
-    problem = wanted_of(data).problem
+    problem = command_of(data).problem
     assert problem.endswith(": occurs twice in its JSON")
 
 

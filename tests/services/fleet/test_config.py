@@ -75,7 +75,7 @@ SAME = [
 
 
 @each_case(("one", "other"), SAME)
-def test_two_spellings_of_one_place(one: str, other: str) -> None:
+def test_two_spellings_of_a_url_are_one_connection(one: str, other: str) -> None:
     assert parse(one).key == parse(other).key
     same = [meter("a", one), meter("b", other, unit=2)]
     assert same[0].connection_key == same[1].connection_key
@@ -88,7 +88,7 @@ def settings(given: dict[str, Any]) -> FleetSettings:
     return FleetSettings(**ENGINE.read(("engine",), given))
 
 
-def test_settings() -> None:
+def test_settings_of_workers_have_defaults() -> None:
     assert settings({}) == FleetSettings(10.0, "stop", False, 86_400.0, 1 << 30)
     given = {"lease": 0.5, "on_engine_loss": "continue", "commands": True}
     sizes = {"max_age": 60, "max_bytes": 65536}
@@ -109,7 +109,9 @@ def test_settings() -> None:
         ("nats://127.0.0.1", TypeError, "engine must be a table"),
     ],
 )
-def test_what_is_wrong_is_named(given: Any, error: type[Exception], text: str) -> None:
+def test_a_wrong_setting_of_a_device_is_named(
+    given: Any, error: type[Exception], text: str
+) -> None:
     with pytest.raises(error, match=text):
         settings(given)
 

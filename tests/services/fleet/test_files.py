@@ -261,7 +261,7 @@ WRONG_TABLES = [
         *((f"{table}\n{SIMPLE}", line, said) for table, line, said in WRONG_TABLES),
     ],
 )
-def test_what_is_wrong_is_told_with_its_line(
+def test_a_wrong_value_is_named_with_its_line(
     tmp_path: Path, fleet: str, line: int | None, said: str
 ) -> None:
     path = written(tmp_path, fleet)
@@ -305,7 +305,7 @@ ROWS = "name,url,unit,map\na,tcp://h,1,meter.csv\n"
         ),
     ],
 )
-def test_what_is_wrong_in_a_list_of_devices(tmp_path: Path, csv: str, said: str) -> None:
+def test_a_wrong_cell_in_a_list_of_devices_is_named(tmp_path: Path, csv: str, said: str) -> None:
     path = written(tmp_path, 'devices = "more.csv"', csv)
     with pytest.raises(FleetFileError) as caught:
         load(path)
@@ -367,7 +367,7 @@ def test_all_mistakes_in_devices_are_found_at_once(tmp_path: Path) -> None:
         assert said in text
 
 
-def test_no_more_than_a_page_of_mistakes_is_found(tmp_path: Path) -> None:
+def test_an_error_has_no_more_than_a_page_of_mistakes(tmp_path: Path) -> None:
     path = written(tmp_path, 'devices = "more.csv"', ROWS + "b,tcp://i,x,meter.csv\n" * 100)
     with pytest.raises(FleetFileError) as caught:
         load(path)

@@ -135,7 +135,7 @@ async def test_timeouts_are_those_of_each_device() -> None:
 
 
 @in_simulated_time
-async def test_what_is_due_after_a_standstill_begins_in_many_turns(
+async def test_polls_due_after_a_standstill_begin_in_many_turns_of_the_loop(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Nothing else would happen for half a second, if thousands of polls began in one turn."""
@@ -240,7 +240,7 @@ async def test_no_plan_is_left_while_outputs_end() -> None:
 
 
 @in_simulated_time
-async def test_what_cannot_be_changes_nothing() -> None:
+async def test_a_wrong_list_of_devices_changes_nothing() -> None:
     async with Peer() as peer, polling(meter("a", peer.url)) as (fleet, _):
         before = fleet.devices["a"]
         for bad, text in (
@@ -267,7 +267,7 @@ async def test_what_cannot_be_changes_nothing() -> None:
 
 
 @in_simulated_time
-async def test_what_may_not_be_asked_is_neither_sent_nor_told() -> None:
+async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading() -> None:
     allowed: set[str] = set()
     async with Peer() as one, Peer() as two:
         devices = [meter("one", one.url), meter("two", two.url)]
@@ -326,7 +326,7 @@ async def test_the_last_value_of_a_point_is_written_again_until_the_next(
 
 
 @in_simulated_time
-async def test_writes_by_name() -> None:
+async def test_a_write_by_name_reaches_the_device() -> None:
     device = simulated()
     async with (
         Server({1: device}).serving("tcp://127.0.0.1:0") as running,

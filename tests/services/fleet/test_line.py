@@ -110,7 +110,7 @@ async def test_a_damaged_answer_holds_its_device_for_a_timeout_and_no_other() ->
 
 class TestSilentDevices:
     @in_simulated_time
-    async def test_one_that_is_silent_rests_longer_each_time(self) -> None:
+    async def test_a_silent_device_is_polled_after_a_longer_pause_each_time(self) -> None:
         plant = Plant()
         async with plant.polls(plant.device(1)):
             plant.silent.add(1)
@@ -149,7 +149,9 @@ class TestSilentDevices:
             assert len(plant.times(9)) >= 4
 
     @in_simulated_time
-    async def test_one_try_in_some_waits_to_the_end(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def test_some_polls_of_a_silent_device_wait_for_the_whole_timeout(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         """It may have become slower than all others, and would never be found."""
         monkeypatch.setattr(shared_line, "TRIALS_BEFORE_LONG", 6)
         plant = Plant()
@@ -177,7 +179,7 @@ class TestSilentDevices:
             assert len(plant.times(9)) <= tried + 1
 
     @in_simulated_time
-    async def test_it_is_tried_on_a_line_that_never_rests(self) -> None:
+    async def test_a_silent_device_is_polled_on_a_line_that_is_always_busy(self) -> None:
         plant = Plant()
         async with plant.polls(plant.device(9), plant.device(1, interval=0.05)):
             plant.silent.add(9)
@@ -191,7 +193,7 @@ class TestSilentDevices:
             assert plant.fleet.devices["device 9"].state is DeviceState.UP
 
     @in_simulated_time
-    async def test_one_is_tried_at_a_time(self) -> None:
+    async def test_only_one_silent_device_of_a_line_is_polled_at_a_time(self) -> None:
         """Also where several requests may be on their way."""
         plant = Plant("tcp://10.0.0.1", "?timeout=5&max_in_flight=4")
         async with plant.polls(*(plant.device(unit) for unit in (1, 2, 3))):
@@ -229,7 +231,7 @@ class TestChanges:
         assert set(plant.units()) == {2, 3}
 
     @in_simulated_time
-    async def test_one_that_waits_or_is_in_flight_can_be_removed(self) -> None:
+    async def test_a_device_whose_poll_waits_or_is_in_flight_can_be_removed(self) -> None:
         plant = Plant()
         devices = [plant.device(unit, interval=0.1) for unit in (1, 2, 3)]
         async with plant.polls(*devices):
@@ -292,7 +294,7 @@ class TestChanges:
 
 
 @in_simulated_time
-async def test_who_may_ask_nothing_has_polled_once_at_once() -> None:
+async def test_a_fleet_that_may_ask_nothing_ends_its_one_round_at_once() -> None:
     plant = Plant()
     fleet = Fleet([plant.device(1), plant.device(2)], may_ask=lambda key: False)
     await asyncio.wait_for(fleet.run(once=True), 10)

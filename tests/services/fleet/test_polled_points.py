@@ -144,7 +144,7 @@ def refused(plant: Plant) -> dict[str, list[str]]:
 
 
 @in_simulated_time
-async def test_a_hole_costs_ten_requests_and_is_told_once(
+async def test_a_refused_address_costs_ten_requests_and_is_logged_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.WARNING, "libmodbus_py")

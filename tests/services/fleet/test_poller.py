@@ -55,7 +55,9 @@ def poll(poller: Poller, *outcomes: Any, now: float = 0.0) -> list[int]:
         ([[1], SILENT, LATER], DeviceState.UP, SILENT, [1, None, None]),
     ],
 )
-def test_a_poll(outcomes: list[Any], state: DeviceState, error: Any, values: list[Any]) -> None:
+def test_a_poll_gives_a_reading_of_each_point(
+    outcomes: list[Any], state: DeviceState, error: Any, values: list[Any]
+) -> None:
     poller = poller_of()
     assert poll(poller, *outcomes) == [0, 500, 1000][: len(outcomes)]
     assert (poller.state, poller.error) == (state, error)

@@ -58,12 +58,14 @@ def told(values: list[Any], *, on_change: bool = False, band: float | None = Non
         ({"band": 1.0}, [[1, 5], [1.5, 5.5], [1.5, 6.5]], [[1, 5], [1.5, 6.5]]),
     ],
 )
-def test_what_is_told(options: Any, values: list[Any], expected: list[Any]) -> None:
+def test_a_value_is_reported_when_the_options_say_so(
+    options: Any, values: list[Any], expected: list[Any]
+) -> None:
     assert repr(told(values, **options)) == repr(expected)
 
 
 @pytest.mark.parametrize("options", [{}, {"on_change": True}, {"band": 5.0}])
-def test_what_is_not_good_is_told_when_it_begins_and_when_it_ends(options: Any) -> None:
+def test_a_bad_quality_is_reported_when_it_begins_and_when_it_ends(options: Any) -> None:
     down, other = ModbusTimeoutError("no answer"), IllegalDataAddress()
     values = [down, down, other, other, down, 7]
     assert told(values, **options) == [down, other, down, 7]

@@ -26,11 +26,11 @@ def offline(readings: Sequence[Reading], device: str) -> list[tuple[str, object,
     own = [each for each in readings if each.device == device]
     first = next((at for at, each in enumerate(own) if each.quality == "offline"), len(own))
     assert all(each.quality == "offline" for each in own[first:])
-    return [(each.name, each.value, each.unit) for each in own[first:]]
+    return [(each.name, each.value, each.units) for each in own[first:]]
 
 
 @in_simulated_time
-async def test_what_is_removed_is_reported_once_more() -> None:
+async def test_a_removed_point_is_reported_offline_once() -> None:
     async with Peer() as peer:
         devices = [meter(name, peer.url, unit=unit) for unit, name in enumerate("ab", 1)]
         async with polling(*devices) as (fleet, readings):
@@ -57,7 +57,7 @@ async def test_of_a_device_that_stays_only_points_that_are_gone_are_taken_back()
 
 
 @in_simulated_time
-async def test_what_was_never_reported_is_not_taken_back() -> None:
+async def test_a_point_that_was_never_reported_is_not_reported_offline() -> None:
     async with Peer(silent) as peer:
         async with polling(meter("a", f"{peer.url}?timeout=60")) as (fleet, readings):
             await until(lambda: peer.requests)
@@ -78,7 +78,7 @@ async def test_a_device_that_changes_and_goes_before_its_next_poll_is_taken_back
 
 
 @in_simulated_time
-async def test_what_another_fleet_polls_from_now_on_is_not_taken_back() -> None:
+async def test_a_point_that_another_fleet_polls_now_is_not_reported_offline() -> None:
     async with Peer() as peer:
         device = meter("a", peer.url)
         async with polling(device) as (fleet, readings):

@@ -76,7 +76,7 @@ async def test_the_first_of_the_values_that_cannot_be_is_told() -> None:
 
 
 @in_simulated_time
-async def test_who_looks_at_the_first_result_only_leaves_nothing_behind() -> None:
+async def test_a_trial_that_is_left_after_its_first_result_leaves_no_task() -> None:
     async with (
         Server({1: Device(Mapping(holding_registers=3))}).serving("tcp://127.0.0.1:0") as good,
         Peer(silent) as peer,

@@ -100,7 +100,7 @@ def test_routes_of_a_command_line(text: str, ways: dict[int, int]) -> None:
     assert parse_route(text).ways == ways
 
 
-def test_what_a_gateway_is_given_is_checked() -> None:
+def test_wrong_arguments_of_a_gateway_are_refused() -> None:
     routes = [Route("tcp://192.0.2.1")]
     wrong: list[tuple[Any, dict[str, Any]]] = [
         (routes[0], {}),

@@ -215,7 +215,7 @@ async def test_a_client_that_leaves_when_it_is_told_so_takes_its_other_requests_
     assert (plant.asked, plant.line.statistics.waiting) == ([1], 0)
 
 
-def test_all_clients_together_have_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_queue_of_all_clients_together_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gateway_line, "MOST_WAITING", 3)
     plant = Plant()
 
@@ -316,7 +316,7 @@ def test_a_write_to_one_unit_leaves_the_others_and_a_broadcast_none() -> None:
     ],
 )
 @on_line()
-async def test_who_leaves_takes_only_his_own_answer_with_him(
+async def test_a_client_that_leaves_costs_no_other_client_its_answer(
     plant: Plant, leaving: str, moment: str, asked: list[int], unwanted: int
 ) -> None:
     plant.ask(1, Asker())
@@ -377,7 +377,7 @@ async def test_a_read_is_not_answered_with_what_was_read_before_a_write(
 
 
 @on_line("rtu:///dev/line?timeout=9", longest_wait=2.0)
-async def test_who_joined_late_is_not_refused_because_the_first_waited_for_too_long(
+async def test_a_client_that_joined_a_read_late_is_not_refused_when_the_first_one_times_out(
     plant: Plant,
 ) -> None:
     plant.delays[1] = 3.0

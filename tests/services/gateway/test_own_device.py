@@ -80,7 +80,7 @@ def test_units_begin_at_1000(trial: Trial) -> None:
     assert trial.read(1040, 20) == [0] * 20  # no unit was asked there
 
 
-def test_it_has_input_registers_and_a_name_and_nothing_else(trial: Trial) -> None:
+def test_the_own_device_has_input_registers_and_an_identification_only(trial: Trial) -> None:
     last = 1000 + 256 * 20
     assert trial.read(last - 1, 1) == [0]
     refused = trial.device.answer(pdu.ReadInputRegisters(last, 1).encode())

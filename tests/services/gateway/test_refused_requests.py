@@ -50,7 +50,7 @@ def test_read_only_is_read_only(stage: Stage) -> None:
         assert through.gateway.traffic.refused == 11
 
 
-def test_what_may_be_written_is_and_nothing_else(stage: Stage) -> None:
+def test_only_writes_that_a_rule_allows_are_executed(stage: Stage) -> None:
     route = {"writable": ["coils", Access("holding_registers", 110, 10)]}
     with passage("tcp", "rtu", route=route, stage=stage) as through, through.context() as context:
         context.write_coil(10, False)
@@ -89,7 +89,7 @@ WORKED = [vector.values[0] for vector in vectors.rows(vectors.REQUESTS)]
 
 
 @pytest.mark.parametrize("code", [0, 0x80, 0x83, 0xFF])
-def test_no_function_has_such_a_code(code: int) -> None:
+def test_a_function_code_that_cannot_be_is_refused(code: int) -> None:
     with pytest.raises(IllegalFunction) as raised:
         request_of(bytes([code, 1, 2]))
     assert raised.value.function == code
@@ -107,7 +107,7 @@ def test_a_known_function_has_requests_of_its_length_only(request: str) -> None:
 READS = (pdu.ReadCoils, pdu.ReadDiscreteInputs, pdu.ReadHoldingRegisters, pdu.ReadInputRegisters)
 
 
-def test_what_is_a_read_and_what_a_write() -> None:
+def test_each_function_is_a_read_or_a_write() -> None:
     for vector in WORKED:
         known = pdu.decode_request(vector.pdu)
         request = request_of(vector.pdu)

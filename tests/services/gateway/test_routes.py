@@ -73,14 +73,12 @@ def test_routes_are_equal_however_their_units_were_given() -> None:
         ({"writable": ["coils[5:2]"]}, ValueError, "writable"),
     ],
 )
-def test_what_cannot_be_is_named(
-    options: dict[str, Any], error: type[Exception], text: str
-) -> None:
+def test_a_wrong_route_is_named(options: dict[str, Any], error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
         Route(TCP, **options)
 
 
-def test_what_only_reads_may_pass_where_nothing_is_written() -> None:
+def test_only_reads_pass_a_route_without_writes() -> None:
     """By the functions of the specification (6.7 to 6.13 and 6.21)."""
     allow = Route(TCP, read_only=True).allow
     assert allow is not None
@@ -89,7 +87,7 @@ def test_what_only_reads_may_pass_where_nothing_is_written() -> None:
     assert not allow.write
 
 
-def test_what_may_be_written_is_as_it_was_given() -> None:
+def test_the_writable_ranges_of_a_route_are_those_of_its_argument() -> None:
     assert Route(TCP, writable="all").writable == "all"
     some = Route(TCP, writable=["coils"])
     assert some.allow is not None

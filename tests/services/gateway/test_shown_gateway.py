@@ -143,7 +143,7 @@ def test_samples_are_taken_although_nobody_looks() -> None:
 # --- clients --------------------------------------------------------------------------------------
 
 
-def test_who_asks_what_is_counted() -> None:
+def test_requests_are_counted_by_client_and_unit() -> None:
     clients = Clients()
     for peer in ("192.0.2.7:4711", "192.0.2.7:4712", "[2001:db8::1]:99", "/dev/ttyUSB0"):
         clients.note(traced("received", 3, peer))

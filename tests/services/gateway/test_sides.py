@@ -20,7 +20,7 @@ from libmodbus_py import (
 )
 from tests.services.gateway.gates import small
 from tests.simulation.stage import Stage
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.gateways import passage
 from tests.support.interop import check_all
 
@@ -82,7 +82,7 @@ def test_functions_that_nobody_knows_go_through_as_bytes(stage: Stage) -> None:
 
 
 def test_over_tls_roles_are_asked(tmp_path: Path) -> None:
-    papers = Papers(tmp_path)
+    pki = Pki(tmp_path)
     seen: list[object] = []
 
     def authorize(asked: object) -> bool:
@@ -91,12 +91,12 @@ def test_over_tls_roles_are_asked(tmp_path: Path) -> None:
 
     with (
         Server({1: small()}).background("tcp://127.0.0.1:0") as behind,
-        Gateway([Route(behind.urls[0])], security=papers.server(), authorize=authorize).background(
+        Gateway([Route(behind.urls[0])], security=pki.server(), authorize=authorize).background(
             "tls://127.0.0.1:0"
         ) as running,
     ):
         for role, is_allowed in (("Operator", True), ("Viewer", False), (None, False)):
-            security = papers.client(role=role)
+            security = pki.client(role=role)
             with Client(running.urls[0], unit=1, security=security) as context:
                 if is_allowed:
                     context.write_register(3, 4)

@@ -40,7 +40,7 @@ def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> No
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_nothing_rests_of_what_was_answered_last_and_nothing_for_ever(seed: int) -> None:
+def test_the_last_answer_ends_a_rest_and_no_rest_lasts_for_ever(seed: int) -> None:
     """Requests are in flight beside each other, and some are dropped."""
     chance = random.Random(seed)
     units, now = SilentUnits(0.5), 0.0
@@ -123,7 +123,9 @@ def test_late_answers_are_never_anybody_elses(stage: Stage) -> None:
         assert line.connection.late_answers > 0
 
 
-def test_who_asks_again_without_ids_gets_the_answer_to_that_only(stage: Stage) -> None:
+def test_a_client_without_ids_that_asks_again_gets_the_answer_to_the_second_request_only(
+    stage: Stage,
+) -> None:
     """It has given up the first request: the answer to that would be taken for the second's."""
     device = small()
     device.mapping.holding_registers[:] = range(10)

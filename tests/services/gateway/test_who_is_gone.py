@@ -130,7 +130,7 @@ def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(
         ("tcp://10.0.0.1", 5, [READ, WRITE, UNKNOWN], 2),
     ],
 )
-def test_what_is_silent_costs_the_reads_of_others_one_timeout_at_most(
+def test_a_silent_unit_delays_reads_of_others_by_one_timeout_at_most(
     url: str, unit: int, requests: list[str], timeouts: int
 ) -> None:
     """

@@ -16,7 +16,7 @@ from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.protocol.framing import crc16
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.peers import FakeServer, FakeUnit, echo, mbap, refusing
 from tests.support.scripted import run
 
@@ -108,7 +108,7 @@ async def all_operations(connecting: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize("kind", WAYS)
-def test_every_operation_over_everything(kind: str) -> None:
+def test_every_operation_works_over_every_transport(kind: str) -> None:
     with contextlib.ExitStack() as stack:
         at: Any = None
         where = f"{kind}://{HOST}:0"
@@ -266,7 +266,7 @@ def test_other_wrong_arguments() -> None:
             connection.for_unit(unit)
 
 
-def test_nobody_there_is_said_in_one_line() -> None:
+def test_an_unreachable_device_is_an_error_of_one_line() -> None:
     with refusing() as bound:
         connection = tcp(bound.getsockname()[1])
         error = run(asked(connection, seven))
@@ -280,14 +280,14 @@ def test_nobody_there_is_said_in_one_line() -> None:
 # --- TLS ----------------------------------------------------------------------------------------
 
 
-def test_tls_with_certificates_of_both(papers: Papers) -> None:
-    own = papers.files(certificates.client())
-    with Server(device(), security=papers.server()).background(f"tls://{HOST}:0") as running:
+def test_tls_with_certificates_of_both(pki: Pki) -> None:
+    own = pki.files(certificates.client())
+    with Server(device(), security=pki.server()).background(f"tls://{HOST}:0") as running:
         port = int(running.urls[0].rpartition(":")[2])
         params = theirs.ModbusTlsParams(
             host=HOST,
             port=port,
-            verify=str(papers.ca),
+            verify=str(pki.ca),
             client_cert=str(own.cert),
             client_key=str(own.key),
         )

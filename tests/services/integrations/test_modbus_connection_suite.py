@@ -145,7 +145,7 @@ def outcomes(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.timeout(300)
-def test_they_pass_but_those_that_are_about_tmodbus(folder: Path) -> None:
+def test_the_tests_of_modbus_connection_pass_but_those_about_tmodbus(folder: Path) -> None:
     found = outcomes(folder)
     passed = {test for test, outcome in found.items() if outcome == "passed"}
     failed = {test for test, outcome in found.items() if outcome in ("failure", "error")}

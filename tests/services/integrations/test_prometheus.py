@@ -53,7 +53,7 @@ from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.sockets import DELAY
 from tests.support.cases import each_case
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.commands import Started, run
 from tests.support.names import NEEDS_IPV6
 from tests.support.peers import echo, until
@@ -222,7 +222,7 @@ def test_names_and_texts_follow_the_rules_of_prometheus(registry: CollectorRegis
 def test_the_end_of_a_certificate_is_a_metric_while_its_endpoint_is_open(
     registry: CollectorRegistry, tmp_path: Path
 ) -> None:
-    security = Papers(tmp_path).server()
+    security = Pki(tmp_path).server()
     server = Server(Device(Mapping()), security=security)
     collect(server, registry=registry)
     name = "modbus_server_certificate_end_timestamp_seconds"
@@ -306,7 +306,9 @@ def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(
     stays.close()
 
 
-def test_what_is_neither_client_nor_server_is_refused(registry: CollectorRegistry) -> None:
+def test_an_object_that_is_neither_client_nor_server_is_refused(
+    registry: CollectorRegistry,
+) -> None:
     server = Server(DEVICE)
     for wrong in (DEVICE, None, "tcp://127.0.0.1"):
         with pytest.raises(TypeError, match="objects must be clients, servers, gateways or fleets"):
@@ -402,7 +404,7 @@ def test_metrics_are_exposed_while_the_block_runs(registry: CollectorRegistry, h
         urllib.request.urlopen(url, timeout=5)
 
 
-def test_those_who_stall_keep_nobody_waiting(
+def test_a_scrape_that_stalls_delays_no_other(
     registry: CollectorRegistry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two servers of one program, and each has clients that never finish their request."""

@@ -98,7 +98,7 @@ class TestLeaving:
 
 
 class TestLease:
-    def test_it_begins_when_the_value_that_came_back_was_sent(self) -> None:
+    def test_a_lease_begins_when_the_value_that_came_back_was_sent(self) -> None:
         one = OneWorker(LINE)
         one.step(0.0)
         one.hears = False
@@ -124,7 +124,7 @@ class TestLease:
         assert not one.worker.may_ask(LINE.key, 1000.0)
 
     @pytest.mark.parametrize("is_deleted", [False, True])
-    def test_who_was_said_to_have_ended_or_was_deleted_joins_again_under_another_id(
+    def test_a_worker_recorded_as_ended_or_deleted_joins_again_under_another_id(
         self, is_deleted: bool
     ) -> None:
         one = at_work(LINE)
@@ -241,7 +241,7 @@ class TestEndedWorkers:
     """They stay for `fleet status` for a minute."""
 
     @pytest.mark.parametrize("is_needed", [False, True])
-    def test_they_are_deleted_after_a_minute_unless_a_slot_needs_them(
+    def test_ended_workers_are_deleted_after_a_minute_unless_they_hold_a_slot(
         self, is_needed: bool
     ) -> None:
         one = OneWorker(*[NORTH] * is_needed)
@@ -292,13 +292,13 @@ class TestBlindness:
         one.decided(at)
         return one.last.is_blind
 
-    def test_who_does_not_see_its_own_values_is_blind(self) -> None:
+    def test_a_worker_that_does_not_receive_its_own_values_is_blind(self) -> None:
         one = OneWorker()
         assert [self.blind(one, at) for at in (4.9, 5.1)] == [False, True]
         one.member(one.me, 5.1)
         assert [self.blind(one, at) for at in (10.0, 10.2)] == [False, True]
 
-    def test_all_is_read_again_after_a_while(self) -> None:
+    def test_the_bucket_is_read_again_after_a_while(self) -> None:
         one = OneWorker()
         for at in range(1, 700):
             one.step(float(at))
@@ -314,7 +314,7 @@ class TestUnserved:
         one.step(at)
         return sorted(each.zone for each in one.last.unserved)
 
-    def test_what_nobody_polls_is_found_a_lease_and_a_half_later(self) -> None:
+    def test_a_connection_that_no_worker_polls_is_known_a_lease_and_a_half_later(self) -> None:
         one = OneWorker(NORTH, SOUTH)
         one.hold(NORTH, one.me)
         found = [self.found(one, at) for at in (0.0, 14.9, 15.0, 30.0)]

@@ -154,7 +154,7 @@ def test_systemd_takes_the_unit(command, tmp_path):
     assert told == []
 
 
-def test_what_compose_mounts_and_reads_is_explained_beside_it():
+def test_files_that_compose_mounts_and_reads_are_explained_beside_it():
     """The client for compose files is not a package of Debian; names at least must be right."""
     text = (DEPLOY / "compose.yaml").read_text()
     conf = (DEPLOY / "nats-server.conf").read_text()

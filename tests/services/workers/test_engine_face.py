@@ -41,7 +41,7 @@ def file(tmp_path: Path) -> Path:
 # --- errors ----------------------------------------------------------------------------------
 
 
-def test_what_is_wrong_with_an_engine_is_told_in_one_line(file, tmp_path, monkeypatch):
+def test_an_error_of_the_engine_is_one_line(file, tmp_path, monkeypatch):
     def said(url: str, **environment: str) -> str:
         with monkeypatch.context() as patched:
             for name, value in environment.items():

@@ -21,7 +21,7 @@ from libmodbus_py.services.fleet.config import devices_to_json
 from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.workers import polling
 from libmodbus_py.services.workers.decisions import step
-from libmodbus_py.services.workers.polling import SAID_AGAIN_S, TIMEOUT_S, Polling
+from libmodbus_py.services.workers.polling import REPORT_AGAIN_S, TIMEOUT_S, Polling
 from libmodbus_py.services.workers.records import Connection
 from libmodbus_py.services.workers.worker import Decision, Worker
 from tests.services.workers.trial import INTERVAL, LEASE, UNITS, Trial, tried
@@ -44,7 +44,7 @@ def record_of(trial: Trial) -> dict[str, Any]:
 
 
 @tried(2)
-async def test_it_waits_for_the_longest_lease_reports_and_says_that_it_has_ended(
+async def test_a_worker_waits_for_the_longest_lease_reports_and_records_its_end(
     trial: Trial,
 ) -> None:
     await trial.start("a")
@@ -61,7 +61,7 @@ async def test_it_waits_for_the_longest_lease_reports_and_says_that_it_has_ended
 
 
 @tried(1, "a")
-async def test_it_leaves_within_seconds_although_the_engine_is_gone(trial: Trial) -> None:
+async def test_a_worker_ends_within_seconds_although_the_engine_is_gone(trial: Trial) -> None:
     trial.engine.stop()
     since = trial.now
     await trial.workers.pop("a").leave()
@@ -90,7 +90,7 @@ async def test_a_connection_that_is_closed_for_good_or_the_end_of_an_output_ends
 
 
 @tried(1)
-async def test_its_name_or_that_of_the_machine_becomes_a_key(trial: Trial) -> None:
+async def test_the_name_of_a_worker_or_of_its_machine_becomes_a_key(trial: Trial) -> None:
     names = ["hall 2.north", "x" * 90, ""]
     await trial.start(*names)
     machine = re.sub(r"[^A-Za-z0-9_-]", "-", socket.gethostname())[:60]
@@ -105,7 +105,7 @@ def test_a_lease_goes_on_while_the_machine_sleeps() -> None:
 
 
 @tried(1, "a")
-async def test_it_watches_again_when_the_bucket_is_not_told_whole(
+async def test_a_worker_watches_again_when_the_bucket_does_not_arrive_whole(
     trial: Trial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     polling = trial.workers["a"].polling
@@ -155,7 +155,7 @@ async def test_an_engine_that_is_gone_is_told_once_a_minute_and_the_lease_when_i
     trial.engine.stop()
     gone = "the engine: modbus-fleet: no server responds"
     ended = "a: the lease has expired: NATS does not respond"
-    await asyncio.sleep(SAID_AGAIN_S - 15.0)
+    await asyncio.sleep(REPORT_AGAIN_S - 15.0)
     assert sorted(told()) == [ended, gone]
     await asyncio.sleep(25.0)
     assert told().count(gone) == 2
@@ -165,7 +165,7 @@ async def test_an_engine_that_is_gone_is_told_once_a_minute_and_the_lease_when_i
 
 
 @tried(1)
-async def test_what_cannot_be_read_is_told_and_polled_by_nobody(
+async def test_an_unreadable_record_is_logged_and_polled_by_no_worker(
     trial: Trial, caplog: pytest.LogCaptureFixture
 ) -> None:
     def connection(host: int, *names: str, devices: str = "") -> Connection:

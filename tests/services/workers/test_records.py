@@ -50,7 +50,7 @@ def line(connection: str = LINE, timeout: float = 1) -> bytes:
         ("slot._.255", Holding(Slot("", 255), "a.1", "b.2")),
     ],
 )
-def test_what_is_written_is_read_as_it_was(key: str, record: Any) -> None:
+def test_records_are_read_as_they_were_written(key: str, record: Any) -> None:
     assert decode(key, record.encode()) == record
 
 
@@ -83,7 +83,7 @@ def test_what_is_written_is_read_as_it_was(key: str, record: Any) -> None:
         ("settings", b"[" * 10_000, "recursion|Expecting value"),
     ],
 )
-def test_what_no_worker_wrote_is_refused(key: str, given: bytes, why: str) -> None:
+def test_records_that_no_worker_wrote_are_refused(key: str, given: bytes, why: str) -> None:
     with pytest.raises(RecordError) as refused:
         decode(key, given)
     assert str(refused.value).startswith(f"{key}: ")

@@ -107,9 +107,7 @@ def test_workers_zones_and_sums() -> None:
         ("", None, ""),
     ],
 )
-def test_what_no_worker_can_read_is_a_part_that_is_not_polled(
-    zone: str, value: object, why: str
-) -> None:
+def test_an_unreadable_record_is_shown_as_not_polled(zone: str, value: object, why: str) -> None:
     network, engine = empty()
     first = connection("", 1)
     engine.write(first.bucket_key, first.encode())

@@ -22,7 +22,7 @@ OWN_LEASE = 0.9 * LEASE
 
 
 @tried(6, "a", "b", "c")
-async def test_who_is_killed_is_replaced_when_its_lease_is_over(trial: Trial) -> None:
+async def test_a_killed_worker_is_replaced_when_its_lease_is_over(trial: Trial) -> None:
     trial.kill("b")
     assert OWN_LEASE - INTERVAL < await trial.all_asked(60) < TAKEN_OVER
     await asyncio.sleep(5)
@@ -33,7 +33,7 @@ async def test_who_is_killed_is_replaced_when_its_lease_is_over(trial: Trial) ->
 
 
 @tried(6, "a", "b")
-async def test_who_joins_gets_its_share_soon_and_without_a_gap(trial: Trial) -> None:
+async def test_a_worker_that_joins_gets_its_share_soon_and_without_a_gap(trial: Trial) -> None:
     await trial.start("c")
     assert await trial.until(lambda: len(trial.asked.hosts()) == 3, 60) < 2.0
     await asyncio.sleep(2)
@@ -42,7 +42,7 @@ async def test_who_joins_gets_its_share_soon_and_without_a_gap(trial: Trial) -> 
 
 
 @tried(6, "a", "b", "c")
-async def test_who_leaves_is_replaced_at_once(trial: Trial) -> None:
+async def test_a_worker_that_leaves_is_replaced_at_once(trial: Trial) -> None:
     await trial.workers.pop("b").leave()
     assert await trial.all_asked(60) < 2 * INTERVAL
     await asyncio.sleep(2 * LEASE)
@@ -54,7 +54,7 @@ async def test_who_leaves_is_replaced_at_once(trial: Trial) -> None:
 
 @pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
 @tried(6, "a", "b", "c")
-async def test_who_is_stopped_for_a_while_asks_nothing_that_others_have(
+async def test_a_worker_that_stood_still_polls_no_device_of_others(
     trial: Trial, seconds: float
 ) -> None:
     process = trial.workers["b"].process
@@ -69,7 +69,9 @@ async def test_who_is_stopped_for_a_while_asks_nothing_that_others_have(
 
 @pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
 @tried(6, "a", "b", "c")
-async def test_who_is_cut_off_asks_no_longer_than_its_lease(trial: Trial, seconds: float) -> None:
+async def test_a_worker_without_the_engine_polls_no_longer_than_its_lease(
+    trial: Trial, seconds: float
+) -> None:
     cut = trial.workers["a"]
     host = cut.process.host
     since = trial.now
@@ -108,7 +110,7 @@ async def test_without_the_engine_nobody_asks_beyond_the_lease(
 
 
 @tried(2, "a", settings=FleetSettings(LEASE, "continue"))
-async def test_it_goes_on_without_the_engine_if_told_so_and_keeps_what_it_read(
+async def test_a_worker_polls_on_without_the_engine_if_its_settings_say_so(
     trial: Trial,
 ) -> None:
     trial.engine.stop()

@@ -19,7 +19,7 @@ from libmodbus_py.server.faults import (
 )
 from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage, Talker
-from tests.support.certificates import Papers, secured
+from tests.support.certificates import Pki, secured
 from tests.support.chunks import FakeChannel
 from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
 
@@ -148,7 +148,7 @@ LAST = [Fragment(0, b"12", is_last=True)]
         ),
     ],
 )
-def test_what_is_sent_when(
+def test_fragments_of_a_fault_are_sent_at_their_times(
     stage: Stage, steps: list[Step], lengths: list[int], waits: list[bool]
 ) -> None:
     written: list[bytes] = []
@@ -176,7 +176,7 @@ def test_what_is_sent_when(
 
 @pytest.mark.parametrize("length", [None, 5, 512])
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_what_comes_before_the_connection_closes(
+def test_a_fault_sends_its_part_before_it_closes_the_connection(
     stage: Stage, scheme: str, length: int | None
 ) -> None:
     fault = Fault("disconnect", function=3, length=length)
@@ -191,7 +191,7 @@ def test_what_comes_before_the_connection_closes(
         assert connection.receive(100) == before + answer[: length or 0]
 
 
-def test_what_is_asked_behind_a_closed_connection_is_not_executed(stage: Stage) -> None:
+def test_a_request_behind_one_that_closes_the_connection_is_not_executed(stage: Stage) -> None:
     units = {1: made_device(), 2: made_device()}
     write = b"\x06\0\x01\0\x09"
     fault = Fault("disconnect", function=3)
@@ -231,7 +231,7 @@ def test_garbage_and_disconnects_of_datagrams(stage: Stage) -> None:
 def test_a_disconnect_closes_a_tunnel(tmp_path: Path) -> None:
     server = Server({1: made_device()}, faults={1: [Fault("disconnect", every=2, length=5)]})
     with (
-        secured(server, Papers(tmp_path)) as url,
+        secured(server, Pki(tmp_path)) as url,
         Client(url, unit=1, timeout=5) as client,
     ):
         assert client.read_holding_registers(0, 1) == [555]

@@ -48,7 +48,7 @@ def test_units_without_faults_are_answered_in_c(
             client.for_unit(2).read_coils(0, 1)
 
 
-def test_what_is_answered_in_c_waits_behind_what_a_fault_keeps_back(stage: Stage) -> None:
+def test_an_answer_in_c_waits_behind_one_that_a_fault_delays(stage: Stage) -> None:
     fault = Fault("delay", seconds=100)
     with serving(stage, "tcp", fault, of=2) as url, stage.talk(url) as connection:
         coil = b"\x01\0\0\0\x01"

@@ -224,7 +224,7 @@ def test_all_mistakes_are_found_up_to_a_number(tmp_path: Path) -> None:
     ]
 
 
-def test_what_may_not_be_meant(tmp_path: Path) -> None:
+def test_a_value_that_may_be_an_oversight_is_noted(tmp_path: Path) -> None:
     (tmp_path / "meter.csv").write_text(
         "name,address,table,type,scale,Vendor's own,More\n"
         "whole,40001,holding,uint32,-2,,\n"
@@ -262,7 +262,7 @@ POINTS = st.builds(
 
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(POINTS, min_size=1, max_size=5, unique_by=lambda point: point.name))
-def test_what_is_written_is_read(tmp_path: Path, points: list[Point]) -> None:
+def test_a_written_map_is_read_as_it_was(tmp_path: Path, points: list[Point]) -> None:
     assert list(loaded(tmp_path, csv_text(points)).values()) == points
     assert list(loaded(tmp_path, toml_text(points), "METER.TOML").values()) == points
 

@@ -71,7 +71,7 @@ class TestWriter:
 
 
 class TestReader:
-    def test_what_was_written(self, tmp_path: Path) -> None:
+    def test_a_capture_has_the_blocks_of_pcapng(self, tmp_path: Path) -> None:
         done = read(write(tmp_path / "x.pcapng"))
         good = [each for each in done if each.kind in ("answered", "exception")]
         assert len(good) == len(exchanges())
@@ -86,7 +86,7 @@ class TestReader:
         assert len(three) == 3 * len(alone)
         assert {each.kind for each in three} == {each.kind for each in alone}
 
-    def test_what_wireshark_saves_again(self, tmp_path: Path) -> None:
+    def test_a_capture_saved_again_by_wireshark_is_read(self, tmp_path: Path) -> None:
         """With nanoseconds, blocks of its own, and another capture behind it."""
         options = struct.pack("<HHB3xHH", 9, 1, 9, 0, 0)
         section = block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))

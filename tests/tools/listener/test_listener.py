@@ -187,7 +187,7 @@ class TestPort:
         ("path", "what"),
         [("/dev/nowhere", "No such file"), ("/dev/null", "not a serial port")],
     )
-    def test_no_port(self, path: str, what: str) -> None:
+    def test_a_path_that_is_no_serial_port_is_an_error(self, path: str, what: str) -> None:
         with pytest.raises(ModbusConnectionError, match=what):
             listen(f"rtu://{path}")
 
@@ -311,7 +311,7 @@ class TestBetween:
             assert next(line).kind == "damaged"
         device.close()
 
-    def test_nobody_at_the_other_end(self) -> None:
+    def test_a_client_is_disconnected_if_the_target_cannot_be_reached(self) -> None:
         nobody = "rtu+tcp://127.0.0.1:1"
         with heard("rtu+tcp://127.0.0.1:0", between=nobody) as hearing:
             place = "127.0.0.1", int(hearing.line.url.rpartition(":")[2])
@@ -326,7 +326,7 @@ class TestBetween:
 
 
 class TestArguments:
-    def test_what_cannot_be(self, refused: Refused) -> None:
+    def test_wrong_arguments_of_listen_are_refused(self, refused: Refused) -> None:
         refused("refused.txt", lambda given: listen(given[0], between=given[1]))
 
     def test_a_capture_that_cannot_be_written(self, port: Line, tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def test_a_map_is_learned_of_what_was_asked() -> None:
     learned = LearnedMap()
     again = ("03 006B 0003", "03 06 08FE 0001 0002")
     for each in heard(READ_3, again, REFUSED, COIL, MASK, ("04 0010 0001", "84 02")):
-        learned.note(each)
+        learned.add_transaction(each)
     found = {each.name: each for each in learned.points()}
     assert {name: (each.access, each.description) for name, each in found.items()} == {
         "unit_17_coils_172": ("write", "1"),
@@ -118,7 +118,7 @@ def test_a_broadcast_has_the_values_that_it_writes_and_no_others() -> None:
     transactions += separator.feed(rtu("00 06 006B 0001"), 5.0)
     for each in transactions + separator.end():
         found += decoder.decode(each)
-        learned.note(each)
+        learned.add_transaction(each)
     assert [(each.unit, each.name, each.value, each.is_written) for each in found] == [
         (0, "voltage", 0.1, True)
     ]
@@ -145,7 +145,7 @@ def test_response_times_have_a_shortest_a_mean_and_a_longest() -> None:
     times = AnswerTimes()
     assert (times.shortest, times.mean, times.longest) == (0.0, 0.0, 0.0)
     for seconds in (0.02, 0.01, 0.06):
-        times.note(seconds)
+        times.add_time(seconds)
     assert (times.shortest, times.longest) == (0.01, 0.06)
     assert times.mean == pytest.approx(0.03)
 

@@ -68,7 +68,7 @@ def test_each_request_gets_its_answers_in_order_then_the_last_again(replayed: Cl
     replayed.for_unit(2).write_register(1, 3)
 
 
-def test_what_is_not_in_the_capture_gets_exception_4_and_a_line(
+def test_a_request_that_is_not_in_the_capture_gets_exception_4_and_is_logged(
     replayed: Client, caplog: pytest.LogCaptureFixture
 ) -> None:
     for address in (107, 108):
@@ -78,7 +78,7 @@ def test_what_is_not_in_the_capture_gets_exception_4_and_a_line(
     assert caplog.messages == [text]
 
 
-def test_what_had_no_answer_gets_none(capture: Path) -> None:
+def test_a_request_that_had_no_response_gets_none(capture: Path) -> None:
     device = replayed_devices(capture)[2]
     assert device.answer(pdu.ReadInputRegisters(0, 1).encode()) == b""
 
@@ -114,7 +114,7 @@ def test_differences_are_named_and_nothing_is_written_unless_wanted(capture: Pat
         assert devices[2].mapping.holding_registers[1] == 3
 
 
-def test_what_pymodbus_said_at_a_tap_is_replayed(tmp_path: Path) -> None:
+def test_requests_of_pymodbus_at_a_tap_are_replayed(tmp_path: Path) -> None:
     pymodbus = pytest.importorskip("pymodbus.client")
     framer = pytest.importorskip("pymodbus.framer").FramerType.RTU
     path = tmp_path / "tap.pcapng"

@@ -184,7 +184,7 @@ LINES: list[tuple[list[Piece], str]] = [
 
 
 @each_case(("pieces", "said"), LINES)
-def test_what_a_line_says(pieces: list[Piece], said: str) -> None:
+def test_frames_on_a_line_become_transactions(pieces: list[Piece], said: str) -> None:
     assert ", ".join(kinds(pieces)) == said
 
 
@@ -303,7 +303,9 @@ FRONT = bytes([1, 3, 0xFA, 0, 0])
         ([(ASK, "client"), (ANSWER[:3], "server")], {0.5: [], 9.0: [("damaged", ANSWER[:3])]}),
     ],
 )
-def test_what_is_over_is_told_without_another_byte(pieces: list[Any], told: Any) -> None:
+def test_a_transaction_that_is_over_is_returned_without_another_byte(
+    pieces: list[Any], told: Any
+) -> None:
     separator = Separator("rtu")
     for data, direction in pieces:
         assert separator.feed(data, 0.0, direction) == []
@@ -328,7 +330,7 @@ def test_known_directions() -> None:
     assert done.kind == "answered"
 
 
-def test_no_framing() -> None:
+def test_a_framing_that_does_not_exist_is_refused() -> None:
     with pytest.raises(ValueError, match='framing must be "rtu" or "ascii"'):
         Separator("tcp")  # type: ignore[arg-type]
 

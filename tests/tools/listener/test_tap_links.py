@@ -58,16 +58,14 @@ def flood(client: socket.socket) -> None:
         client.sendall(bytes(1_000_000))
 
 
-def test_one_that_is_idle_ends_at_both_sides(
-    tapped: Tapped, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_idle_link_ends_at_both_sides(tapped: Tapped, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sources, "IDLE", 0.05)
     client, device = tapped.connected()
     assert (client.recv(1), device.recv(1)) == (b"", b"")
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_one_that_a_side_has_left_waits_less_for_the_other(
+def test_a_link_that_one_side_has_left_waits_less_for_the_other(
     first: int, tapped: Tapped, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sources, "LEAVING", 0.05)

@@ -42,7 +42,7 @@ def test_values_that_are_typed_are_set() -> None:
             visitor.receive(lambda at=point, to=text: visitor.points("1/points")[at] == to)
 
 
-def test_what_is_set_is_what_clients_read() -> None:
+def test_a_value_set_on_the_page_is_read_by_clients() -> None:
     with shown() as (_, url, visitor), Client(url, unit=1) as plc:
         visitor.post("/value", unit=1, point=0, name="temperature", text="3.5")
         assert plc.read_values("holding_registers", 0, "float32", order="CDAB") == [3.5]
@@ -81,7 +81,7 @@ def test_a_value_that_the_device_computes_is_told() -> None:
     assert mapping.input_registers[:] == [0, 42, 7, 0]
 
 
-def test_what_registers_may_mean() -> None:
+def test_the_page_shows_the_values_that_registers_may_have() -> None:
     with shown() as (_, _, visitor):
         found = visitor.post("/readings", unit=1, table="holding_registers", address=0)
         assert {"type": "float32", "order": "CDAB", "text": "21.5"} in found["readings"]
@@ -217,7 +217,7 @@ def test_others_may_change_devices_and_faults() -> None:
         visitor.receive(lambda: visitor.cells("3/holding_registers"))
 
 
-def test_there_may_be_so_many_and_no_more() -> None:
+def test_the_number_of_faults_is_limited() -> None:
     given = [Fault("delay", seconds=1.5), *[Fault("no_answer")] * 198]
     with shown(faults={1: given}) as (server, _, visitor), visitor.watching():
         assert visitor.rows("faults")[0]["settings"] == "seconds 1.5"

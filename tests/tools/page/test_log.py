@@ -22,7 +22,7 @@ from tests.support.cases import each_case
 from tests.tools.page.watching import Visitor, made_server, shown
 
 
-def test_who_wrote_what_last() -> None:
+def test_the_log_has_the_last_writer_of_each_cell() -> None:
     with shown() as (_, url, visitor), visitor.watching():
         with Client(url, unit=1) as plc:
             plc.write_registers(100, [1, 2, 3])
@@ -116,7 +116,7 @@ def saved(visitor: Visitor, query: str) -> list[list[str]]:
     return list(csv.reader(io.StringIO(data.decode())))
 
 
-def test_what_is_chosen_is_saved() -> None:
+def test_the_saved_log_has_the_chosen_rows() -> None:
     with talked() as visitor:
         every = saved(visitor, "")
         assert every[0][:6] == ["time", "client", "unit", "function", "request", "points"]

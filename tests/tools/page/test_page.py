@@ -43,7 +43,7 @@ def test_a_message_is_the_difference_of_rows(after: Any, message: object) -> Non
     assert difference({}, after) == after
 
 
-def test_everything_there_is_comes_first() -> None:
+def test_the_first_message_has_all_tables() -> None:
     with shown() as (_, _, visitor), visitor.watching():
         first, second = visitor.rows("units")
     assert (first["number"], second["number"]) == (1, 2)
@@ -127,7 +127,7 @@ def test_two_pages_of_a_server_on_one_token_follow_it_and_end_alone() -> None:
 # --- values that a device computes ----------------------------------------------------------------
 
 
-def test_what_moves_is_computed_when_it_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_moving_value_is_computed_when_it_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.tools.page.units.RETRY", 0.3)
     mapping, is_busy = Mapping(holding_registers=8, input_registers=8), True
     seen: list[Access] = []

@@ -59,7 +59,7 @@ STRANGERS: dict[str, dict[str, str | None]] = {
 
 
 @each_case("stranger", STRANGERS)
-def test_strangers_get_nothing(stranger: str) -> None:
+def test_a_request_without_the_token_is_refused(stranger: str) -> None:
     with shown() as (server, _, visitor):
         given = {
             name: each and each.format(port=visitor.address[1], token=visitor.token)
@@ -103,7 +103,7 @@ def test_the_printed_address_gives_a_cookie_that_scripts_do_not_see() -> None:
         assert visitor.ask("POST", "/value", CHANGE, Origin=None)[0] == 403
 
 
-def test_what_a_browser_may_do_with_it() -> None:
+def test_the_headers_of_the_page_restrict_browsers() -> None:
     with shown() as (_, _, visitor):
         for path in ("/", "/scripts/page.js", "/page.css", "/icon.svg", "/nothing"):
             _, headers, data = visitor.ask("GET", path)
@@ -173,7 +173,7 @@ def test_requests_that_cannot_be_and_bytes_that_are_none() -> None:
 # --- visitors who never end -----------------------------------------------------------------------
 
 
-def test_who_says_nothing_keeps_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_connection_without_a_request_delays_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """More of them than connections; who trickles has gone in time, too."""
     with shown() as (_, _, visitor), ExitStack() as stack:
         before = threading.active_count()
@@ -195,7 +195,7 @@ def _is_gone(loris: socket.socket) -> bool:
         return True
 
 
-def test_no_more_than_so_many_pages() -> None:
+def test_the_number_of_open_pages_is_limited() -> None:
     with shown() as (_, _, visitor), ExitStack() as stack:
         for _ in range(16):
             stack.enter_context(Visitor(f"http://{visitor.host}/?token={visitor.token}").watching())
@@ -227,7 +227,7 @@ def _visited(url: str) -> bool:
         return False
 
 
-def test_who_does_not_read_is_left_behind_and_told_everything_when_it_does() -> None:
+def test_a_page_that_does_not_read_gets_all_tables_when_it_does() -> None:
     with shown() as (server, _, visitor), socket.socket() as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.settimeout(20)

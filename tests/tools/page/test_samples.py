@@ -39,7 +39,7 @@ def test_the_latest_samples_are_kept_and_the_extremes_of_all() -> None:
     "value",
     [None, "text", "12", math.nan, math.inf, -math.inf, [1, 2], {"a": 1}, 10**400, object()],
 )
-def test_what_is_no_number_is_a_gap(value: Any) -> None:
+def test_a_value_that_is_no_number_is_a_gap(value: Any) -> None:
     samples = made(1, value, 3)
     assert [each for _, each in samples.pairs()] == [1, None, 3]
     assert samples.spark() == [0, -1, 20]

@@ -14,7 +14,7 @@ from libmodbus_py import Client, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.scan import Found, Scan, scan, search
 from tests.simulation.network import Network
 from tests.support import certificates
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.golden import Refused
 from tests.support.interop import UNIT, program
 from tests.support.peers import FakeServer, dead, mbap, refusing, url_of
@@ -243,7 +243,7 @@ def test_silence_does_not_cost_the_connection(network: Network, scheme: str) -> 
 
 
 @pytest.mark.parametrize("begin", [scan, search])
-def test_a_dead_host_is_an_error_soon(begin: Callable[..., Any]) -> None:
+def test_an_unreachable_host_is_an_error_soon(begin: Callable[..., Any]) -> None:
     with dead() as port, pytest.raises(ModbusConnectionError):
         next(begin(f"tcp://127.0.0.1:{port}", timeout=0.1))
     with refusing() as bound:
@@ -285,7 +285,7 @@ def _port(process: subprocess.Popen[str]) -> int:
 # --- leaving it -----------------------------------------------------------------------------
 
 
-def test_it_can_be_left_at_any_time() -> None:
+def test_a_scan_can_be_left_at_any_time() -> None:
     with line({each: meter() for each in (1, 2, 3)}) as wire:
         url = f"rtu://{wire.client}"
         for found in scan(url, baudrates=[9600], parities="N", timeout=PATIENT):
@@ -300,7 +300,7 @@ def test_it_can_be_left_at_any_time() -> None:
         assert list(scanned) == []
 
 
-def test_it_can_be_closed_from_a_signal_handler() -> None:
+def test_a_scan_can_be_closed_from_a_signal_handler() -> None:
     with line({}) as wire:
         scanned = scan(f"rtu://{wire.client}", baudrates=[9600], parities="N", timeout=60)
         before = signal.signal(signal.SIGALRM, lambda *_: scanned.close())
@@ -312,7 +312,7 @@ def test_it_can_be_closed_from_a_signal_handler() -> None:
             signal.signal(signal.SIGALRM, before)
 
 
-def test_what_the_callback_raises_ends_it_well() -> None:
+def test_an_exception_of_the_callback_ends_the_scan_and_closes_it() -> None:
     def fail(progress: object) -> None:
         raise KeyboardInterrupt
 
@@ -323,7 +323,7 @@ def test_what_the_callback_raises_ends_it_well() -> None:
     assert scanned.requests == 0
 
 
-def test_what_is_wrong_is_told_before_anything_is_sent(refused: Refused) -> None:
+def test_wrong_arguments_are_refused_before_anything_is_sent(refused: Refused) -> None:
     refused("refused.txt", lambda given: scan(given[0], **given[1]))
     refused("search_refused.txt", lambda given: search(given[0], **given[1]))
 
@@ -332,12 +332,12 @@ def test_what_is_wrong_is_told_before_anything_is_sent(refused: Refused) -> None
 
 
 def test_units_are_found_over_tls(tmp_path: Path) -> None:
-    papers = Papers(tmp_path)
-    server = Server({1: meter(), 9: meter()}, security=papers.server())
-    stranger = papers.security(certificates.self_signed())
+    pki = Pki(tmp_path)
+    server = Server({1: meter(), 9: meter()}, security=pki.server())
+    stranger = pki.security(certificates.self_signed())
     with server.background("tls://127.0.0.1:0") as running:
         url = running.urls[0]
-        assert [each.unit for each in all_of(scan(url, security=papers.client()))] == [1, 9]
+        assert [each.unit for each in all_of(scan(url, security=pki.client()))] == [1, 9]
         with pytest.raises(ModbusConnectionError):  # at once, not 248 times
             next(scan(url, security=stranger, timeout=PATIENT))
         assert server.statistics.accepted < 9

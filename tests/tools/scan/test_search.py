@@ -55,7 +55,7 @@ def answering(network: Network, answer: Answers) -> Scripted:
     return served(network, "tcp://10.0.0.1", replying(answer))
 
 
-def test_all_that_there_is_is_found_with_few_requests() -> None:
+def test_all_ranges_are_found_with_few_requests() -> None:
     """Of two tables of registers 525 reads each are the fewest, and 33 of bits."""
     with Server(Device(Mapping(65536, 65536, 65536, 65536))).background("tcp://127.0.0.1:0") as to:
         searched = search(to.urls[0], timeout=PATIENT)
@@ -115,7 +115,7 @@ def test_ranges_are_found_on_a_line() -> None:
         (11, 1, 1, "the unit does not answer any more"),
     ],
 )
-def test_what_refuses_all_is_left_soon(
+def test_a_table_that_refuses_all_is_left_soon(
     network: Network, code: int, tables: int, requests: int, ended: str
 ) -> None:
     searched = search(answering(network, lambda *asked: code).url, timeout=PATIENT)
@@ -166,7 +166,7 @@ def test_a_unit_that_answers_no_more_is_left_with_what_was_found(network: Networ
 
 
 @pytest.mark.parametrize("bound", [4, 5, 100, 1000])
-def test_the_bound_holds(network: Network, bound: int) -> None:
+def test_a_search_sends_no_more_than_most_requests(network: Network, bound: int) -> None:
     server = answering(network, lambda function, address, count: 0 if count == 1 else 3)
     with search(server.url, timeout=PATIENT, most_requests=bound) as searched:
         extents = list(searched)
@@ -188,7 +188,7 @@ def test_libmodbus_own_server_is_searched(compiled: Callable[[str], Path]) -> No
     }
 
 
-def test_it_can_be_left_and_tells_what_was_found(network: Network) -> None:
+def test_a_search_that_is_left_has_the_ranges_found_so_far(network: Network) -> None:
     url = answering(network, lambda *asked: 0).url
     searched = search(url, timeout=PATIENT)
     first = next(searched)
@@ -287,7 +287,7 @@ def test_the_length_that_a_device_reads_is_learnt(limit: int, least: int) -> Non
     st.integers(1, 125),
     st.randoms(use_true_random=False),
 )
-def test_nothing_is_claimed_that_cannot_be_read(ends: list[int], most: int, random: Any) -> None:
+def test_no_range_is_reported_that_cannot_be_read(ends: list[int], most: int, random: Any) -> None:
     """Also of a device that sometimes refuses what it has."""
     points = sorted(set(ends))
     there = [range(*pair) for pair in zip(points[::2], points[1::2], strict=False)]

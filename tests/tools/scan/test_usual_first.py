@@ -82,7 +82,7 @@ def test_the_settings_at_which_a_unit_answered_are_the_first_of_the_second_round
     assert late == [(7, 19200, "O"), (55, 19200, "E"), (55, 19200, "O")]
 
 
-def test_it_says_before_it_starts_how_long_each_part_takes(network: Network) -> None:
+def test_a_scan_knows_before_it_starts_how_long_each_part_takes(network: Network) -> None:
     bus = SimulatedBus(network, {})
     scanned = scan(bus.url, timeout=TIMEOUT)
     started = network.events.now
@@ -99,7 +99,7 @@ def test_it_says_before_it_starts_how_long_each_part_takes(network: Network) -> 
     assert ends[0] < network.events.now - started < scanned.longest
 
 
-def test_what_was_typed_is_asked_in_one_round_and_its_order(network: Network) -> None:
+def test_units_in_the_arguments_are_asked_in_one_round_in_their_order(network: Network) -> None:
     bus = SimulatedBus(network, {})
     scanned = scan(bus.url, baudrates=[19200, 9600], parities="E", units=[40, 1], timeout=0.05)
     list(scanned)

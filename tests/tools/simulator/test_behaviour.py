@@ -44,7 +44,7 @@ def test_values_at_each_half_second(behaviour: str, expected: list[int]) -> None
     assert found == expected
 
 
-def test_only_what_is_read_is_computed_and_all_of_it() -> None:
+def test_only_values_that_are_read_are_computed_and_all_of_these() -> None:
     clock = Clock()
     device = unit(
         """

@@ -147,7 +147,7 @@ REQUESTS = [
 
 
 @each_case(("request_", "is_executed"), REQUESTS, ids=str)
-def test_what_a_range_does_not_allow_is_exception_2(
+def test_a_write_outside_the_ranges_is_exception_2(
     request_: pdu.Request[Any], is_executed: bool
 ) -> None:
     device = unit(ACCESS)
@@ -232,5 +232,5 @@ def test_a_role_may_do_what_its_rules_allow(
 
 
 @each_case("text", ["roles = {}\n", "[roles]\n", "[roles.Viewer]\n"])
-def test_no_rule_allows_nothing(text: str) -> None:
+def test_a_role_without_rules_may_do_nothing(text: str) -> None:
     assert allowed(text + UNITS, 1, pdu.ReadHoldingRegisters(0, 10)) == set()

@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from libmodbus_py import Client, IllegalDataAddress, Point, Server, pdu
 from libmodbus_py.tools.faults.fault import KINDS, PLACES, Fault
 from libmodbus_py.tools.simulator import example_files
-from libmodbus_py.tools.simulator.clockwork import BEHAVIOURS
 from libmodbus_py.tools.simulator.device_file import (
     FIFO,
     FILE,
@@ -27,6 +26,7 @@ from libmodbus_py.tools.simulator.device_file import (
     load,
     parse,
 )
+from libmodbus_py.tools.simulator.movements import BEHAVIOURS
 from libmodbus_py.tools.simulator.points import CONTENTS, DEFAULTS
 from tests.support.golden import Refused
 
@@ -163,7 +163,7 @@ tables = st.recursive(
 
 
 @given(key=st.sampled_from(["id", "coils", "holding_registers", "file", "fault"]), content=tables)
-def test_whatever_a_file_says_nothing_but_its_error_is_raised(key: str, content: object) -> None:
+def test_any_text_of_a_file_raises_no_other_error_than_its_own(key: str, content: object) -> None:
     text = f"[[unit]]\n{key} = {_toml(content)}"
     message = ""
     try:

@@ -145,7 +145,7 @@ def test_a_mistake_is_named_with_its_line(text: str, message: str, path: Path) -
 
 
 @each_case("name", ["missing", "pipe", "folder", "/dev/zero"])
-def test_what_is_no_file_is_refused_at_once(name: str, tmp_path: Path) -> None:
+def test_a_path_that_is_no_file_is_refused_at_once(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     if name == "pipe":
         os.mkfifo(path)

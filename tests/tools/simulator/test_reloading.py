@@ -94,12 +94,12 @@ def test_values_that_clients_wrote_stay_in_ranges_that_stay() -> None:
         ('"int32", value = 5', '"int32", scale = 0.5, value = 2.5', [11, 12, 0, 5]),
     ],
 )
-def test_what_the_file_says_otherwise_is_as_it_says(old: str, new: str, found: list[int]) -> None:
+def test_changed_parts_of_the_file_take_effect(old: str, new: str, found: list[int]) -> None:
     registers = after(PLAIN, write_all, PLAIN.replace(old, new)).mapping.holding_registers
     assert [*registers[0:2], *registers[10:12]] == found
 
 
-def test_what_moves_goes_on() -> None:
+def test_moving_values_go_on_after_a_reload() -> None:
     text = PLAIN.replace("id = 1", "id = 1\nname = 'other'")
     moving = pdu.ReadInputRegisters(0, 2)
     found: list[list[int]] = []
@@ -189,7 +189,7 @@ def test_a_mistake_keeps_the_old_devices_and_is_told(path: Path) -> None:
         assert client.read_holding_registers(10, 2) == [0, 5]
 
 
-def test_what_has_changed_is_told(path: Path) -> None:
+def test_a_reload_logs_what_has_changed(path: Path) -> None:
     fault = "[[unit.fault]]\nkind = 'no_answer'\nfunction = 1\n"
     with reloading(path) as (ask, _, told):
         for text, changes in (

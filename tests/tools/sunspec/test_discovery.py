@@ -136,7 +136,7 @@ def test_wrong_bases_are_refused(bases: Any, error: type[Exception]) -> None:
         sunspec.discover(Client("tcp://127.0.0.1:9"), bases=bases)
 
 
-def test_what_is_no_client_is_refused() -> None:
+def test_an_object_that_is_no_client_is_refused() -> None:
     with pytest.raises(TypeError, match="client must be a client, not str"):
         sunspec.discover("tcp://127.0.0.1")  # type: ignore[call-overload]
 
@@ -248,7 +248,7 @@ def test_a_count_that_does_not_fit_makes_no_storm(count: int) -> None:
     assert len(found.result[705].map) < 30
 
 
-def test_no_more_points_are_made_than_there_is_room_for() -> None:
+def test_the_number_of_points_is_limited() -> None:
     group = definition_of(160)
     assert group is not None
     laid = ModelLayout(group, 40002, 25000, {}, room=40)

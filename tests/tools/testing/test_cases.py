@@ -49,7 +49,7 @@ def raising(error: BaseException) -> None:
         pytest.fail.Exception("Timeout (>180.0s) from pytest-timeout."),
     ],
 )
-def test_what_ends_the_whole_test_leaves_the_loop(error: BaseException) -> None:
+def test_an_exception_that_ends_the_test_leaves_the_loop(error: BaseException) -> None:
     with pytest.raises(type(error)) as caught:
         raising(error)
     assert caught.value is error
@@ -91,7 +91,7 @@ def ends() -> Iterator[tuple[int, int]]:
 
 
 @pytest.mark.timeout(20)
-def test_what_is_gone_is_not_waited_for(ends: tuple[int, int]) -> None:
+def test_bytes_that_were_read_are_not_waited_for(ends: tuple[int, int]) -> None:
     far, near = ends
     assert read_what_is_there(far) == b""
     os.write(near, b"abc")

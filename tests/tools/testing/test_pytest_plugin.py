@@ -76,7 +76,9 @@ class TestReports:
         )
         result.stdout.no_fnmatch_line("*count=3*")
 
-    def test_so_does_one_that_fails_before_or_after(self, suite: Suite, write: Write) -> None:
+    def test_a_test_that_fails_in_its_setup_or_teardown_shows_traffic(
+        self, suite: Suite, write: Write
+    ) -> None:
         write("""
     @pytest.fixture
     def early(modbus_server):
@@ -97,7 +99,7 @@ class TestReports:
         assert len(re.findall("- modbus transactions -", result.stdout.str())) == 2
         result.stdout.fnmatch_lines(["*test_early*", READ_TEXT, "*test_late*", READ_TEXT])
 
-    def test_nobody_else_shows_them(self, suite: Suite, write: Write) -> None:
+    def test_a_test_that_passes_shows_no_traffic(self, suite: Suite, write: Write) -> None:
         write("""
     def test_good(modbus_server): read(modbus_server)
     def test_without(): assert False

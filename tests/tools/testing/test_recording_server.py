@@ -47,7 +47,7 @@ class TestServer:
             client.write_register(65535, 99)
         assert modbus_server.mapping.holding_registers[65535] == 99
 
-    def test_it_is_one_object_for_all_fixtures_of_a_test(
+    def test_the_server_is_one_object_for_all_fixtures_of_a_test(
         self, modbus_server: RecordingServer, modbus_faults: FaultSwitch
     ) -> None:
         assert modbus_server.faults is modbus_faults
@@ -100,7 +100,7 @@ class TestMaker:
             *("answered", "exception", "unanswered"),
         ]
 
-    def test_one_can_be_closed_before_the_end(self, make_modbus_server: ServerMaker) -> None:
+    def test_a_server_can_be_closed_before_the_end(self, make_modbus_server: ServerMaker) -> None:
         device = Device(Mapping(8))
         server = make_modbus_server(devices={7: device})
         assert server.device is device

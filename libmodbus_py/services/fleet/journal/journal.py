@@ -180,9 +180,9 @@ class Journal:
             await self._write()
         except Exception as error:
             self._note_trouble(error)
-            lost = self.last - self._written
-            self.statistics.dropped += lost
-            logger.error("%s: %d readings are lost", self.path, lost)
+            count = self.last - self._written
+            self.statistics.dropped += count
+            logger.error("%s: %d readings are lost", self.path, count)
         await self._thread.call(self._file.close)
 
     @property
@@ -199,10 +199,10 @@ class Journal:
         """Add readings, and return them with their ids. This never blocks."""
         if self._task is None:
             return list(readings)
-        added: list[Reading] = []
+        numbers: list[Reading] = []
         for poll in numbered(readings, self.next_id):
             self._recent.add(poll)
-            added += poll.readings
+            numbers += poll.readings
         dropped, self._recent.dropped = self._recent.dropped, 0
         if dropped and not self.statistics.dropped:
             logger.error(
@@ -210,9 +210,9 @@ class Journal:
             )
         self.statistics.dropped += dropped
         for place in self._places:
-            place.wake(len(added))
+            place.wake(len(numbers))
         self._wake.set()
-        return added
+        return numbers
 
     def note_places(self) -> asyncio.Future[None]:
         """Begin to write the places; return a future that ends when they are, or cannot be."""
@@ -285,17 +285,15 @@ class Journal:
         """Write polls and places in one transaction; polls that cannot be, come the next time."""
         self._batch = self._batch or self._recent.take_unwritten(MOST_AT_ONCE)
         noting, self._noting = self._noting, None
-        places = {each.name: each.confirmed for each in self._places}
+        places = {place.name: place.confirmed for place in self._places}
         confirmed = min(places.values(), default=self.last)
         try:
-            written = await self._thread.call(
-                self._file.write_polls, self._batch, places, confirmed
-            )
+            state = await self._thread.call(self._file.write_polls, self._batch, places, confirmed)
         finally:
             if noting is not None and not noting.done():
                 noting.set_result(None)  # outputs do not wait for a disk that takes nothing
-        self.statistics.bytes = written.size
-        self.statistics.written += sum(len(each.readings) for each in self._batch)
+        self.statistics.bytes = state.size
+        self.statistics.written += sum(len(poll.readings) for poll in self._batch)
         if self._batch or noting is not None:
             self._force_at = min(self._force_at, asyncio.get_running_loop().time() + FORCED_S)
         self._batch = []
@@ -303,9 +301,9 @@ class Journal:
             self.statistics.trouble = ""
             logger.warning("%s accepts readings again", self.path)
         for place in self._places:
-            place.deleted(written.deleted)
+            place.deleted(state.deleted)
             place.wake()
-        if self._recent.taken < self.last or written.deleted:  # there may be more to delete
+        if self._recent.taken < self.last or state.deleted:  # there may be more to delete
             self._wake.set()
 
     def _note_trouble(self, error: Exception) -> None:
@@ -320,6 +318,6 @@ class Journal:
 
     async def _replace(self, error: JournalDamaged) -> None:
         """Begin a new file in place of a damaged one."""
-        names = [each.name for each in self._places]
+        names = [place.name for place in self._places]
         await self._thread.call(self._file.replace, error, names, self._written + 1)
         self._damage = None

@@ -291,11 +291,11 @@ class JournalFile:
 
     def _row(self, poll: JournalPoll) -> Row | None:
         name, labels = poll.readings[0].device, poll.readings[0].labels
-        known = self._points.get(name)
+        entry = self._points.get(name)
         try:
-            if known is not None and known[0] == labels:
+            if entry is not None and entry[0] == labels:
                 with contextlib.suppress(KeyError):
-                    return encoded(poll, known[1])
+                    return encoded(poll, entry[1])
             points = self._points_of(name, labels, poll)
             self._points[name] = labels, points
             return encoded(poll, points)
@@ -310,40 +310,40 @@ class JournalFile:
         [[device]] = self._used.execute("SELECT id FROM device WHERE (name, labels) = (?, ?)", row)
         rows = self._used.execute(NEWEST_POINTS, (device, device)).fetchall()
         number = rows[0][0] if rows else 0
-        named = [(point, unit) for _, point, unit in rows]
-        wanted = [(each.name, each.unit) for each in poll.readings]
-        if not {*wanted} <= {*named}:
+        names = [(point, units) for _, point, units in rows]
+        new = [(reading.name, reading.units) for reading in poll.readings]
+        if not {*new} <= {*names}:
             [[number]] = self._used.execute("SELECT ifnull(max(id), 0) + 1 FROM point")
-            named = [*dict.fromkeys([*wanted, *named])]
+            names = [*dict.fromkeys([*new, *names])]
             self._used.executemany(
                 "INSERT INTO point VALUES (?, ?, ?, ?, ?)",
-                [(number + at, number, device, *each) for at, each in enumerate(named)],
+                [(number + at, number, device, *pair) for at, pair in enumerate(names)],
             )
-        return Points(number, device, {each: at for at, each in enumerate(named)})
+        return Points(number, device, {pair: at for at, pair in enumerate(names)})
 
     # --- reading ----------------------------------------------------------------------------
 
     def read_polls(self, after: int, most: int) -> list[JournalPoll]:
         """Return the polls behind an id, at least one if there is one, without damaged rows."""
-        found: list[JournalPoll] = []
+        polls: list[JournalPoll] = []
         count = 0
         with raised(self.path), contextlib.closing(self._used.execute(POLLS, (after,))) as rows:
             for row in map(Row._make, rows):
                 count += row.readings
-                if found and count > most:
+                if polls and count > most:
                     break
                 try:
-                    found.append(decoded(row, *self._list(row.points)))
+                    polls.append(decoded(row, *self._list(row.points)))
                 except DAMAGES as error:
                     logger.error("%s: poll %s cannot be read: %s", self.path, row.id, error)
-        return found
+        return polls
 
     def _list(self, number: int) -> tuple[str, Mapping[str, str], list[tuple[str, str]]]:
         if number not in self._lists:
             points = self._used.execute(POINTS, (number,)).fetchall()
             name, labels, *_ = points[0]
-            named = [(point, unit) for *_, point, unit in points]
-            self._lists[number] = name, json.loads(labels) or NO_LABELS, named
+            names = [(point, units) for *_, point, units in points]
+            self._lists[number] = name, json.loads(labels) or NO_LABELS, names
         return self._lists[number]
 
     # --- deleting ---------------------------------------------------------------------------
@@ -360,7 +360,7 @@ class JournalFile:
         else:
             horizon = time.time() - self._keep
             oldest = self._oldest(int(min(MOST_DELETED, self._to_delete)), confirmed)
-            polls = list(takewhile(lambda each: each[2] < horizon, oldest))
+            polls = list(takewhile(lambda poll: poll[2] < horizon, oldest))
         if polls:
             with self._transaction():
                 self._used.execute("DELETE FROM poll WHERE id <= ?", (polls[-1][0],))
@@ -386,6 +386,6 @@ def _size_of(path: str) -> int:
 def _identity_of(path: str) -> tuple[int, int] | None:
     """Return device and inode of a file; None if it is gone."""
     with contextlib.suppress(FileNotFoundError):
-        found = os.stat(path)
-        return found.st_dev, found.st_ino
+        status = os.stat(path)
+        return status.st_dev, status.st_ino
     return None

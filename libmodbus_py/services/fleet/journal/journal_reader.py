@@ -81,20 +81,20 @@ def history(
             )
             for id, points, at in positions
         ]
-        return thinned(merge(*series, key=lambda each: each.time), since, until, most)
+        return thinned(merge(*series, key=lambda value: value.time), since, until, most)
 
 
 def past_in(path: str) -> Older:
     """Return a function that finds the numbers of a value in a journal; None is a gap."""
 
-    def past(*asked: Any) -> list[tuple[float, float | None]]:
+    def past(*query: Any) -> list[tuple[float, float | None]]:
         try:
-            found = history(path, *asked)
+            values = history(path, *query)
         except JournalError as error:
             logger.info("%s: %s", path, error)
             return []
         return [
-            (time, value if isinstance(value, int | float) else None) for time, value, _ in found
+            (time, value if isinstance(value, int | float) else None) for time, value, _ in values
         ]
 
     return past
@@ -110,23 +110,23 @@ def thinned(
         return whole
     spans = most // 3
     length = max(until - since, 1e-6) / spans
-    found: list[HistoricalValue] = []
+    result: list[HistoricalValue] = []
     for _, group in groupby(
-        chain(whole, values), lambda each: min(spans - 1, int((each.time - since) / length))
+        chain(whole, values), lambda value: min(spans - 1, int((value.time - since) / length))
     ):
-        found += _of_span(group)
-    return found
+        result += _of_span(group)
+    return result
 
 
 def _of_span(group: Iterable[HistoricalValue]) -> list[HistoricalValue]:
     smallest = greatest = bad = None
-    for at, each in enumerate(group):
-        if each.quality != "good" or not isinstance(each.value, int | float):
-            bad = bad or (at, each)
+    for at, value in enumerate(group):
+        if value.quality != "good" or not isinstance(value.value, int | float):
+            bad = bad or (at, value)
             continue
-        if smallest is None or each.value < smallest[1].value:
-            smallest = (at, each)
-        if greatest is None or each.value >= greatest[1].value:
-            greatest = (at, each)
-    chosen = dict(each for each in (smallest, greatest, bad) if each is not None)
-    return [chosen[at] for at in sorted(chosen)]
+        if smallest is None or value.value < smallest[1].value:
+            smallest = (at, value)
+        if greatest is None or value.value >= greatest[1].value:
+            greatest = (at, value)
+    extremes = dict(pair for pair in (smallest, greatest, bad) if pair is not None)
+    return [extremes[at] for at in sorted(extremes)]

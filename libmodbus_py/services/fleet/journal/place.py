@@ -53,19 +53,19 @@ class JournalPlace(Buffer):
     def __len__(self) -> int:
         return self._waiting
 
-    def wake(self, added: int = 0) -> None:
+    def wake(self, count: int = 0) -> None:
         """Look for readings: the journal has so many more, or can read others now."""
-        self._waiting += added
+        self._waiting += count
         self._filled.set()
 
     def put_back(self, readings: Sequence[Reading]) -> None:
         """Return readings that could not be written, unless they were deleted meanwhile."""
-        self._kept.extendleft(each for each in reversed(readings) if each.id > self.confirmed)
+        self._kept.extendleft(row for row in reversed(readings) if row.id > self.confirmed)
 
     def drop_readings(self, readings: Sequence[Reading]) -> None:
         """Count readings that were taken, and can never be written."""
-        if (passed := self._pass(readings)) > 0:
-            self.dropped += passed
+        if (count := self._pass(readings)) > 0:
+            self.dropped += count
             self._journal.note_places()
 
     async def confirm_readings(self, readings: Sequence[Reading]) -> None:
@@ -75,10 +75,10 @@ class JournalPlace(Buffer):
 
     def _pass(self, readings: Sequence[Reading]) -> int:
         """Move behind readings, and return the number of those that were not passed before."""
-        passed = [each.id for each in readings if each.id > self.confirmed]
-        self.confirmed = max(passed, default=self.confirmed)
-        self._waiting -= len(passed)
-        return len(passed)
+        ids = [reading.id for reading in readings if reading.id > self.confirmed]
+        self.confirmed = max(ids, default=self.confirmed)
+        self._waiting -= len(ids)
+        return len(ids)
 
     def give_up(self) -> None:
         """Close the place; the readings that wait are for the next run."""
@@ -87,11 +87,11 @@ class JournalPlace(Buffer):
 
     def deleted(self, polls: Sequence[tuple[int, int]]) -> None:
         """Count polls, by first id and number of readings, that were deleted unconfirmed."""
-        lost = [(first, count) for first, count in polls if first > self.confirmed]
-        if not lost:
+        gaps = [(first, count) for first, count in polls if first > self.confirmed]
+        if not gaps:
             return
-        self._lose(sum(count for _, count in lost))
-        self.confirmed = sum(lost[-1]) - 1
+        self._lose(sum(count for _, count in gaps))
+        self.confirmed = sum(gaps[-1]) - 1
         self._fetched = max(self._fetched, self.confirmed)
         while self._kept and self._kept[0].id <= self.confirmed:
             self._kept.popleft()
@@ -113,10 +113,10 @@ class JournalPlace(Buffer):
         self._filled.clear()
         before = self._fetched
         polls, end = await self._journal.after(before, most)
-        for each in polls:
-            if each.first > self._fetched:  # else these were deleted while they were read
-                self._kept.extend(each.readings)
-                self._fetched = each.last
+        for poll in polls:
+            if poll.first > self._fetched:  # else these were deleted while they were read
+                self._kept.extend(poll.readings)
+                self._fetched = poll.last
         self._fetched = max(self._fetched, end)
         if self._fetched >= self._journal.last:  # what waits and is not here cannot be read
             self._lose(self._waiting - len(self._kept))
@@ -163,21 +163,21 @@ class RecentPolls:
 
     def after(self, number: int, most: int) -> list[JournalPoll] | None:
         """Return about so many readings behind an id; None if the next one is not in memory."""
-        found: list[JournalPoll] = []
+        polls: list[JournalPoll] = []
         count = 0
         if number < self.before:
             return None
         while (poll := self._polls.get(number + 1)) is not None:
             count += len(poll.readings)
-            if found and count > most:
+            if polls and count > most:
                 break
-            found.append(poll)
+            polls.append(poll)
             number = poll.last
-        return found
+        return polls
 
     def take_unwritten(self, most: int) -> list[JournalPoll]:
         """Return polls for the file, with about so many readings, which were not taken before."""
-        taken = self.after(self.taken, most) or []
-        if taken:
-            self.taken = taken[-1].last
-        return taken
+        polls = self.after(self.taken, most) or []
+        if polls:
+            self.taken = polls[-1].last
+        return polls

@@ -100,7 +100,7 @@ class JournalPoll(NamedTuple):
 
 
 class Points(NamedTuple):
-    """The positions in a list of points of a device, by name and unit; the first one has `id`."""
+    """The positions in a list of points of a device, by name and units; the first one has `id`."""
 
     id: int
     device: int
@@ -127,10 +127,10 @@ class Row(NamedTuple):
 
 def numbered(readings: Iterable[Reading], first: int) -> Iterator[JournalPoll]:
     """Yield readings as polls, with ids from `first` on; those that have them keep them."""
-    for _, group in groupby(readings, lambda each: each.poll):
+    for _, group in groupby(readings, lambda reading: reading.poll):
         poll = list(group)
         if poll[0].id != first:
-            poll = [each._replace(id=first + at) for at, each in enumerate(poll)]
+            poll = [reading._replace(id=first + at) for at, reading in enumerate(poll)]
         yield JournalPoll(first, first + len(poll) - 1, poll)
         first += len(poll)
 
@@ -138,8 +138,8 @@ def numbered(readings: Iterable[Reading], first: int) -> Iterator[JournalPoll]:
 def encoded(poll: JournalPoll, points: Points) -> Row:
     """Return a poll as a row; raise KeyError if a reading is of none of the points."""
     readings = poll.readings
-    positions = [points.positions[each.name, each.unit] for each in readings]
-    values = [each.value for each in readings]
+    positions = [points.positions[reading.name, reading.units] for reading in readings]
+    values = [reading.value for reading in readings]
     if not _SIMPLE.issuperset(map(type, values)):
         values = [plain(value) for value in values]
     try:
@@ -147,9 +147,9 @@ def encoded(poll: JournalPoll, points: Points) -> Row:
     except ValueError:  # nan or infinite
         data = COMPACT_JSON.encode(plain(values))
     trouble = {
-        str(at): [each.quality, each.reason]
-        for at, each in enumerate(readings)
-        if each.reason or each.quality != "good"
+        str(at): [reading.quality, reading.reason]
+        for at, reading in enumerate(readings)
+        if reading.reason or reading.quality != "good"
     }
     return Row(
         poll.first,
@@ -164,16 +164,16 @@ def encoded(poll: JournalPoll, points: Points) -> Row:
 
 
 def decoded(
-    row: Row, device: str, labels: Mapping[str, str], named: Sequence[tuple[str, str]]
+    row: Row, device: str, labels: Mapping[str, str], names: Sequence[tuple[str, str]]
 ) -> JournalPoll:
     """Return a row as a poll of a device that has points with these names and units."""
     values = json.loads(row.data)
     positions = range(row.readings) if row.chosen is None else json.loads(row.chosen)
     trouble = json.loads(row.trouble) if row.trouble else {}
     readings = [
-        Reading(row.time, device, name, value, unit, "good", "", row.id + at, labels)
-        for at, ((name, unit), value) in enumerate(
-            zip([named[each] for each in positions], values, strict=True)
+        Reading(row.time, device, name, value, units, "good", "", row.id + at, labels)
+        for at, ((name, units), value) in enumerate(
+            zip([names[position] for position in positions], values, strict=True)
         )
     ]
     for at, (quality, reason) in trouble.items():

@@ -122,7 +122,7 @@ class Discovery:
         self.published = dict(self.devices)
         self._current, self._unread = {*self.devices}, {*self.devices}
 
-    def hear(self, topic: str) -> None:
+    def add_topic(self, topic: str) -> None:
         """Note a configuration that the broker retained before the start."""
         self._retained.add(topic)
 
@@ -133,21 +133,21 @@ class Discovery:
         if not self._retained:
             return set()
         devices = self.devices.values()
-        return self._retained - {topic for each in devices for topic, _ in self._entities(each)}
+        return self._retained - {topic for device in devices for topic, _ in self._entities(device)}
 
     # --- messages -----------------------------------------------------------------------------
 
     def changed(self, readings: Sequence[Reading]) -> dict[str, DeviceConfig | None]:
         """Return devices of readings that the broker does not know so; None for removed ones."""
         devices: dict[str, DeviceConfig | None] = dict.fromkeys(
-            self._unread - self.devices.keys() - {each.device for each in readings}
+            self._unread - self.devices.keys() - {reading.device for reading in readings}
         )
-        for each in readings:
-            name = each.device
+        for reading in readings:
+            name = reading.device
             if name in self._current:
                 continue
             device = self.devices.get(name)
-            if device is not None or (each.quality == "offline" and name in self.published):
+            if device is not None or (reading.quality == "offline" and name in self.published):
                 devices[name] = device
         return devices
 
@@ -155,15 +155,15 @@ class Discovery:
         """Yield the configurations of devices, and empty messages, which delete former ones."""
         for name, device in devices.items():
             former, after = (
-                {} if each is None else dict(self._entities(each))
-                for each in (self.published.get(name), device)
+                {} if config is None else dict(self._entities(config))
+                for config in (self.published.get(name), device)
             )
             for topic in former.keys() - after.keys():
                 yield Message(topic, b"")
             for topic, entity in after.items():
                 yield Message(topic, json_text(entity).encode())
 
-    def keep(
+    def keep_devices(
         self,
         devices: Mapping[str, DeviceConfig | None],
         readings: Sequence[Reading],
@@ -171,7 +171,7 @@ class Discovery:
     ) -> None:
         """Note that messages with devices, and readings behind them, were published."""
         self._retained -= leftovers
-        self._unread -= {*devices} | {each.device for each in readings}
+        self._unread -= {*devices} | {reading.device for reading in readings}
         for name, device in devices.items():
             if device is None:
                 del self.published[name]
@@ -180,10 +180,10 @@ class Discovery:
                 if self.devices.get(name) is device:  # not changed meanwhile
                     self._current.add(name)
 
-    def again(self) -> Iterator[Message]:
+    def last_messages(self) -> Iterator[Message]:
         """Yield the configurations that were published, which the broker may have lost."""
         return self.messages(
-            {name: each for name, each in self.published.items() if name in self.devices}
+            {name: config for name, config in self.published.items() if name in self.devices}
         )
 
     # --- entities -----------------------------------------------------------------------------

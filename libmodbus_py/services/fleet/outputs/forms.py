@@ -20,7 +20,7 @@ from .output import ReadingsRefused
 __all__ = ["COLUMNS", "as_csv", "as_json", "object_text", "poll_messages"]
 
 
-COLUMNS: tuple[str, ...] = Reading._fields[:-2]
+COLUMNS: tuple[str, ...] = "time", "device", "name", "value", "unit", "quality", "reason"
 """The columns of CSV: what a reading has, but for its id and its labels."""
 
 _json = JSON.encode
@@ -40,18 +40,18 @@ def object_text(reading: Reading, *, with_labels: bool = True) -> str:
 def as_json(readings: Iterable[Reading]) -> bytes:
     """Return a line of JSON for each reading."""
     text = "".join(
-        f'{{"device": {_quoted(each.device)}, "name": {_quoted(each.name)}, {_fields(each)}\n'
-        for each in readings
+        f'{{"device": {_quoted(row.device)}, "name": {_quoted(row.name)}, {_fields(row)}\n'
+        for row in readings
     )
     # The encoder escapes the other control characters.
-    return _C1.sub(lambda found: f"\\u{ord(found[0]):04x}", text).encode()
+    return _C1.sub(lambda match: f"\\u{ord(match[0]):04x}", text).encode()
 
 
 def _fields(reading: Reading, with_labels: bool = True) -> str:
     """Return the end of an object of JSON, formatted directly: others are too slow."""
-    time, _, _, value, unit, quality, reason, number, labels = reading
+    time, _, _, value, units, quality, reason, number, labels = reading
     return (
-        f'"time": "{_time_text(time)}", "value": {_number(value)}, "unit": {_quoted(unit)},'
+        f'"time": "{_time_text(time)}", "value": {_number(value)}, "unit": {_quoted(units)},'
         f' "quality": "{quality}"'
         + (f', "reason": {_quoted(reason)}' if reason else "")
         + (f', "id": {number}' if number else "")
@@ -79,9 +79,9 @@ def as_csv(readings: Iterable[Reading], labels: Sequence[str] = ()) -> bytes:
             name,
             _cell(value),
             *others,
-            *[held.get(key, "") for key in labels],
+            *[own_labels.get(key, "") for key in labels],
         )
-        for time, device, name, value, *others, _, held in readings
+        for time, device, name, value, *others, _, own_labels in readings
     ]
     return csv_rows(rows).encode()
 
@@ -97,8 +97,8 @@ def poll_messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[l
     """
     device, labels = readings[0].device, readings[-1].labels
     values = {
-        each.name: f"{_json(each.name)}: {object_text(each, with_labels=False)}"
-        for each in readings
+        reading.name: f"{_json(reading.name)}: {object_text(reading, with_labels=False)}"
+        for reading in readings
     }
     begin = f'{{"device": {_json(device)}, '
     if labels:
@@ -114,14 +114,14 @@ def poll_messages(readings: Sequence[Reading], largest: int) -> Iterator[tuple[l
 def _parts(values: Mapping[str, str], room: int) -> Iterator[list[str]]:
     """Yield the names of the values of each message."""
     names: list[str] = []
-    used = 0
+    length = 0
     for name, text in values.items():
         size = len(text.encode()) + len(", ")
         if size > room:
             raise ReadingsRefused(f"{name}: the server takes no message of {size} bytes")
-        if used + size > room:
+        if length + size > room:
             yield names
-            names, used = [], 0
+            names, length = [], 0
         names.append(name)
-        used += size
+        length += size
     yield names

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from ....protocol.extras import what_is_missing
@@ -102,7 +103,7 @@ class Influx(Output):
         self._trust = Trust(ca) if server.scheme == "https" else None
         self._client: httpx.AsyncClient | None = None
         self.name = f"influx {server.place}"
-        place = "/".join(each for each in (organization, bucket, database) if each)
+        place = "/".join(part for part in (organization, bucket, database) if part)
         self.exclusive = (f"the measurement {measurement!r} in {place!r} of {self.name}",)
         self._identity = f"{self.name} {place} {measurement}"
 
@@ -233,8 +234,8 @@ class LineProtocol:
         if not isinstance(measurement, str):
             raise WrongType("measurement", f"must be text, not {type(measurement).__name__}")
         if not _MEASUREMENT.fullmatch(measurement) or not measurement.isprintable():
-            allowed = "1 to 200 printable characters without \\, the first neither _ nor #"
-            raise WrongValue("measurement", f"must be {allowed}, not {measurement[:50]!r}")
+            rule = "1 to 200 printable characters without \\, the first neither _ nor #"
+            raise WrongValue("measurement", f"must be {rule}, not {measurement[:50]!r}")
         self.measurement: str = re.sub("([, ])", r"\\\1", measurement)
         # Device -> its points whose values are text, also of devices that were removed.
         self._texts: dict[str, frozenset[str]] = {}
@@ -242,8 +243,8 @@ class LineProtocol:
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Set the devices of the readings, by their names."""
         self._texts |= {
-            name: frozenset(point for point in each.map if each.map[point].states is not None)
-            for name, each in devices.items()
+            name: frozenset(point for point in config.map if config.map[point].states is not None)
+            for name, config in devices.items()
         }
 
     def lines(self, readings: Iterable[Reading]) -> bytes:
@@ -251,8 +252,8 @@ class LineProtocol:
         return "".join(
             f"{self._head(poll[0].device, poll[0].labels)} {','.join(fields)}"
             f" {round(poll[0].time * 1e6) * 1000}\n"
-            for poll in [list(group) for _, group in groupby(readings, lambda each: each.poll)]
-            if (fields := [field for each in poll for field in self._fields(each)])
+            for poll in [list(group) for _, group in groupby(readings, attrgetter("poll"))]
+            if (fields := [field for reading in poll for field in self._fields(reading)])
         ).encode()
 
     def _head(self, device: str, labels: Mapping[str, str]) -> str:
@@ -276,11 +277,11 @@ class LineProtocol:
 def _values(name: str, value: Any) -> Iterator[str]:
     """Yield the fields of a value."""
     if isinstance(value, dict):
-        for key, each in value.items():
-            yield from _values(f"{name}.{key}", each)
+        for key, part in value.items():
+            yield from _values(f"{name}.{key}", part)
     elif isinstance(value, list | tuple):
-        for at, each in enumerate(value):
-            yield from _values(f"{name}.{at}", each)
+        for at, part in enumerate(value):
+            yield from _values(f"{name}.{at}", part)
     elif value is not None and not (isinstance(value, float) and not math.isfinite(value)):
         yield f"{_key(name)}={_field(value)}"
 

@@ -134,8 +134,8 @@ class LineFile(Output):
             return b""
         with file:
             if file.read(len(self._form.begin)) != self._form.begin:
-                wanted = self._form.begin.decode().strip()
-                reason = f"does not begin with {wanted!r}, so nothing is written; rename the file"
+                head = self._form.begin.decode().strip()
+                reason = f"does not begin with {head!r}, so nothing is written; rename the file"
                 raise OSError(errno.EEXIST, reason)
             file.seek(-1, os.SEEK_END)
             if file.read(1) == b"\n":

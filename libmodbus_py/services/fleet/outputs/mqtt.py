@@ -114,7 +114,7 @@ class Mqtt(Output):
             self._state_topic = Topic("device_status", device_status, ("device",))
             point = self._point.template
             others = [self._topic.template, self._status, f"{point}/set", f"{point}/set/result"]
-            if any(self._state_topic.can_be(each) for each in others):
+            if any(self._state_topic.can_be(topic) for topic in others):
                 reason = f"must not be another topic of this output: {device_status!r}"
                 raise WrongValue("device_status", reason)
         self._states = DeviceStates(self._state_topic)
@@ -170,7 +170,7 @@ class Mqtt(Output):
         """Set the devices; ValueError if one lacks a label that a topic holds, and none is set."""
         for topic in filter(None, (self._topic, self._state_topic)):
             topic.check(devices)
-        self._labels = {name: each.labels for name, each in devices.items()}
+        self._labels = {name: config.labels for name, config in devices.items()}
         if self._discovery is not None:
             self._discovery.describe(devices)
 
@@ -180,7 +180,7 @@ class Mqtt(Output):
 
     async def open_output(self) -> None:
         connection = self._connection
-        await connection.open(self._hear)
+        await connection.open(self._take_message)
         if self.takes_commands:  # before "online", at which programs may send commands
             await connection.subscribe(f"{self._point.filter}/set")
         if self._status:
@@ -196,8 +196,8 @@ class Mqtt(Output):
         self._losses += 1
         if self._losses <= MOST_LOSSES:
             last = chain(
-                () if self._discovery is None else self._discovery.again(),
-                self._messages.again(),
+                () if self._discovery is None else self._discovery.last_messages(),
+                self._messages.last_messages(),
                 self._states.messages(self._states.published),
             )
             await connection.publish_all(last)
@@ -206,8 +206,8 @@ class Mqtt(Output):
         self._losses = 0
 
     async def write_readings(self, readings: Sequence[Reading]) -> None:
-        changed = self._states.changed(readings)
-        messages = chain(self._messages.of(readings), self._states.messages(changed))
+        changes = self._states.changed(readings)
+        messages = chain(self._messages.of(readings), self._states.messages(changes))
         leftovers: set[str] = set()
         devices: Mapping[str, DeviceConfig | None] = {}
         if self._discovery is not None:
@@ -217,20 +217,20 @@ class Mqtt(Output):
             messages = chain(deletions, self._discovery.messages(devices), messages)
         await self._connection.publish_all(messages)
         if self._discovery is not None:
-            self._discovery.keep(devices, readings, leftovers)
-        self._messages.keep()
-        self._states.keep(changed, readings)
+            self._discovery.keep_devices(devices, readings, leftovers)
+        self._messages.keep_readings()
+        self._states.keep_states(changes, readings)
 
     async def close_output(self) -> None:
         await self._connection.close(self._offline)
 
     async def _begin_discovery(self) -> None:
-        """Publish all configurations soon, and hear of those that an earlier run left."""
+        """Publish all configurations soon, and ask for those that an earlier run left."""
         if self._discovery is not None and self._discovery.devices:  # a worker has none at first
             self._discovery.start()
-            await self._connection.hear_retained(self._discovery.filter, self._discovery.hear)
+            await self._connection.read_retained(self._discovery.filter, self._discovery.add_topic)
 
-    async def _hear(self, message: aiomqtt.Message) -> None:
+    async def _take_message(self, message: aiomqtt.Message) -> None:
         """Answer a command, or the last will of another worker or of an earlier connection."""
         topic = str(message.topic)
         if topic == self._status:
@@ -245,10 +245,10 @@ class Mqtt(Output):
 
     async def _answer(self, commands: Commands, topic: str, payload: object) -> None:
         """Carry out a command, and publish its outcome."""
-        asked = topic.removesuffix("/set")
-        names = self._point.read(asked)
+        base = topic.removesuffix("/set")
+        names = self._point.read(base)
         # A rule of the broker that goes by a label must hold: only the own topic of a point counts.
-        if names is None or self._point.of(self._labels.get(names["device"], {}), **names) != asked:
+        if names is None or self._point.of(self._labels.get(names["device"], {}), **names) != base:
             return
         command = payload if isinstance(payload, bytes) else b""
         outcome = await commands.answer(names["device"], names["name"], command)
@@ -300,40 +300,40 @@ class Messages:
         for key, last in self._groups(readings):
             if self._retain:
                 before = self._ahead.get(key, self._kept.get(key, {}))
-                last = {name: each for name, each in before.items() if name not in last} | last
+                last = {name: row for name, row in before.items() if name not in last} | last
                 if before and self._topic.labels:
                     yield from self._taken_back(self._topic_of(before), last)
                 self._ahead[key] = {
-                    name: each for name, each in last.items() if each.quality != "offline"
+                    name: reading for name, reading in last.items() if reading.quality != "offline"
                 }
             yield from self._messages(self._topic_of(last), [*last.values()])
 
     def _taken_back(self, former: str, last: Last) -> Iterator[Message]:
         """Yield messages for a topic with a former label."""
         if former != self._topic_of(last):
-            gone = [
-                each._replace(value=None, quality="offline", reason="") for each in last.values()
+            values = [
+                row._replace(value=None, quality="offline", reason="") for row in last.values()
             ]
-            yield from self._messages(former, gone)
+            yield from self._messages(former, values)
 
-    def keep(self) -> None:
+    def keep_readings(self) -> None:
         """Keep the readings of the last messages: they were published."""
         self._kept.update(self._ahead)
         for key in [key for key, last in self._ahead.items() if not last]:
             self._kept.pop(key, None)
 
-    def again(self) -> Iterator[Message]:
+    def last_messages(self) -> Iterator[Message]:
         """Yield the messages with the last values."""
         for last in self._kept.values():
             yield from self._messages(self._topic_of(last), [*last.values()])
 
     def _groups(self, readings: Sequence[Reading]) -> Iterator[tuple[tuple[str, ...], Last]]:
         if self._is_of_points:
-            for each in readings:
-                yield (each.device, each.name), {each.name: each}
+            for reading in readings:
+                yield (reading.device, reading.name), {reading.name: reading}
         else:
-            for (device, _), group in groupby(readings, lambda each: each.poll):
-                yield (device,), {each.name: each for each in group}
+            for (device, _), group in groupby(readings, lambda reading: reading.poll):
+                yield (device,), {reading.name: reading for reading in group}
 
     def _topic_of(self, last: Last) -> str:
         newest = next(reversed(last.values()))
@@ -341,7 +341,7 @@ class Messages:
 
     def _messages(self, topic: str, readings: Sequence[Reading]) -> Iterator[Message]:
         if self._is_of_points:
-            payloads = (object_text(each).encode() for each in readings)
+            payloads = (object_text(reading).encode() for reading in readings)
         else:
             payloads = (data for _, data in poll_messages(readings, self._largest))
         for payload in payloads:
@@ -366,13 +366,14 @@ class DeviceStates:
         states: dict[str, State] = {}
         if self._topic is None:
             return states
-        for each in readings:
-            points = self._answered.setdefault(each.device, set())
-            if each.quality in ("good", "bad"):
-                points.add(each.name)
+        for reading in readings:
+            points = self._answered.setdefault(reading.device, set())
+            if reading.quality in ("good", "bad"):
+                points.add(reading.name)
             else:
-                points.discard(each.name)
-            states[each.device] = self._topic.of(each.labels, device=each.device), bool(points)
+                points.discard(reading.name)
+            topic = self._topic.of(reading.labels, device=reading.device)
+            states[reading.device] = topic, bool(points)
         return {name: state for name, state in states.items() if self.published.get(name) != state}
 
     def messages(self, states: Mapping[str, State]) -> Iterator[Message]:
@@ -383,10 +384,10 @@ class DeviceStates:
                 yield Message(former, OFFLINE)
             yield Message(topic, ONLINE if answers else OFFLINE)
 
-    def keep(self, published: dict[str, State], readings: Sequence[Reading]) -> None:
+    def keep_states(self, published: dict[str, State], readings: Sequence[Reading]) -> None:
         """Keep states that were published, and forget devices that are not polled any more."""
         self.published |= published
-        for each in readings:
-            if each.quality == "offline" and not self._answered.get(each.device):
-                self._answered.pop(each.device, None)
-                self.published.pop(each.device, None)
+        for reading in readings:
+            if reading.quality == "offline" and not self._answered.get(reading.device):
+                self._answered.pop(reading.device, None)
+                self.published.pop(reading.device, None)

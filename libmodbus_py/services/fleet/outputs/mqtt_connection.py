@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     import aiomqtt
 
-    Hear = Callable[[aiomqtt.Message], Coroutine[Any, Any, None]]
+    OnMessage = Callable[[aiomqtt.Message], Coroutine[Any, Any, None]]
 
 __all__ = ["Message", "MqttConnection"]
 
@@ -84,8 +84,8 @@ class MqttConnection:
         # In tasks, because a cancellation may get lost in a call of aiomqtt.
         self._tasks = KeptTasks()
 
-    async def open(self, hear: Hear) -> None:
-        """Connect, and call `hear` in a task of its own for each message that is received."""
+    async def open(self, on_message: OnMessage) -> None:
+        """Connect, and call `on_message` in a task of its own for each message that is received."""
         try:
             import aiomqtt
         except ImportError:
@@ -114,13 +114,13 @@ class MqttConnection:
                     client._client._sock_close()
                 raise
         self._client = client
-        self._listening = self._tasks.begin(self._listen(client, hear))
+        self._listening = self._tasks.begin(self._listen(client, on_message))
 
-    async def _listen(self, client: aiomqtt.Client, hear: Hear) -> None:
+    async def _listen(self, client: aiomqtt.Client, on_message: OnMessage) -> None:
         """Pass messages on until the connection is lost."""
         with contextlib.suppress(OSError), _as_connection_error():
             async for message in client.messages:
-                self._tasks.begin(_hear(hear, message))
+                self._tasks.begin(_call(on_message, message))
 
     @property
     def _used(self) -> aiomqtt.Client:
@@ -164,12 +164,12 @@ class MqttConnection:
         with _as_connection_error():
             await self._used.subscribe(topics, qos)
 
-    async def hear_retained(self, topics: str, hear: Callable[[str], None]) -> None:
-        """Call `hear` with each topic of a filter that has a retained message, however many."""
+    async def read_retained(self, topics: str, on_topic: Callable[[str], None]) -> None:
+        """Call `on_topic` with each topic of a filter that has a retained message, however many."""
 
         def receive(_client: object, _userdata: object, message: Any) -> None:
             if message.retain:
-                hear(message.topic)
+                on_topic(message.topic)
 
         # Not through aiomqtt, in which they would wait with commands, and push these out; with QoS
         # 0, because mosquitto drops those that wait for acknowledgements beyond a thousand.
@@ -191,9 +191,9 @@ class MqttConnection:
             await client.__aexit__(None, None, None)
 
 
-async def _hear(hear: Hear, message: aiomqtt.Message) -> None:
+async def _call(on_message: OnMessage, message: aiomqtt.Message) -> None:
     with contextlib.suppress(ConnectionError):
-        await hear(message)
+        await on_message(message)
 
 
 class _Debugging(HarmlessLogger):

@@ -105,8 +105,8 @@ def check_exclusive(
     """
     Raise ValueError if outputs, a journal and the files the fleet is read from use a thing twice.
     """
-    if (found := shared(outputs)) is not None:
-        raise ValueError(f"two outputs use {found[2]}")
+    if (pair := shared(outputs)) is not None:
+        raise ValueError(f"two outputs use {pair[2]}")
     for output in outputs:
         if (both := used(output, of_journal)) is not None:
             raise ValueError(f"the journal and {output.name} use {both}")
@@ -116,7 +116,7 @@ def check_exclusive(
 
 def used(output: Output, others: Container[str]) -> str | None:
     """Return the first thing of an output that is among those of others, or None."""
-    return next((each for each in output.exclusive if each in others), None)
+    return next((thing for thing in output.exclusive if thing in others), None)
 
 
 def file_at(path: str) -> str:

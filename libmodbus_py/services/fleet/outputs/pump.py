@@ -113,7 +113,7 @@ class Pump:
                 most = 1 if self._single else self._most
                 batch = await self.buffer.take_polls(most, LONGEST_SILENCE_S)
                 self.statistics.note_batch(len(batch))
-                if _polls(batch) > 1 and any(each.device in self._refused for each in batch):
+                if _polls(batch) > 1 and any(reading.device in self._refused for reading in batch):
                     self.buffer.put_back(batch)
                     self._single = _polls(batch)
                 else:
@@ -166,7 +166,7 @@ class Pump:
         if batch:
             self._losses = 0
             self._has_accepted = True
-            self._refused.difference_update(each.device for each in batch)
+            self._refused.difference_update(reading.device for reading in batch)
         self._single = max(0, self._single - 1)
         self.statistics.written += len(batch)
         if self.statistics.trouble:
@@ -220,7 +220,7 @@ class Pump:
 
 
 def _polls(readings: list[Reading]) -> int:
-    return len({each.poll for each in readings})
+    return len({reading.poll for reading in readings})
 
 
 def _message(error: Exception) -> str:

@@ -27,7 +27,7 @@ class Levels:
 
     def spell(self, name: str) -> str:
         """Return the level of a name."""
-        return self._special.sub(lambda found: f"%{ord(found[0]):02X}", name)
+        return self._special.sub(lambda match: f"%{ord(match[0]):02X}", name)
 
     def read(self, level: str) -> str | None:
         """
@@ -64,19 +64,19 @@ class Topic:
     def __init__(self, key: str, template: object, names: tuple[str, ...]) -> None:
         self.template: str = plain_topic(key, template)
         self._key = key
-        found = [_LEVEL.fullmatch(level) for level in self.template.split("/")]
-        self._levels = [each.groups("") for each in found if each is not None]
-        held = [name for _, name, _ in self._levels]
+        levels = [_LEVEL.fullmatch(level) for level in self.template.split("/")]
+        self._levels = [level.groups("") for level in levels if level is not None]
+        fields = [name for _, name, _ in self._levels]
         self.labels: list[str] = [
-            each.removeprefix(_LABEL) for each in held if each.startswith(_LABEL)
+            field.removeprefix(_LABEL) for field in fields if field.startswith(_LABEL)
         ]
-        others = [each for each in held if each and not each.startswith(_LABEL)]
-        if None in found or "" in self.labels or "{}" in self.template:
+        others = [field for field in fields if field and not field.startswith(_LABEL)]
+        if None in levels or "" in self.labels or "{}" in self.template:
             reason = "each level must have one {name} at most, and text without braces"
             raise WrongValue.about(key, f"{reason}: {template!r}")
         if sorted(others) != sorted(names):
-            wanted = " and ".join(f"{{{name}}}" for name in names)
-            raise WrongValue(key, f"must hold {wanted} once, not {template!r}")
+            texts = " and ".join(f"{{{name}}}" for name in names)
+            raise WrongValue(key, f"must hold {texts} once, not {template!r}")
         self.filter: str = "/".join("+" if name else text for text, name, _ in self._levels)
         self._pattern = re.compile(
             "/".join(
@@ -87,35 +87,35 @@ class Topic:
 
     def check(self, devices: Mapping[str, DeviceConfig]) -> None:
         """Raise ValueError if a device lacks a label of this topic."""
-        for device, each in devices.items():
+        for device, config in devices.items():
             for name in self.labels:
-                if not each.labels.get(name):
+                if not config.labels.get(name):
                     reason = f"{{label.{name}}}: the device {device!r} has no label {name!r}"
                     raise WrongValue.about(self._key, reason)
 
     def of(self, labels: Mapping[str, str], **names: str) -> str:
         """Return the topic of a device, or of one of its points."""
-        held = {"": "", **names}
-        held |= {f"{_LABEL}{each}": labels.get(each) or UNKNOWN for each in self.labels}
+        fields = {"": "", **names}
+        fields |= {f"{_LABEL}{label}": labels.get(label) or UNKNOWN for label in self.labels}
         return "/".join(
-            f"{before}{_LEVELS.spell(held[name])}{behind}" for before, name, behind in self._levels
+            f"{begin}{_LEVELS.spell(fields[name])}{end}" for begin, name, end in self._levels
         )
 
     def read(self, topic: str) -> dict[str, str] | None:
         """Return the names in a topic that `of` returns for some labels; None for others."""
-        found = self._pattern.fullmatch(topic)
-        if found is None:
+        match = self._pattern.fullmatch(topic)
+        if match is None:
             return None
-        names = {key: _LEVELS.read(level) for key, level in found.groupdict().items()}
-        known = {key: name for key, name in names.items() if name is not None}
-        return known if len(known) == len(names) else None
+        names = {key: _LEVELS.read(level) for key, level in match.groupdict().items()}
+        valid = {key: name for key, name in names.items() if name is not None}
+        return valid if len(valid) == len(names) else None
 
     def can_be(self, topic: str) -> bool:
         """Return True if this is another topic, or template of topics, for some names."""
         levels, others = self.template.split("/"), topic.split("/")
         return len(levels) == len(others) and all(
-            level == each or "{" in level or "{" in each
-            for level, each in zip(levels, others, strict=True)
+            level == other or "{" in level or "{" in other
+            for level, other in zip(levels, others, strict=True)
         )
 
 

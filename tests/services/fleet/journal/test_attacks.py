@@ -171,7 +171,7 @@ def test_an_output_that_changes_the_list_it_is_given_loses_nothing(
 
 @pytest.mark.parametrize("seed", range(4))
 @in_simulated_time
-async def test_what_waits_is_counted_whatever_happens(
+async def test_the_number_of_waiting_readings_is_right_after_any_event(
     path: str, inline: None, disk: Failing, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     """Each reading is accepted, dropped or waits, through damage, full files and other runs."""

@@ -47,7 +47,7 @@ BROKEN = OSError(errno.EIO, "Input/output error")
         (os, "fsync", BROKEN, "fleet.db: Input/output error"),
     ],
 )
-def test_what_fails_for_long_is_told_delays_no_output_and_loses_nothing(
+def test_a_disk_that_fails_for_long_is_logged_delays_no_output_and_loses_no_reading(
     path: str,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -82,7 +82,7 @@ def test_what_fails_for_long_is_told_delays_no_output_and_loses_nothing(
     assert ("Traceback" in caplog.text) is (error is DEFECT)
 
 
-def test_while_a_disk_is_full_for_long_memory_is_bounded(
+def test_a_disk_that_is_full_for_long_takes_a_bounded_memory(
     path: str, disk: Failing, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(recent, "MOST_WAITING", 60)
@@ -231,7 +231,7 @@ async def test_each_poll_is_forced_onto_the_disk_although_none_follows(
 
 
 @in_simulated_time
-async def test_what_was_written_is_forced_although_later_writes_fail(
+async def test_written_polls_are_forced_although_later_writes_fail(
     path: str, disk: Failing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     force = Failing(monkeypatch, JournalFile, "force")

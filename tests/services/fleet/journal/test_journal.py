@@ -175,7 +175,7 @@ async def test_a_journal_belongs_to_one_fleet(path: str) -> None:
 
 
 @in_real_time
-async def test_what_waits_is_written_when_the_fleet_ends(path: str) -> None:
+async def test_waiting_readings_are_written_when_the_fleet_ends(path: str) -> None:
     journal = Journal(path)
     await journal.open(["x"])
     told = [journal.put_readings(readings("a", time.time() + at)) for at in range(1000)]

@@ -102,7 +102,7 @@ def test_points_keep_their_rows_in_other_runs(path: str) -> None:
         file.write_polls(polls(first, 1), {}, 0)
         file.close()
     file = opened(path)
-    changed = [each._replace(unit="mV") for each in readings()]
+    changed = [each._replace(units="mV") for each in readings()]
     file.write_polls(list(numbered(changed, 200)), {}, 0)
     file.close()
     assert asked(path, "SELECT points, unit FROM point ORDER BY id") == [

@@ -165,13 +165,13 @@ def test_each_of_equal_spans_has_its_extremes(most: int, spans: int) -> None:
         ([], 0, 3, []),
     ],
 )
-def test_some_values_stand_for_others(
+def test_thinned_values_contain_the_extremes_of_each_span(
     given: list[HistoricalValue], length: float, most: int, expected: list[float]
 ) -> None:
     assert left(given, length, most) == expected
 
 
-def test_no_time_at_all_is_one_span() -> None:
+def test_a_range_of_no_time_is_one_span() -> None:
     given = [at(0, number) for number in range(9)]
     assert [each.value for each in thinned(given, SINCE, SINCE, 3)] == [0, 8]
 

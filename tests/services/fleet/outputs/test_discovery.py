@@ -134,7 +134,7 @@ async def test_every_kind_of_point_becomes_the_entity_that_shows_it(
 
 
 @in_real_time
-async def test_what_a_user_sets_is_written_and_shown_at_once(broker: Broker) -> None:
+async def test_a_value_that_a_user_sets_is_written_and_shown_at_once(broker: Broker) -> None:
     device = device_of_every_kind()
     async with (
         Server({1: device}).serving("tcp://127.0.0.1:0") as running,
@@ -193,7 +193,7 @@ def points(count: int) -> RegisterMap:
 
 
 @in_real_time
-async def test_two_hundred_entities_appear_and_go(broker: Broker) -> None:
+async def test_two_hundred_entities_are_added_and_deleted(broker: Broker) -> None:
     async with real_peer() as peer:
         devices = [meter(f"meter {at}", peer.url, map=points(20)) for at in range(10)]
         async with discovered(broker, *devices, topic="plant/{device}") as (fleet, home):
@@ -294,7 +294,9 @@ FOREIGN = "homeassistant/sensor/zigbee/other/config"
 
 
 @in_real_time
-async def test_what_an_earlier_run_left_goes_at_the_next_start(broker: Broker) -> None:
+async def test_configurations_of_an_earlier_run_are_deleted_at_the_next_start(
+    broker: Broker,
+) -> None:
     other = '{"name": "x", "state_topic": "x"}'
     await publish(broker, FOREIGN, other.encode(), retain=True)
     async with real_peer() as peer:
@@ -411,7 +413,7 @@ def messages_of(known: Discovery, device: DeviceConfig, quality: Any) -> list[by
     readings = [Reading(0.0, device.name, name, 1, "", quality) for name in device.names]
     changed = known.changed(readings)
     payloads = [each.payload for each in known.messages(changed)]
-    known.keep(changed, readings, set())
+    known.keep_devices(changed, readings, set())
     return payloads
 
 
@@ -422,7 +424,7 @@ def test_a_device_that_another_worker_polls_keeps_its_entities() -> None:
     assert messages_of(known, device, "offline") == []  # the lease was lost
     known.describe({})  # it is passed on
     assert messages_of(known, device, "good") == []  # readings that waited
-    assert list(known.again()) == []
+    assert list(known.last_messages()) == []
     known.describe({"a": replace(device)})
     assert len(messages_of(known, device, "good")) == 3  # the other may have deleted them
     assert messages_of(known, device, "good") == []
@@ -440,14 +442,14 @@ def test_a_device_that_goes_while_it_is_published_is_deleted() -> None:
     readings = [Reading(0.0, "a", "power", 1, "", "good")]
     changed = known.changed(readings)
     known.describe({})
-    known.keep(changed, readings, set())
+    known.keep_devices(changed, readings, set())
     assert messages_of(known, device, "offline") == [b""] * 3
 
 
-def test_what_another_poller_may_have_announced_is_never_deleted_later() -> None:
+def test_configurations_that_another_poller_may_have_published_are_not_deleted() -> None:
     known = discovery()
     known.describe({"a": meter("a", "tcp://192.0.2.1")})
-    known.hear("homeassistant/sensor/x/y/config")
+    known.add_topic("homeassistant/sensor/x/y/config")
     assert known.leftovers(is_alone=True) == {"homeassistant/sensor/x/y/config"}
     assert known.leftovers(is_alone=False) == set()
     assert known.leftovers(is_alone=True) == set()  # the connection was lost, and is there again

@@ -137,11 +137,11 @@ def test_a_former_topic_is_taken_back_until_that_was_accepted(topic: str) -> Non
     sites = [reading("north", "level")._replace(labels={"site": site}) for site in ("x", "y", "z")]
     moved = [sites[1], sites[2]._replace(time=101.0)]
     list(messages.of(sites[:1]))
-    messages.keep()
+    messages.keep_readings()
     for _ in range(2):  # the connection is lost during the first write
         sent = [(at.partition("/")[0], b'"offline"' in data) for at, data, *_ in messages.of(moved)]
         assert sent == [("x", True), ("y", False), ("y", True), ("z", False)]
-    messages.keep()
+    messages.keep_readings()
     assert [at.partition("/")[0] for at, *_ in messages.of(moved[1:])] == ["z"]
 
 

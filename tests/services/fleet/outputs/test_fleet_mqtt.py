@@ -24,13 +24,13 @@ from tests.services.fleet.fleets import in_real_time, meter, real_peer, until
 from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish, told
 from tests.support import certificates
 from tests.support.cases import each_case
-from tests.support.certificates import Papers
+from tests.support.certificates import Pki
 from tests.support.outputs import pumping
 
 
-def secure(broker: Broker, papers: Papers, identity: Identity) -> str:
+def secure(broker: Broker, pki: Pki, identity: Identity) -> str:
     """Let the broker listen for TLS, too, and return that URL."""
-    files = papers.files(identity)
+    files = pki.files(identity)
     port = broker.new_port()
     broker.change(
         f"listener {port} 127.0.0.1",
@@ -43,11 +43,11 @@ def secure(broker: Broker, papers: Papers, identity: Identity) -> str:
 
 @in_real_time
 async def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
-    papers = Papers(tmp_path)
-    url = secure(broker, papers, certificates.server())
+    pki = Pki(tmp_path)
+    url = secure(broker, pki, certificates.server())
     async with real_peer() as peer:
         device = meter("a", peer.url, interval=60)
-        output = Mqtt(url, ca=str(papers.ca))
+        output = Mqtt(url, ca=str(pki.ca))
         await Fleet([device], outputs=[output]).run(once=True)
     async with hearing(broker, "#") as heard:
         await until(lambda: len(heard) >= 4)
@@ -58,11 +58,11 @@ async def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
 async def test_a_broker_that_is_not_trusted_gets_nothing(
     broker: Broker, tmp_path: Path, wrong: str
 ) -> None:
-    papers = Papers(tmp_path)
+    pki = Pki(tmp_path)
     is_foreign = wrong == "another authority"
     identity = certificates.server(**({} if is_foreign else {"hosts": ("other.example",)}))
-    trusted = papers.authority(certificates.foreign_authority()) if is_foreign else papers.ca
-    url = secure(broker, papers, identity)
+    trusted = pki.authority(certificates.foreign_authority()) if is_foreign else pki.ca
+    url = secure(broker, pki, identity)
     async with real_peer() as peer, hearing(broker, "#") as heard:
         output = Mqtt(url, ca=str(trusted), password="secret", user="user")
         async with Fleet([meter("a", peer.url, interval=0.05)], outputs=[output]) as fleet:

@@ -58,7 +58,7 @@ async def test_a_slow_output_loses_the_oldest_and_stops_nobody() -> None:
 
 
 @in_simulated_time
-async def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> None:
+async def test_an_output_that_fails_is_opened_again_and_loses_no_reading(caplog: Any) -> None:
     no = OSError(errno.EIO, "no")
     output = FakeOutput(next=[no, no, 0, RuntimeError("a bug")])
     fleet = await polled(output, lambda fleet: fleet.statistics.polls > 60, interval=0.05)
@@ -79,7 +79,7 @@ async def test_one_that_fails_is_opened_again_and_loses_nothing(caplog: Any) -> 
 
 @pytest.mark.parametrize("error", [OutputError("gone"), SystemError("?"), GeneratorExit()])
 @in_simulated_time
-async def test_what_ends_an_output(error: BaseException) -> None:
+async def test_only_a_permanent_error_of_an_output_ends_the_fleet(error: BaseException) -> None:
     """OutputError and what is not an Exception end `run`; the rest are tried again."""
     async with Peer() as peer:
         fleet = Fleet([meter("a", peer.url)], outputs=[FakeOutput(next=[error])])
@@ -92,7 +92,7 @@ async def test_what_ends_an_output(error: BaseException) -> None:
 
 
 @in_simulated_time
-async def test_who_iterates_no_more_loses_the_oldest() -> None:
+async def test_an_iterator_that_is_not_read_loses_the_oldest_readings() -> None:
     async with Peer() as peer:
         fleet = Fleet([meter("a", peer.url, interval=0.02)])
         kept = fleet.readings(buffer=10)
@@ -168,6 +168,6 @@ async def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_
             assert outputs[0].labels == {"b": {"site": "there"}}
 
 
-def test_only_the_standard_output_wants_no_earlier_readings() -> None:
+def test_only_the_standard_output_gets_no_earlier_readings() -> None:
     assert JsonOutput("-").is_live is True
     assert JsonOutput("readings.json").is_live is False

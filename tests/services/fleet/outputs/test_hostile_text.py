@@ -77,7 +77,7 @@ def test_the_files_of_fleets_hold_the_text(tmp_path: Path) -> None:
 # --- terminals ----------------------------------------------------------------------------------
 
 
-def test_nothing_is_left_that_a_terminal_obeys() -> None:
+def test_text_for_a_terminal_has_no_control_characters() -> None:
     assert not OBEYED & set(without_controls("".join(CHARACTERS)))
     assert without_controls("\x1b[31m\x9b\r\n") == "\\x1b[31m\\x9b\\x0d\n"
 

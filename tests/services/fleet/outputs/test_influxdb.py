@@ -67,7 +67,7 @@ def test_names_and_values_arrive_as_they_were(database: Database) -> None:
     }
 
 
-def test_what_is_sent_again_is_stored_once(database: Database) -> None:
+def test_a_reading_sent_twice_is_stored_once(database: Database) -> None:
     for _ in range(2):
         write(database, reading("level", 1), reading("level", 2, 1_700_000_001.0))
     (row,) = database.ask("SELECT count(level) FROM modbus")

@@ -97,7 +97,7 @@ class TestOthers:
         assert values(kind, path) == ["1", "2", "3"]
         assert b"\n\n" not in path.read_bytes()
 
-    def test_nothing_is_left_open(self, tmp_path: Path, kind: str) -> None:
+    def test_a_closed_file_leaves_no_descriptor_open(self, tmp_path: Path, kind: str) -> None:
         path = tmp_path / "now"
         before = len(os.listdir("/proc/self/fd"))
         written(KINDS[kind](str(path)), *[reading(1), path.unlink] * 10)
@@ -154,7 +154,7 @@ def test_a_file_that_holds_no_readings_is_left_as_it_is(
     assert b"BEGIN" not in str(caught.value).encode()
 
 
-def test_one_that_takes_the_place_of_ours_is_left_as_it_is(tmp_path: Path) -> None:
+def test_a_file_that_replaces_the_own_one_is_not_changed(tmp_path: Path) -> None:
     path, theirs = tmp_path / "now", tmp_path / "theirs"
     theirs.write_bytes(KEY)
     with pytest.raises(OSError, match="does not begin"):

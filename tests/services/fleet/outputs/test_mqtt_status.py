@@ -91,7 +91,7 @@ def test_a_device_answers_while_a_point_of_it_is_read_or_refused(
         readings = poll("a", letters)
         changed = known.changed(readings)
         assert known.changed(readings) == changed  # a write that failed is tried again
-        known.keep(changed, readings)
+        known.keep_states(changed, readings)
         found.append(changed["a"][1] if changed else None)
     assert found == states
 
@@ -106,7 +106,7 @@ def test_a_device_with_another_label_has_another_topic() -> None:
         labelled = [reading("a", 1)._replace(labels={"site": site})]
         changed = states.changed(labelled)
         assert [each[:2] for each in states.messages(changed)] == sent
-        states.keep(changed, labelled)
+        states.keep_states(changed, labelled)
 
 
 def test_removed_devices_take_no_room() -> None:
@@ -114,7 +114,7 @@ def test_removed_devices_take_no_room() -> None:
     for number in range(100):
         for letters in ("gg", "oo"):
             readings = poll(f"device {number}", letters)
-            known.keep(known.changed(readings), readings)
+            known.keep_states(known.changed(readings), readings)
     assert (known.published, known._answered) == ({}, {})
 
 
@@ -141,7 +141,7 @@ def test_removed_devices_take_no_room() -> None:
     ids=["values", "states of devices", "a message for each poll"],
 )
 @in_real_time
-async def test_what_a_broker_retained_is_there_again_each_time_it_returns(
+async def test_retained_messages_are_published_again_after_each_reconnection(
     broker: Broker,
     caplog: pytest.LogCaptureFixture,
     options: Any,

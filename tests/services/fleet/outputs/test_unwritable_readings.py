@@ -78,7 +78,7 @@ def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(
 
 
 @each_case(("error", "failures"), [(RuntimeError("a bug"), 1), (OSError(errno.ENOSPC, "full"), 5)])
-def test_what_fails_for_the_moment_is_not_dropped(error: Exception, failures: int) -> None:
+def test_a_poll_that_fails_for_a_moment_is_not_dropped(error: Exception, failures: int) -> None:
     output = FakeOutput(refused=("a",), error=error)
 
     async def play(pump: Pump) -> None:
@@ -137,7 +137,7 @@ async def test_once_waits_for_a_slow_output_and_ends_after_a_failure(
         ("a" * 300 + "x" + "b" * 300, "x"),
     ],
 )
-def test_what_is_refused_is_dropped_and_all_others_are_written(devices: str, refused: str) -> None:
+def test_a_refused_poll_is_dropped_and_all_others_are_written(devices: str, refused: str) -> None:
     output = FakeOutput(refused=refused, error=LOST)
     statistics = written(output, devices, later="ab")
     good = [each for each in polls(devices) if each.device not in refused]
@@ -166,7 +166,7 @@ def test_an_output_of_one_device_writes_its_later_polls() -> None:
 
 
 @each_case("away", [*range(9), 20, 59])
-def test_what_is_away_loses_nothing_however_long_and_ends_with_the_newest(away: int) -> None:
+def test_an_output_that_was_away_gets_all_readings_and_the_newest_last(away: int) -> None:
     every = polls("abcabcab")
     output = FakeOutput(next=[LOST] * away)
     statistics = written(output, "abcabcab")

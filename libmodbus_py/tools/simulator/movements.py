@@ -1,5 +1,5 @@
 """
-The points of simulated devices, and the clockwork that computes those that move.
+The points of simulated devices, and the values of those that move.
 
 A moving value is computed from the time since the start when it is read, so an idle simulator takes
 no processor time.
@@ -23,7 +23,7 @@ from ...protocol.errors import ServerDeviceFailure
 from ...protocol.mistakes import Path, WrongValue, inside
 from ...protocol.tables import TABLES
 
-__all__ = ["BEHAVIOURS", "Clockwork", "SimulatedPoint"]
+__all__ = ["BEHAVIOURS", "Movements", "SimulatedPoint"]
 
 Compute = Callable[[int, float], Any]
 """Function that returns the value with this index in a point, at seconds since the start."""
@@ -72,7 +72,7 @@ class SimulatedPoint:
         return (self.area, self.span, meaning, self.behaviour and self.behaviour[0], self.cells)
 
 
-class Clockwork:
+class Movements:
     """Keeps the moving values of a mapping up to date, as far as they are read."""
 
     def __init__(
@@ -86,29 +86,29 @@ class Clockwork:
         self._start = clock()
         self.seed: int = random.getrandbits(64)  # of random moves without a seed of their own
         self._points: dict[str, list[SimulatedPoint]] = {table: [] for table in TABLES}
-        for each in sorted(points, key=lambda each: each.span.start):
-            self._points[each.table].append(each)
+        for point in sorted(points, key=lambda point: point.span.start):
+            self._points[point.table].append(point)
         self._moving: dict[tuple[str, range], tuple[SimulatedPoint, Compute]] = {}
-        self._held: set[tuple[str, range]] = set()
-        for each in [each for points in self._points.values() for each in points]:
-            if each.behaviour is not None:
-                with inside(*each.source):
-                    if (source := each.point.scale_from) is not None:
+        self._holds: set[tuple[str, range]] = set()
+        for point in [point for points in self._points.values() for point in points]:
+            if point.behaviour is not None:
+                with inside(*point.source):
+                    if (source := point.point.scale_from) is not None:
                         raise ValueError(f"a point that {source} scales does not move")
-                    kind, settings = each.behaviour
-                    compute = BEHAVIOURS[kind](each, self, **settings)
-                    self._moving[each.table, each.span] = each, compute
+                    kind, settings = point.behaviour
+                    compute = BEHAVIOURS[kind](point, self, **settings)
+                    self._moving[point.table, point.span] = point, compute
 
-    def go_on_from(self, before: Clockwork) -> None:
-        """Continue with the start, the seed and the held values of another clockwork."""
+    def go_on_from(self, before: Movements) -> None:
+        """Continue with the start, the seed and the held values of those before."""
         self._start, self.seed = before._start, before.seed
-        self._held = before._held & self._moving.keys()
+        self._holds = before._holds & self._moving.keys()
 
     def find(self, table: str, address: int) -> SimulatedPoint | None:
         """Return the point that has an address."""
         points = self._points[table]
-        at = bisect_right(points, address, key=lambda each: each.span.start)
-        return next((each for each in points[at - 1 :: -1] if at and address in each.span), None)
+        at = bisect_right(points, address, key=lambda point: point.span.start)
+        return next((point for point in points[at - 1 :: -1] if at and address in point.span), None)
 
     def _with(self, table: str, cells: range) -> set[tuple[str, range]]:
         """Return the keys of the moving points that have some of these cells."""
@@ -120,43 +120,43 @@ class Clockwork:
 
     def movement(self, table: str, cells: range) -> bool | None:
         """Return True if a value with some of these cells moves, False if all are held, or None."""
-        found = self._with(table, cells)
-        return bool(found - self._held) if found else None
+        points = self._with(table, cells)
+        return bool(points - self._holds) if points else None
 
     def hold(self, table: str, cells: range, *, is_on: bool) -> None:
         """Hold the moving values that have some of these cells, or let them move again."""
         if is_on:
-            self._held |= self._with(table, cells)
+            self._holds |= self._with(table, cells)
         else:
-            self._held -= self._with(table, cells)
+            self._holds -= self._with(table, cells)
 
     def refresh(self, table: str, address: int, count: int) -> None:
         """Compute the values that are about to be read."""
         now, stop = self._clock() - self._start, address + count
         for key in self._with(table, range(address, stop)):
-            each, _ = self._moving[key]
-            size, start = each.point.read.size, each.span.start
+            point, _ = self._moving[key]
+            size, start = point.point.read.size, point.span.start
             first = max(address - start, 0) // size
-            for index in range(first, (min(stop, each.span.stop) - start - 1) // size + 1):
-                self._refresh(each, index, now)
+            for index in range(first, (min(stop, point.span.stop) - start - 1) // size + 1):
+                self._refresh(point, index, now)
 
-    def value(self, each: SimulatedPoint, index: int, now: float) -> Any:
+    def value(self, point: SimulatedPoint, index: int, now: float) -> Any:
         """Return one value of a point, nan for none, or raise ServerDeviceFailure."""
-        self._refresh(each, index, now)
-        cells = getattr(self._mapping, each.table)[each.slice_of(index)]
+        self._refresh(point, index, now)
+        cells = getattr(self._mapping, point.table)[point.slice_of(index)]
         numbers = list(map(int, cells))
-        (raw,) = each.point.meaning.raws_in(numbers)
+        (raw,) = point.point.meaning.raws_in(numbers)
         if isinstance(raw, NoValue):
             raise ServerDeviceFailure(str(raw))
-        (found,) = each.point.values_in(numbers)
-        return math.nan if found is None else found
+        (value,) = point.point.values_in(numbers)
+        return math.nan if value is None else value
 
-    def _refresh(self, each: SimulatedPoint, index: int, now: float) -> None:
-        key = each.table, each.span
-        if key in self._moving and key not in self._held:
-            value = _nearest(each.point, self._moving[key][1](index, now))
-            table = getattr(self._mapping, each.table)
-            table[each.slice_of(index)] = each.point.cells_for([value])
+    def _refresh(self, point: SimulatedPoint, index: int, now: float) -> None:
+        key = point.table, point.span
+        if key in self._moving and key not in self._holds:
+            value = _nearest(point.point, self._moving[key][1](index, now))
+            table = getattr(self._mapping, point.table)
+            table[point.slice_of(index)] = point.point.cells_for([value])
 
 
 def _nearest(point: Point, value: Any) -> Any:
@@ -185,10 +185,10 @@ def _limits(simulated: SimulatedPoint, **numbers: Number) -> tuple[Number, Numbe
     low, high = point.limits
     if low is None or high is None:
         raise ValueError(f"only numbers can move by themselves, not {point.type_name}")
-    for name, given in numbers.items():
-        number(name, given, -LARGEST, LARGEST)
-        if not low <= given <= high:
-            raise WrongValue(name, f"must be in {low}..{high} for {point.type_name}, not {given}")
+    for name, limit in numbers.items():
+        number(name, limit, -LARGEST, LARGEST)
+        if not low <= limit <= high:
+            raise WrongValue(name, f"must be in {low}..{high} for {point.type_name}, not {limit}")
     return low, high
 
 
@@ -200,7 +200,7 @@ def _check_span(point: SimulatedPoint, low: Number, high: Number) -> None:
 
 def counter(
     point: SimulatedPoint,
-    others: Clockwork,
+    others: Movements,
     step: Number = 1,
     interval: float = 1.0,
     start: Number = 0,
@@ -230,7 +230,7 @@ def counter(
 
 
 def sine(
-    point: SimulatedPoint, others: Clockwork, low: Number, high: Number, period: float
+    point: SimulatedPoint, others: Movements, low: Number, high: Number, period: float
 ) -> Compute:
     """Swing between two values in a period of seconds, from the middle upwards at first."""
     _check_span(point, low, high)
@@ -245,7 +245,7 @@ def sine(
 
 def random_walk(
     point: SimulatedPoint,
-    others: Clockwork,
+    others: Movements,
     low: Number,
     high: Number,
     step: Number,
@@ -270,9 +270,9 @@ def random_walk(
     def compute(index: int, now: float) -> Number:
         own = _mixed(_mixed(others.seed, origin) if seed is None else seed, index)
         move = int(now / interval)
-        line, done = divmod(move, moves_of_line)
+        line, step = divmod(move, moves_of_line)
         here, there = _share(own, line), _share(own, line + 1)
-        way = here + (there - here) * done / moves_of_line
+        way = here + (there - here) * step / moves_of_line
         return min(max(middle + reach * way + deviation * _share(own + 1, move), low), high)
 
     return compute
@@ -292,7 +292,7 @@ def _mixed(seed: int, number: int) -> int:
 
 
 def copy(
-    point: SimulatedPoint, others: Clockwork, address: int, table: str, scale: Number = 1
+    point: SimulatedPoint, others: Movements, address: int, table: str, scale: Number = 1
 ) -> Compute:
     """Follow the values from an address on, each times `scale`, in the range of the type."""
     number("scale", scale, -LARGEST, LARGEST)
@@ -317,7 +317,7 @@ def copy(
     return compute
 
 
-def _source(others: Clockwork, index: int, address: int, table: str) -> tuple[SimulatedPoint, int]:
+def _source(others: Movements, index: int, address: int, table: str) -> tuple[SimulatedPoint, int]:
     """Return the point that one value of a copy follows, and the index in it."""
     integer("address", address, 0, 0xFFFF)
     if table not in TABLES:
@@ -338,4 +338,4 @@ BEHAVIOURS: dict[str, Callable[..., Compute]] = {
     "random_walk": random_walk,
     "copy": copy,
 }
-"""The key of a movement -> begins it, with its keys as arguments behind point and clockwork."""
+"""The key of a movement -> begins it; its keys are arguments behind point and movements."""
