@@ -12,16 +12,15 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
-from ...maps.meaning import no_value
 from ...protocol.errors import ModbusError
 from ...protocol.plain import SHORT_FLOATS, clock_text, plain, shortest, text_of, time_text
-from ...protocol.values import Interpretation, ValueType, readings, value_type
 from ..output import Redrawn, print_csv, print_json
 from .items import ALL, HEX, REGISTERS, Item, reason_of
 from .units import fail
 
 if TYPE_CHECKING:
     from ...maps.point import Point
+    from ...protocol.values import Interpretation, ValueType
 
 # fmt: off
 __all__ = [
@@ -125,6 +124,8 @@ def _whence(item: Item) -> dict[str, Any]:
 
 
 def _of_type(item: Item, kind: ValueType, cells: list[int]) -> _Shown:
+    from ...maps.meaning import no_value
+
     values = kind.values_in(cells)
     if all(isinstance(value, ValueError) for value in values):
         place = f"{item.table.replace('_', ' ')} from {item.number()}"
@@ -153,6 +154,8 @@ def _in_all_ways(item: Item, cells: list[int]) -> _Shown:
     Return what registers mean, each with the number of its first register, plausible ones first:
     all interpretations as one value, and, from each register on, the likely ones of fewer.
     """
+    from ...protocol.values import readings, value_type
+
     placed: list[tuple[int, Interpretation]] = []
     for at in range(len(cells)):
         sizes = [size for size in SIZES if size < len(cells) and at + size <= len(cells)]

@@ -19,20 +19,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from ...maps.items import Borders, Read
 from ...protocol.checks import integer
 from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.plain import number_of
 from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE
-from ...protocol.values import ValueType, parse_reference, value_type
-from ...protocol.words import REFERENCE_TABLES, close_word, plain, table_named
+from ...protocol.words import REFERENCE_TABLES, close_word, parse_reference, plain, table_named
 from ...protocol.words import TABLE_WORDS as VENDORS
 from ..arguments import list_keys
 from ..main import advice
 
 if TYPE_CHECKING:
+    from ...maps.items import Borders, Read
     from ...maps.point import Point
     from ...maps.register_map import RegisterMap
+    from ...protocol.values import ValueType
 
 __all__ = ["ALL", "HEX", "REGISTERS", "TABLE_WORDS", "Item", "Words", "map_of", "reason_of"]
 
@@ -108,6 +108,8 @@ class Item:
         """The item as a `Plan` of cells takes it; only for the four tables."""
         if self.point is not None:
             return self.point.read
+        from ...maps.items import Read
+
         name = None if self.kind is None else self.kind.name  # by which no request divides a value
         return Read(self.table, self.address, self.count, name)  # type: ignore[arg-type]
 
@@ -286,6 +288,8 @@ class Words:
     def _kind(self, name: str | None) -> ValueType | None:
         if name is None:
             return None
+        from ...protocol.values import value_type
+
         kind, _, order = name.rpartition(":")
         if not kind or order.isdecimal():  # string:8
             return value_type(name, **self._options_of_types)

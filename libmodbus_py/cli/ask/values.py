@@ -201,11 +201,15 @@ def _polls(text: str) -> int:
 
 
 def _read(options: argparse.Namespace) -> int:
-    from .reading import read, watch
-
     if options.watch is None and (options.count or options.lasts or options.page):
         options.watch = 1.0
-    return read(options) if options.watch is None else watch(options)
+    if options.watch is None:
+        from .reading import read
+
+        return read(options)
+    from .watching import watch
+
+    return watch(options)
 
 
 def _write(options: argparse.Namespace) -> int:
