@@ -28,12 +28,9 @@ class ItemPlan(Plan):
         max_registers: int,
         holes: Holes | None = None,
     ) -> None:
-        self._others = {
-            at: requests_of(item, max_registers)
-            for at, item in enumerate(items)
-            if item.table in ("file", "fifo_queue")
-        }
-        reads = {at: item.read for at, item in enumerate(items) if at not in self._others}
+        others = [at for at, item in enumerate(items) if item.table in ("file", "fifo_queue")]
+        self._others = {at: (items[at], requests_of(items[at], max_registers)) for at in others}
+        reads = {at: item.read for at, item in enumerate(items) if at not in others}
         super().__init__(reads, borders=borders, max_registers=max_registers)
         self._limits = borders, max_registers
         self._holes = Holes() if holes is None else holes
@@ -46,9 +43,9 @@ class ItemPlan(Plan):
         """Return the cells of each item by its index, or the error in place of them."""
         steps = reading(self.blocks, self._holes, time.monotonic(), connects)
         cells: dict[int, Any] = self.results(carried_out(steps, ask))
-        answers = iter(ask([each for requests in self._others.values() for each in requests]))
-        for at, requests in self._others.items():
-            cells[at] = cells_of(requests, [next(answers) for _ in requests])
+        answers = iter(ask([each for _, requests in self._others.values() for each in requests]))
+        for at, (item, requests) in self._others.items():
+            cells[at] = cells_of(item, [next(answers) for _ in requests])
         return cells
 
     def _decoded(self, name: Any, cells: list[Any]) -> Any:

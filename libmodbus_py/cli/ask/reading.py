@@ -65,7 +65,7 @@ class Reader:
         ask = partial(self._answers, client, status)
         try:
             if self._plan is None:
-                cells = {0: cells_of(self._requests, ask(self._requests))}
+                cells = {0: cells_of(items[0], ask(self._requests))}
             else:
                 plan = self._plan if due is None else self._plan.of(items)
                 cells = plan.cells(ask, client.statistics.connects)

@@ -40,12 +40,12 @@ def requests_of(item: Item, max_registers: int) -> list[pdu.Request[Any]]:
     return [rules.read(at, min(step, end - at)) for at in range(item.address, end, step)]
 
 
-def cells_of(requests: Sequence[pdu.Request[Any]], answers: Sequence[Any]) -> Any:
+def cells_of(item: Item, answers: Sequence[Any]) -> Any:
     """Return the cells of an item in the answers to its requests, or the first error of them."""
     cells: list[int] = []
-    for request, answer in zip(requests, answers, strict=True):
+    for answer in answers:
         if isinstance(answer, ModbusError):
             return answer
-        (part,) = answer if isinstance(request, pdu.ReadFileRecords) else (answer,)
+        (part,) = answer if item.table == "file" else (answer,)
         cells += map(int, part)
     return cells
