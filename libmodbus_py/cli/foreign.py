@@ -8,12 +8,13 @@ as ``-p 1502``.
 
 from __future__ import annotations
 
-import argparse
 import re
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from .parser import Parser
 
 __all__ = ["COMMANDS", "equivalents", "is_place", "place"]
 
@@ -74,7 +75,7 @@ COMMANDS = {
 """Command of another program -> what is typed here."""
 
 
-def equivalents(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
+def equivalents(parser: Parser, words: Sequence[str]) -> str:
     """
     Return a message about the options that are those of another program, and not of the command
     whose parser it is, among the words behind it; empty if none is.
@@ -104,9 +105,9 @@ def _of_value(answer: str, value: str) -> str:
     return answer.replace("VALUE", value or "N")
 
 
-def _is_foreign(parser: argparse.ArgumentParser, word: str, before: Sequence[str]) -> bool:
+def _is_foreign(parser: Parser, word: str, before: Sequence[str]) -> bool:
     """Return True unless a word is an option here, or a number such as -1 that is a value."""
-    known = parser._option_string_actions
+    known = parser.flags
     if word in known or not word[1:].isdecimal():
         return word not in known
     if not before or parser.prog.endswith(" write"):

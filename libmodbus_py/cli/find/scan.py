@@ -32,9 +32,10 @@ from ...tools.scan.probe import (
 from ...tools.scan.scan import Found, Progress, Scan, scan
 from ...tools.scan.search import MOST_REQUESTS, Extent, Searching, search
 from .. import arguments
-from ..arguments import declare, with_options
+from ..arguments import with_options
 from ..main import INTERRUPTED
 from ..output import Status, counted, duration, missing, print_json, progress
+from ..parser import Parser, declare
 
 __all__ = ["add_command"]
 
@@ -96,7 +97,7 @@ OF_LINES = f"""
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, f"{EXAMPLES}\n\n{arguments.URLS}"
     declare(command, arguments.URL)
@@ -104,7 +105,7 @@ def add_command(command: argparse.ArgumentParser) -> None:
     declare(command, ARGUMENTS.format(_units(USUAL_UNITS)))
     arguments.add_forms(command, json="print JSON, one object in the end")
     arguments.add_client_options(
-        command.add_argument_group("requests"),
+        command.group("requests"),
         without=("unit",),
         usual=lambda: {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"},
     )

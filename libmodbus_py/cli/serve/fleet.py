@@ -33,9 +33,9 @@ from ...services.workers.contents import Pushed
 from ...services.workers.polling import Polling
 from ...services.workers.records import BUCKET, Connection, FleetSettings, in_key
 from .. import arguments
-from ..arguments import declare
 from ..main import CommandError
 from ..output import complain, print_json
+from ..parser import Parser, declare
 from .running import Hangup, notify_ready
 
 __all__ = ["add_arguments", "add_command", "poll", "waited_for"]
@@ -82,19 +82,19 @@ PAUSE = 0.5
 ELECTION = 30.0
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments of the command fleet."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     text = f"STATUS\n  print the status of the fleet\n{ENGINE}"
-    what = {"dest": "what", "metavar": None, "choices": ["status"]}
+    what = {"dest": "what", "metavar": "status", "choices": ["status"]}
     declare(command, text, status=what, engine={"required": True})
     arguments.add_forms(command)
     command.set_defaults(run=_fleet)
 
 
-def add_arguments(command: argparse.ArgumentParser) -> None:
+def add_arguments(command: Parser) -> None:
     """Declare the options of poll for several machines."""
-    group = command.add_argument_group("several machines")
+    group = command.group("several machines")
     declare(group, f"{ENGINE}{OF_WORKERS}", zone={"default": []}, worker={"default": ""})
 
 

@@ -29,8 +29,8 @@ from ...services.fleet.trial import overloads, trying
 from ...services.tasks import WriterThread
 from ...system import allow_all_descriptors
 from .. import arguments, logs, tracing
-from ..arguments import declare
 from ..output import Redrawn, Status, complain, inform
+from ..parser import Parser, declare
 from . import fleet as workers
 from . import over_http
 from .running import Hangup, notify_ready
@@ -78,11 +78,11 @@ MODES = """
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     declare(command, "FILE\n  fleet file, such as fleet.toml")
-    declare(command.add_mutually_exclusive_group(), MODES)
+    declare(command.exclusive(), MODES)
     more = {"action": "append", "const": STANDARD_OUTPUT, "default": []}
     for name, form in FILES.items():
         text = f"append readings to a file as {form}; without PATH, print them; may be repeated"
