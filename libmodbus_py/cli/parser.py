@@ -69,8 +69,10 @@ class Parser(argparse.ArgumentParser):
     @property
     def flags(self) -> dict[str, Any]:
         """Each option, as it is typed, and its argument."""
-        every = [each for group in self.arguments.values() for each in group]
-        return {flag: each for each in every for flag in each.option_strings}
+        return {flag: action for action in self._all() for flag in action.option_strings}
+
+    def _all(self) -> list[Any]:
+        return [action for group in self.arguments.values() for action in group]
 
     def group(self, title: str) -> Group:
         """Return a new group of arguments."""
@@ -83,6 +85,7 @@ class Parser(argparse.ArgumentParser):
     def add_commands(self, metavar: str) -> Callable[..., Parser]:
         """Return the function that adds a command below this one, with its name and `about`."""
         commands = self.add_subparsers(metavar=metavar, required=True, prog=self.prog)
+        commands.is_rare = False  # type: ignore[attr-defined]
         self.arguments[POSITIONAL].append(commands)
 
         def add(name: str, about: str, **options: Any) -> Parser:
@@ -112,24 +115,27 @@ class Parser(argparse.ArgumentParser):
         """Return the line that shows how the command is typed; it names no single options."""
         if self.usage is not None:  # argparse made it before it hides positional arguments
             return f"usage: {self.usage.strip()}\n"
-        every = [each for group in self.arguments.values() for each in group]
-        words = [_typed(each) for each in every if each.required or not each.option_strings]
+        needed = [action for action in self._all() if action.required or not action.option_strings]
+        words = map(_typed, needed)
         return f"usage: {' '.join([self.prog, '[OPTIONS]', *words])}\n"
 
     def format_help(self, *, shows_all: bool = False) -> str:
         """Return the help with default values, and without rare options unless all are shown."""
-        rare = [each for each in map(_first_rare, self.arguments.values()) if each]
-        some = ", ".join(dict.fromkeys([*rare[:1], *rare[-1:]]))
-        sections: dict[str, list[tuple[str, str]]] = {}
+        groups = self.arguments.values()
+        rare = [[each.option_strings[0] for each in group if each.is_rare] for group in groups]
+        flags = [names[0] for names in rare if names]
+        some = ", ".join(dict.fromkeys([*flags[:1], *flags[-1:]]))
+        sections: dict[str, list[tuple[str, str]]] = {title: [] for title in self.arguments}
         for title, group in self.arguments.items():
-            shown = sections[title] = []
-            for each in group:
-                is_help_all = each.dest == "help_all"
-                if (shows_all or not _is_rare(each)) and not (is_help_all and not some):
-                    more = f": {some}, ..." if is_help_all else ""
-                    shown.append((f"  {_typed(each, in_list=True)}", f"{_help(each)}{more}"))
-                if each.dest == argparse.SUPPRESS:  # the commands
-                    shown += [(f"    {name}", row.about) for name, row in self.commands.items()]
+            for action in group:
+                text = _help(action)
+                if action.dest == "help_all":
+                    text = f"{text}: {some}, ..."
+                if some if action.dest == "help_all" else shows_all or not action.is_rare:
+                    sections[title].append((f"  {_typed(action, in_list=True)}", text))
+                if action.dest == argparse.SUPPRESS:  # the commands
+                    rows = [(f"    {name}", row.about) for name, row in self.commands.items()]
+                    sections[title] += rows
         heads = [head for rows in sections.values() for head, _ in rows]
         column = min(max(map(len, heads)) + 2, HELP_COLUMN)
         parts = [self.format_usage(), self.description or ""]
@@ -151,14 +157,6 @@ class Printing(argparse.Action):
     def __call__(self, parser: Any, *_: Any) -> None:
         print(self._text(parser), end="")
         parser.exit()
-
-
-def _is_rare(argument: Any) -> bool:
-    return getattr(argument, "is_rare", False)
-
-
-def _first_rare(arguments: Collection[Any]) -> str:
-    return next((each.option_strings[0] for each in arguments if _is_rare(each)), "")
 
 
 def _typed(argument: Any, *, in_list: bool = False) -> str:

@@ -6,8 +6,7 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
     values           the arguments of read and write
     reading          read, once
     watching         read, again and again
-    requests         the requests of one item
-    item_plan        those of several items, in a plan
+    item_plan        the requests of several items
     writing          the requests of write
     items            what is read or written, as words and as requests
     formatters       values as lines, cells of CSV and fields of JSON, and what prints them

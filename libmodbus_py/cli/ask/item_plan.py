@@ -12,8 +12,7 @@ from typing import Any
 from ...maps.holes import Holes, carried_out, reading
 from ...maps.items import Borders
 from ...maps.plan import Plan
-from .items import Item
-from .requests import cells_of, requests_of
+from .items import Item, cells_of, requests_of
 
 __all__ = ["ItemPlan"]
 

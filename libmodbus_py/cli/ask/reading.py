@@ -17,8 +17,7 @@ from ...protocol.errors import ExceptionResponse, ModbusError
 from ..main import CommandError
 from ..output import Status, complain
 from .formatters import ReadResult, printer_of, result_of
-from .items import Item, Words, reason_of
-from .requests import cells_of, requests_of
+from .items import Item, Words, cells_of, reason_of, requests_of
 from .units import ask_units, client_of, units_of
 
 if TYPE_CHECKING:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import re
 from contextlib import closing
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...client.blocking import Client
@@ -106,7 +105,7 @@ def _say(context: Client, map: RegisterMap | None, write: Write, cells: list[int
         value = context.read_map(map, [name])[name]
         line += f", read back {value} {item.point.units}".rstrip()
     elif cells is not None:
-        rows = result_of(replace(item, count=len(cells) // item.size), cells).rows
+        rows = result_of(item._replace(count=len(cells) // item.size), cells).rows
         line += f", read back {' '.join(row.text for row in rows)}"
     print(line)
 
