@@ -88,7 +88,7 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
             parser.refuse_command(others[0])
         found, unknown = parser.parse_known_args(others)
     else:  # options may be anywhere between the words
-        if message := equivalents(parser, others):
+        if message := equivalents(name, parser.flags, others):
             parser.error(message)
         found, unknown = parser.parse_known_intermixed_args(with_forms(parser, others))
     if unknown:

@@ -141,10 +141,11 @@ def test_the_gateway_is_shown() -> None:
                 visitor.receive(lambda: visitor.seen["log"])
                 visitor.look_at(find="127.0.0.1 function")
                 visitor.receive(lambda: visitor.rows("rows"))
-                assert visitor.seen["rows"]["0"][:3] == [
-                    ["127.0.0.1", "unit 5, 3 read holding registers"],
-                    ["client", "", 0],
-                    1,
-                ]
+                row = visitor.seen["rows"]["0"]
+                assert row["name"] == {
+                    "group": "127.0.0.1",
+                    "own": "unit 5, 3 read holding registers",
+                }
+                assert (row["state"]["word"], row["requests"]) == ("client", 1)
             process.send_signal(signal.SIGTERM)
             process.wait()
