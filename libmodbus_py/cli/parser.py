@@ -33,7 +33,9 @@ class Group:
     """Arguments under one title of --help; `container` is that of argparse, to which they go."""
 
     def __init__(self, parser: Parser, title: str, container: Any) -> None:
-        self.parser, self.title, self.container = parser, title, container
+        self.parser: Parser = parser
+        self.title: str = title
+        self.container: Any = container
 
     def exclusive(self) -> Group:
         """Return a group, under the same title, of arguments that exclude each other."""
