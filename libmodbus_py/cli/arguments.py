@@ -234,14 +234,14 @@ def with_forms(parser: Parser, words: Sequence[str]) -> list[str]:
     serial port.
     """
     end = words.index("--") if "--" in words else len(words)
-    found = [*words]
+    result = [*words]
     for at, word in enumerate(words[:end]):
         following = words[at + 1] if at + 1 < len(words) else ""
         is_path = following.startswith(("/", "./", "../")) and not following.startswith("/dev/")
         is_file = is_path or following.lower().endswith(SUFFIXES)
         if isinstance(parser.flags.get(word), _Form) and not is_file:
-            found[at] = f"{word}="
-    return found
+            result[at] = f"{word}="
+    return result
 
 
 def add_client_options(
@@ -309,9 +309,9 @@ def _of_clients() -> dict[str, Any]:
 
 def _of_serial_ports() -> dict[str, Any]:
     others = {name: value for name, value in ASCII_DEFAULTS.items() if name in SERIAL_DEFAULTS}
-    told = {name: f"{SERIAL_DEFAULTS[name]}; ascii: {value}" for name, value in others.items()}
+    texts = {name: f"{SERIAL_DEFAULTS[name]}; ascii: {value}" for name, value in others.items()}
     words = {letter: word for word, letter in reversed(PARITIES.items())}
-    return {**SERIAL_DEFAULTS, **told, "parity": words[SERIAL_DEFAULTS["parity"]]}
+    return {**SERIAL_DEFAULTS, **texts, "parity": words[SERIAL_DEFAULTS["parity"]]}
 
 
 # --- what completes arguments ------------------------------------------------------------------
@@ -378,9 +378,9 @@ def with_options(
             places = ", ".join(map(str, endpoints))
             raise ValueError(f"{flag(useless[0])} applies to {wanted} only, not to {places}")
     client = {name: value for name, value in typed.items() if name in CLIENT_OPTIONS}
-    found = []
+    result = []
     for each in endpoints:
         own = {name: typed[name] for name in options_of(each.scheme) if name in typed}
         settings, of_client = {**each.options, **own}, {**each.client_options, **client}
-        found.append(replace(each, options=settings, client_options=of_client))
-    return found
+        result.append(replace(each, options=settings, client_options=of_client))
+    return result

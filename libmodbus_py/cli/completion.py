@@ -67,21 +67,21 @@ def _without_options(parser: Parser, words: Sequence[str]) -> list[str]:
     nothing would be completed in ``read URL -u 3 NAME``. An option whose value is completed stays.
     """
     flags = _flags(parser)
-    found: list[str] = []
+    others: list[str] = []
     at = 0
     while at < len(words):
         action = flags.get(words[at])
         if action is None:
-            found.append(words[at])
+            others.append(words[at])
             at += 1
             continue
         count = 1 if action.nargs is None else action.nargs
         end = at + 1 + (count if isinstance(count, int) else 0)
         may_have_one = action.nargs in ("?", "+") and hasattr(action, "completer")
         if end > len(words) or (may_have_one and end == len(words)):
-            return [*found, *words[at:]]
+            return [*others, *words[at:]]
         at = end
-    return found
+    return others
 
 
 def _flags(parser: Parser) -> dict[str, argparse.Action]:

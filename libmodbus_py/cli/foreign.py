@@ -79,7 +79,7 @@ def equivalents(command: str, flags: Mapping[str, Any], words: Sequence[str]) ->
     Return a message about the options that are those of another program, and not among the `flags`
     of the command, in the words behind it; empty if none is.
     """
-    found: list[str] = []
+    hints: list[str] = []
     words = words[: words.index("--")] if "--" in words else words
     for at, typed in enumerate(words):
         word, _, value = typed.partition("=")
@@ -92,8 +92,8 @@ def equivalents(command: str, flags: Mapping[str, Any], words: Sequence[str]) ->
             answer = OPTIONS[word]
         else:
             continue
-        found.append(f"{f'{word} {value}'.rstrip()}: type {_of_value(answer, value)}")
-    return "; ".join(found)
+        hints.append(f"{f'{word} {value}'.rstrip()}: type {_of_value(answer, value)}")
+    return "; ".join(hints)
 
 
 def _of_value(answer: str, value: str) -> str:

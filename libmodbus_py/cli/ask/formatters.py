@@ -117,10 +117,10 @@ def _whence(item: Item) -> dict[str, Any]:
     """Return the fields of JSON that name an item."""
     if item.point is not None:
         return {"name": item.point.name}
-    found: dict[str, Any] = {"table": item.table, "address": item.address + item.base}
+    fields: dict[str, Any] = {"table": item.table, "address": item.address + item.base}
     if item.bit is not None:
-        found["bit"] = item.bit
-    return {**found, "file": item.file} if item.table == "file" else found
+        fields["bit"] = item.bit
+    return {**fields, "file": item.file} if item.table == "file" else fields
 
 
 def _of_type(item: Item, kind: ValueType, cells: list[int]) -> _Shown:
@@ -184,13 +184,13 @@ def _in_all_ways(item: Item, cells: list[int]) -> _Shown:
 
 
 def _of_point(item: Item, point: Point, cells: list[int], source: Any) -> ReadResult:
-    found = point.judge(cells if item.kind else [bool(cell) for cell in cells], source=source)
-    rows = rows_of_point(point, found.value, found.reason)
-    fields = {"name": point.name, "value": plain(found.value)}
-    if not found.reason:
+    judged = point.judge(cells if item.kind else [bool(cell) for cell in cells], source=source)
+    rows = rows_of_point(point, judged.value, judged.reason)
+    fields = {"name": point.name, "value": plain(judged.value)}
+    if not judged.reason:
         return ReadResult(item, rows, fields)
-    fields["no_value"] = {"quality": found.quality, "reason": found.reason}
-    return ReadResult(item, rows, fields, remark=f"{point.name}: {found.reason}")
+    fields["no_value"] = {"quality": judged.quality, "reason": judged.reason}
+    return ReadResult(item, rows, fields, remark=f"{point.name}: {judged.reason}")
 
 
 def rows_of_point(point: Point, value: Any, reason: str) -> list[ValueText]:

@@ -136,13 +136,13 @@ class Words:
         self._have_values = have_values
         self._base = int(options.count_from_1)
         self._type: str | None = None if is_all else options.type
-        given = {name: value for name in USUAL if (value := getattr(options, name)) is not None}
-        for name in given:
+        layout = {name: value for name in USUAL if (value := getattr(options, name)) is not None}
+        for name in layout:
             if is_all:
                 raise ValueError(f"--type all shows every interpretation, and has no --{name}")
             if self._type is None and not any(re.match(r"[0-9][0-9-]*:", each) for each in words):
                 raise ValueError(f"--{name} needs --type, or a type as in hr 100:float32")
-        self._options_of_types = {**USUAL, **given}
+        self._options_of_types = {**USUAL, **layout}
         self._kind(self._type)  # refuses what is wrong without any item, too
 
     def __bool__(self) -> bool:
@@ -308,10 +308,10 @@ def _split(text: str) -> tuple[str, str | None, str | None, str | None]:
     Return the address, the bit, the end of the range and the type of a word such as 100.3 or
     100-105:float32.
     """
-    found = _PLACE.fullmatch(text)
-    if found is None:
+    match = _PLACE.fullmatch(text)
+    if match is None:
         return text, None, None, None
-    return found["first"], found["bit"], found["last"], found["type"] and found["type"][1:]
+    return match["first"], match["bit"], match["last"], match["type"] and match["type"][1:]
 
 
 def _with_bit(item: Item, text: str) -> Item:

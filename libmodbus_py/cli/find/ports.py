@@ -41,14 +41,14 @@ def add_command(command: Parser) -> None:
 
 def _ports(options: argparse.Namespace) -> int:
     every = serial_devices()
-    found = every if options.all else [each for each in every if each.vendor] or every
+    devices = every if options.all else [each for each in every if each.vendor] or every
     if options.json:
-        for each in found:
+        for each in devices:
             print_json(asdict(each))
     elif options.csv:
-        print_csv([COLUMNS, *([getattr(each, name) for name in COLUMNS] for each in found)])
+        print_csv([COLUMNS, *([getattr(each, name) for name in COLUMNS] for each in devices)])
     else:
-        _print_table(found)
+        _print_table(devices)
     return 0 if every else 1
 
 

@@ -45,16 +45,16 @@ def _sunspec(options: argparse.Namespace) -> int:
     rows: list[dict[str, Any]] = []
 
     def report(client: Client) -> None:
-        found = _asked(client, options.base)
+        points = _asked(client, options.base)
         if several:
-            found = [{"unit": client.unit, **row} for row in found]
+            points = [{"unit": client.unit, **row} for row in points]
         if options.csv:  # one table of all units
-            rows.extend(found)
+            rows.extend(points)
         elif options.json:
-            for row in found:
+            for row in points:
                 print_json(row)
         else:
-            _print_table(found)
+            _print_table(points)
 
     code = ask_units(options, report, partial(fail, as_json=options.json, lacks="models"))
     if rows:

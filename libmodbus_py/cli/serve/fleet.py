@@ -122,9 +122,9 @@ def poll(
         # From now on, though NATS may elect a leader for a while.
         with signal_handlers({signal.SIGHUP: hung_up}):
             hangup.release()
-            changed: list[Callable[[], None]] = []
+            changes: list[Callable[[], None]] = []
             name = f"libmodbus-py {options.worker}".strip()
-            async with _engine(servers, name, lambda: changed[0]() if changed else None) as client:
+            async with _engine(servers, name, lambda: changes[0]() if changes else None) as client:
                 bucket, current = await _opened(client, settings, connections)
                 polling = Polling(
                     client,
@@ -135,7 +135,7 @@ def poll(
                     outputs=outputs,
                     journal=journal,
                 )
-                changed.append(polling.engine_changed)
+                changes.append(polling.engine_changed)
                 leaving = {signal.SIGINT: polling.leave, signal.SIGTERM: polling.leave}
                 screen = asyncio.create_task(show(polling.fleet)) if show else None
                 try:
@@ -192,15 +192,15 @@ async def _answered(ask: Callable[[], Coroutine[Any, Any, T]], limit: float = ma
     After `limit` seconds the last reason is raised. Reasons alternate; each is logged once.
     """
     give_up = time.monotonic() + limit
-    told: set[str] = set()
+    names: set[str] = set()
     while True:
         try:
             return await ask()
         except EngineGone as error:
             if time.monotonic() > give_up:
                 raise
-            if str(error) not in told:
-                told.add(str(error))
+            if str(error) not in names:
+                names.add(str(error))
                 logger.warning("waiting for the engine: %s", error)
         await asyncio.sleep(PAUSE)
 

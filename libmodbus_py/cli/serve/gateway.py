@@ -125,9 +125,9 @@ def _gateway(options: argparse.Namespace) -> int:
         def make_shown() -> Shown:
             from ...services.gateway.shown_gateway import ShownGateway
 
-            made = ShownGateway(options.config or ", ".join(options.urls), gateway)
-            tracing.enter_context(gateway.tracing(made.note))
-            return made
+            page = ShownGateway(options.config or ", ".join(options.urls), gateway)
+            tracing.enter_context(gateway.tracing(page.note))
+            return page
 
         with contextlib.ExitStack() as tracing:
             command.serve(gateway, urls, make_shown)

@@ -140,10 +140,10 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
         workers.waited_for(_run(fleet, options, file, hangup, show))
     if not options.once:
         return 0
-    left = [line for line, is_left in _counts(fleet) if is_left]
-    for line in left:
+    counts = [line for line, is_left in _counts(fleet) if is_left]
+    for line in counts:
         complain(line)
-    return 1 if left or fleet.statistics.failures else 0
+    return 1 if counts or fleet.statistics.failures else 0
 
 
 def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:

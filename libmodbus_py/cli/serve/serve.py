@@ -166,9 +166,9 @@ def _simulation(options: argparse.Namespace, path: str | None) -> device_file.Si
 
 
 def _list_examples() -> int:
-    found = example_files.described()
-    width = max(map(len, found))
-    for name, description in found.items():
+    devices = example_files.described()
+    width = max(map(len, devices))
+    for name, description in devices.items():
         print(f"{name:{width}}  {description}")
     return 0
 
