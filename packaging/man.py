@@ -48,10 +48,8 @@ def page() -> str:
         f".TP\n.B {_safe(name)}\n{_safe(about)}\n" for name, (_, about) in COMMANDS.items()
     )
     parsers = {name: parser_of(name) for name in COMMANDS}
-    for parser in parsers.values():
-        parser.shows_all = True
     told = "".join(
-        f".SH {_safe(name.upper())}\n.EX\n{_safe(parser.format_help())}.EE\n"
+        f".SH {_safe(name.upper())}\n.EX\n{_safe(parser.format_help(shows_all=True))}.EE\n"
         for name, parser in parsers.items()
     )
     return f"{title}{HEAD.strip().format(program=_safe(PROGRAM))}\n{listed}{told}{TAIL.strip()}\n"

@@ -4,13 +4,13 @@ The command line, on top of everything: arguments become requests and servers.
 ::
 
     main           the entry point, and how a command ends: errors, exit codes, SIGTERM
-    commands       every command, the parser of the arguments, and the layout of --help
+    commands       every command, and the arguments that are typed
+    parser         the parser of a command: how its arguments are declared, and its --help
     foreign        words of other programs, and what is typed in place of them
-    arguments      how arguments are declared; those of several commands; endpoints and clients
+    arguments      arguments of several commands; endpoints and clients
     output         standard output and error, files: messages, JSON, styles
     logs           the log of commands that run for long
     tracing        --verbose: frames in columns
-    screen         a status line, lines that are drawn again in place, progress
     ask            read, write, identify, diagnose, raw, map
     find           scan, ports, sunspec, listen
     serve          serve, gateway, poll, fleet

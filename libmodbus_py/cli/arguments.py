@@ -1,6 +1,6 @@
 """
-Arguments of commands: how they are declared, those that several commands take, what completes them,
-and the endpoints and clients that they make.
+Arguments that several commands take, what completes them, and the endpoints and clients that they
+make.
 
 Every option of URLs (`ports.schemes`) is an option of the command line under the same name, with
 hyphens. Options that are not typed are None, so that the URL or the default applies.
@@ -11,7 +11,6 @@ Completers are functions as argcomplete calls them: with the text so far, and th
 from __future__ import annotations
 
 import argparse
-import re
 
 from ..ports.options import (
     ASCII_DEFAULTS,
@@ -22,7 +21,7 @@ from ..ports.options import (
     SERIAL_OPTIONS,
 )
 from ..ports.schemes import SCHEMES, TRANSPORTS, options_of, shape_of
-from .foreign import place
+from .parser import declare
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
@@ -32,12 +31,13 @@ if TYPE_CHECKING:
     from ..client.blocking import Client
     from ..ports.endpoint import Endpoint
     from ..ports.options import Form, Option
+    from .parser import Parser
 
 # fmt: off
 __all__ = [
     "OF_CLIENTS", "OF_SERVERS", "SCHEMES_OF_URLS", "URL", "URLS", "add_client",
     "add_client_options", "add_columns", "add_forms", "add_requests", "add_security_options",
-    "add_serial_options", "add_units", "add_verbose", "connected", "declare", "endpoint_of",
+    "add_serial_options", "add_units", "add_verbose", "connected", "endpoint_of",
     "given", "list_keys", "lists_of_parities", "maps", "names_of_maps", "read_as", "refuse_given",
     "with_forms", "with_options",
 ]
@@ -80,74 +80,6 @@ OF_CLIENTS = (*CLIENT_OPTIONS, *OF_SERVERS)
 """The options of URLs that mean something to a client."""
 
 
-def declare(
-    target: Any,
-    text: str,
-    usual: Callable[[], Mapping[str, Any]] | None = None,
-    /,
-    **more: Any,
-) -> None:
-    """
-    Add arguments to a parser or a group of one, from a text as --help shows it::
-
-        URL                     a line that is not indented names an argument
-            its help            and indented lines below it are its help
-        [URL ...]               any number of words
-        --quick                 a switch
-        -o --output FILE        an option with a value, or with two
-        --watch [SECONDS]       an option whose value may be missing
-        --group NAME ...        an option that may be repeated
-        rare --encoding E       an option that --help-all shows only
-
-    `more` has what else argparse takes, by the name of an argument, and `complete`: the words that
-    complete it, or a function of them. --help adds the default values that `usual` returns. An
-    URL, N and S are converted, see `TYPES`.
-    """
-    for block in re.split(r"\n(?=\S)", text.strip()):
-        head, _, help = block.partition("\n")
-        shown = head.removeprefix("rare ")
-        flags, options = _shape(shown)
-        if options.get("metavar") in TYPES:
-            options["type"] = TYPES[options["metavar"]]
-        options |= {"help": " ".join(help.split()), **more.get(options["dest"], {})}
-        words = options.pop("complete", None)
-        action = target.add_argument(*(flags or [options.pop("dest")]), **options)
-        action.is_rare = head != shown
-        if usual is not None:
-            action.usual = usual
-        if words is not None:
-            action.completer = words if callable(words) else lambda words=words, **_: words
-
-
-def _shape(head: str) -> tuple[list[str], dict[str, Any]]:
-    """Return the flags of an argument that is declared by a line, and what argparse takes of it."""
-    found = _HEAD.fullmatch(head)
-    assert found is not None
-    flags, value, is_many = found["flags"].split(), found["value"], bool(found["many"])
-    if is_optional := value.startswith("[") and value.endswith("]"):
-        is_many, value = value.endswith(" ...]"), value[1:-1].removesuffix(" ...")
-    words = value.split()
-    name = next((each[2:] for each in flags if each[:2] == "--"), words[0].lower() if words else "")
-    options: dict[str, Any] = {"dest": name.replace("-", "_"), "metavar": value}
-    if not flags:
-        options["nargs"] = ("*" if is_many else "?") if is_optional else "+" if is_many else None
-    elif not value:
-        options = {"dest": options["dest"], "action": "store_true"}
-    elif is_many:
-        options["action"] = "append"
-    elif is_optional:
-        options["nargs"] = "?"
-    elif words[1:]:
-        options |= {"metavar": tuple(words), "nargs": len(words)}
-    return flags, options
-
-
-TYPES: dict[str, Callable[[str], Any]] = {"URL": place, "N": int, "S": float}
-"""Placeholder of a value in --help -> the function that converts the value."""
-
-_HEAD = re.compile(r"(?P<flags>(?:-[-\w]+(?: |$))*)(?P<value>.*?)(?P<many> \.\.\.)?")
-
-
 def flag(name: str) -> str:
     """Return the option that sets something, as it is typed: ``--data-bits`` for data_bits."""
     return f"--{name.replace('_', '-')}"
@@ -171,15 +103,15 @@ URL = "URL\n  such as 192.0.2.10, 192.0.2.10:1502 or /dev/ttyUSB0\n"
 """The declaration of the URL of a device."""
 
 
-def add_client(command: argparse.ArgumentParser, *, several: bool = False) -> None:
+def add_client(command: Parser, *, several: bool = False) -> None:
     """Add the URL and the options of a client."""
     declare(command, URL)
     add_requests(command, several=several)
 
 
-def add_requests(command: argparse.ArgumentParser, *, several: bool = False) -> None:
+def add_requests(command: Parser, *, several: bool = False) -> None:
     """Add the options of a client, or of one that asks several units, one after the other."""
-    group = command.add_argument_group("requests")
+    group = command.group("requests")
     if several:
         add_units(group, "unit to ask, 0..255, or several, such as 1-9,17 (1)")
     add_client_options(group, without=("unit",) if several else ())
@@ -188,7 +120,7 @@ def add_requests(command: argparse.ArgumentParser, *, several: bool = False) -> 
     add_security_options(command)
 
 
-def add_verbose(command: argparse.ArgumentParser) -> None:
+def add_verbose(command: Parser) -> None:
     """Add -v."""
     declare(command, "-v --verbose\n  print every frame sent and received to stderr")
 
@@ -294,7 +226,7 @@ def add_forms(
             declare(command, help, **{name: {"action": _Form, "const": ""}})
 
 
-def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[str]:
+def with_forms(parser: Parser, words: Sequence[str]) -> list[str]:
     """
     Return the words typed, changed so that --csv and --json take only a file as their value.
 
@@ -302,14 +234,14 @@ def with_forms(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[st
     serial port.
     """
     end = words.index("--") if "--" in words else len(words)
-    found = [*words]
+    result = [*words]
     for at, word in enumerate(words[:end]):
         following = words[at + 1] if at + 1 < len(words) else ""
         is_path = following.startswith(("/", "./", "../")) and not following.startswith("/dev/")
         is_file = is_path or following.lower().endswith(SUFFIXES)
-        if isinstance(parser._option_string_actions.get(word), _Form) and not is_file:
-            found[at] = f"{word}="
-    return found
+        if isinstance(parser.flags.get(word), _Form) and not is_file:
+            result[at] = f"{word}="
+    return result
 
 
 def add_client_options(
@@ -319,16 +251,16 @@ def add_client_options(
     _add(group, CLIENT_OPTIONS, lambda: {**_of_clients(), **usual()}, without)
 
 
-def add_serial_options(command: argparse.ArgumentParser, *, without: Collection[str] = ()) -> Any:
+def add_serial_options(command: Parser, *, without: Collection[str] = ()) -> Any:
     """Add the settings of serial ports, and return their group."""
-    group = command.add_argument_group("serial port")
+    group = command.group("serial port")
     _add(group, SERIAL_OPTIONS, _of_serial_ports, without)
     return group
 
 
-def add_security_options(command: argparse.ArgumentParser) -> None:
+def add_security_options(command: Parser) -> None:
     """Add the files that tls:// needs."""
-    _add(command.add_argument_group("certificates, for tls://"), SECURITY_OPTIONS)
+    _add(command.group("certificates, for tls://"), SECURITY_OPTIONS)
 
 
 def _add(
@@ -377,9 +309,9 @@ def _of_clients() -> dict[str, Any]:
 
 def _of_serial_ports() -> dict[str, Any]:
     others = {name: value for name, value in ASCII_DEFAULTS.items() if name in SERIAL_DEFAULTS}
-    told = {name: f"{SERIAL_DEFAULTS[name]}; ascii: {value}" for name, value in others.items()}
+    texts = {name: f"{SERIAL_DEFAULTS[name]}; ascii: {value}" for name, value in others.items()}
     words = {letter: word for word, letter in reversed(PARITIES.items())}
-    return {**SERIAL_DEFAULTS, **told, "parity": words[SERIAL_DEFAULTS["parity"]]}
+    return {**SERIAL_DEFAULTS, **texts, "parity": words[SERIAL_DEFAULTS["parity"]]}
 
 
 # --- what completes arguments ------------------------------------------------------------------
@@ -446,9 +378,9 @@ def with_options(
             places = ", ".join(map(str, endpoints))
             raise ValueError(f"{flag(useless[0])} applies to {wanted} only, not to {places}")
     client = {name: value for name, value in typed.items() if name in CLIENT_OPTIONS}
-    found = []
+    result = []
     for each in endpoints:
         own = {name: typed[name] for name in options_of(each.scheme) if name in typed}
         settings, of_client = {**each.options, **own}, {**each.client_options, **client}
-        found.append(replace(each, options=settings, client_options=of_client))
-    return found
+        result.append(replace(each, options=settings, client_options=of_client))
+    return result

@@ -13,8 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .arguments import declare
 from .output import counted
+from .parser import Parser, declare
 
 if TYPE_CHECKING:
     from ..tools.authority import Authority
@@ -79,7 +79,7 @@ DIR
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EXAMPLES
     declare(command, ARGUMENTS, dir={"type": Path})

@@ -9,10 +9,10 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from .arguments import declare
 from .commands import COMMANDS, whole_parser
 from .foreign import is_place
 from .output import PROGRAM
+from .parser import Parser, declare
 
 __all__ = ["add_command", "complete"]
 
@@ -26,7 +26,7 @@ examples:
   libmodbus-py completion fish > ~/.config/fish/completions/libmodbus-py.fish"""
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description = "Print a script that makes a shell complete commands, options and names."
     command.epilog = EXAMPLES
@@ -59,7 +59,7 @@ def complete() -> None:
     WithoutOptions()(parser, always_complete_options="long")
 
 
-def _without_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> list[str]:
+def _without_options(parser: Parser, words: Sequence[str]) -> list[str]:
     """
     Return the words before the one that is completed, without options and their values.
 
@@ -67,31 +67,29 @@ def _without_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> l
     nothing would be completed in ``read URL -u 3 NAME``. An option whose value is completed stays.
     """
     flags = _flags(parser)
-    found: list[str] = []
+    others: list[str] = []
     at = 0
     while at < len(words):
         action = flags.get(words[at])
         if action is None:
-            found.append(words[at])
+            others.append(words[at])
             at += 1
             continue
         count = 1 if action.nargs is None else action.nargs
         end = at + 1 + (count if isinstance(count, int) else 0)
         may_have_one = action.nargs in ("?", "+") and hasattr(action, "completer")
         if end > len(words) or (may_have_one and end == len(words)):
-            return [*found, *words[at:]]
+            return [*others, *words[at:]]
         at = end
-    return found
+    return others
 
 
-def _flags(parser: argparse.ArgumentParser) -> dict[str, argparse.Action]:
+def _flags(parser: Parser) -> dict[str, argparse.Action]:
     """Return the options of a parser and of all its commands."""
-    found = dict(parser._option_string_actions)
-    for action in parser._actions:
-        if action.nargs == argparse.PARSER:
-            for each in dict(action.choices or {}).values():
-                found |= _flags(each)
-    return found
+    flags = parser.flags
+    for command in parser.commands.values():
+        flags |= _flags(command)
+    return flags
 
 
 def _argcomplete() -> Any:

@@ -25,6 +25,7 @@ from ..protocol.errors import ExceptionResponse
 from ..server.server import Server
 from ..tools.testing.wires import SerialWire, TcpWire
 from .output import PROGRAM, styled
+from .parser import Parser
 
 __all__ = ["add_command"]
 
@@ -65,7 +66,7 @@ To try next, the second and the third in another terminal:
   {program} identify 127.0.0.1:1502"""
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare that it has no arguments."""
     command.set_defaults(run=_demo)
 

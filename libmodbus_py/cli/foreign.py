@@ -8,12 +8,12 @@ as ``-p 1502``.
 
 from __future__ import annotations
 
-import argparse
 import re
 
 TYPE_CHECKING = False  # see commands
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+    from typing import Any
 
 __all__ = ["COMMANDS", "equivalents", "is_place", "place"]
 
@@ -74,12 +74,12 @@ COMMANDS = {
 """Command of another program -> what is typed here."""
 
 
-def equivalents(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
+def equivalents(command: str, flags: Mapping[str, Any], words: Sequence[str]) -> str:
     """
-    Return a message about the options that are those of another program, and not of the command
-    whose parser it is, among the words behind it; empty if none is.
+    Return a message about the options that are those of another program, and not among the `flags`
+    of the command, in the words behind it; empty if none is.
     """
-    found: list[str] = []
+    hints: list[str] = []
     words = words[: words.index("--")] if "--" in words else words
     for at, typed in enumerate(words):
         word, _, value = typed.partition("=")
@@ -88,12 +88,12 @@ def equivalents(parser: argparse.ArgumentParser, words: Sequence[str]) -> str:
             value = following
         if word in TAKEN and re.fullmatch(TAKEN[word][0], value):
             answer = TAKEN[word][1]
-        elif word in OPTIONS and _is_foreign(parser, word, words[:at]):
+        elif word in OPTIONS and _is_foreign(command, flags, word, words[:at]):
             answer = OPTIONS[word]
         else:
             continue
-        found.append(f"{f'{word} {value}'.rstrip()}: type {_of_value(answer, value)}")
-    return "; ".join(found)
+        hints.append(f"{f'{word} {value}'.rstrip()}: type {_of_value(answer, value)}")
+    return "; ".join(hints)
 
 
 def _of_value(answer: str, value: str) -> str:
@@ -104,16 +104,15 @@ def _of_value(answer: str, value: str) -> str:
     return answer.replace("VALUE", value or "N")
 
 
-def _is_foreign(parser: argparse.ArgumentParser, word: str, before: Sequence[str]) -> bool:
+def _is_foreign(command: str, flags: Mapping[str, Any], word: str, before: Sequence[str]) -> bool:
     """Return True unless a word is an option here, or a number such as -1 that is a value."""
-    known = parser._option_string_actions
-    if word in known or not word[1:].isdecimal():
-        return word not in known
-    if not before or parser.prog.endswith(" write"):
+    if word in flags or not word[1:].isdecimal():
+        return word not in flags
+    if not before or command == "write":
         return not before
     from ..protocol.words import table_named
 
-    option = known.get(before[-1])
+    option = flags.get(before[-1])
     is_value = option is not None and option.nargs != 0
     return not is_value and table_named(before[-1]) is None
 

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from ..protocol.plain import time_text
-from .arguments import declare
 from .output import log_line
+from .parser import Parser, declare
 
 __all__ = ["add_arguments", "called_before_lines", "logged"]
 
@@ -32,9 +32,9 @@ rare --log-format FORMAT
 """
 
 
-def add_arguments(command: argparse.ArgumentParser) -> None:
+def add_arguments(command: Parser) -> None:
     """Declare the options."""
-    group = command.add_argument_group("log, on stderr")
+    group = command.group("log, on stderr")
     declare(group, OPTIONS, log={"choices": LEVELS}, log_format={"choices": ("json", "text")})
 
 

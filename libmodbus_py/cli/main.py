@@ -15,8 +15,9 @@ import sys
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Iterator, Sequence
+
+    from .parser import Parser
 
 __all__ = ["INTERRUPTED", "CommandError", "advice", "main"]
 
@@ -66,7 +67,7 @@ def _run(arguments: Sequence[str]) -> int:
         with written_to(options.written_to, goes_on=goes_on):
             return int(options.run(options))
     except (ValueError, TypeError) as error:
-        parser: argparse.ArgumentParser = options.parser
+        parser: Parser = options.parser
         parser.error(str(error))
 
 

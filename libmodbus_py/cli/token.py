@@ -11,7 +11,7 @@ import argparse
 import os
 import secrets
 
-from .arguments import declare
+from .parser import Parser, declare
 
 __all__ = ["add_command"]
 
@@ -35,7 +35,7 @@ ARGUMENTS = """
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EXAMPLES
     declare(command, ARGUMENTS)

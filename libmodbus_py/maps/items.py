@@ -9,11 +9,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Literal, Required, TypeAlias, TypedDict, TypeVar
 
-from ..protocol.checks import integer
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongType, WrongValue, named_arguments, placed
-from ..protocol.pdu.request import checked_span, store
-from ..protocol.tables import TABLE_SIZE, TABLES, RegisterTable, Table, checked_table
+from ..protocol.pdu.request import store
+from ..protocol.tables import TABLES, RegisterTable, Table, checked_table, checked_values
 from ..protocol.values import Order, TypeName, ValueType, value_type
 from ..protocol.words import FloatType, PlainIntegerType
 
@@ -64,9 +63,7 @@ class Read:
         store(self, kind=self._find_kind())
         if self.kind is not None:
             store(self, type=self.kind.name)
-        count = integer("count", self.count, 1, TABLE_SIZE // self.size)
-        name = "count" if self.size == 1 else f"{self.size} * count"
-        address = checked_span("address", self.address, name, count * self.size)
+        address, count = checked_values(self.address, self.count, self.size)
         store(self, address=address, count=count)
 
     def _find_kind(self) -> ValueType | None:

@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 from .pdu import Request
 from .pdu.request import arguments
-from .value_types import ValueType
 
 if TYPE_CHECKING:
     from datetime import datetime
+
+    from .value_types import ValueType
 
 # fmt: off
 __all__ = [

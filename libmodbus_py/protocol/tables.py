@@ -14,15 +14,16 @@ from operator import attrgetter
 from typing import Any, Literal, NamedTuple, get_args
 
 from . import pdu
+from .checks import integer
 from .mistakes import WrongType, WrongValue
-from .pdu.request import MAX_WRITTEN, TABLE_SIZE
+from .pdu.request import MAX_WRITTEN, TABLE_SIZE, checked_span
 from .words import TABLE_WORDS, close_word, table_named
 
 # fmt: off
 __all__ = [
     "REGISTER_TABLES", "TABLES", "TABLE_SIZE", "RegisterTable", "Table", "WritableTable",
-    "WriteFunction", "check_writable", "checked_ranges", "checked_table", "checked_write_function",
-    "contains", "joined", "register_table", "touches", "without",
+    "WriteFunction", "check_writable", "checked_ranges", "checked_table", "checked_values",
+    "checked_write_function", "contains", "joined", "register_table", "touches", "without",
 ]
 # fmt: on
 
@@ -68,6 +69,13 @@ def checked_table(table: object) -> Any:
         close = close_word(table, TABLES, TABLE_WORDS)
         raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {table!r}{close}")
     return name
+
+
+def checked_values(address: int, count: int, size: int) -> tuple[int, int]:
+    """Return the address and the number of values of `size` cells, which a table must hold."""
+    count = integer("count", count, 1, TABLE_SIZE // size)
+    name = "count" if size == 1 else f"{size} * count"
+    return checked_span("address", address, name, count * size), count
 
 
 def checked_write_function(value: object, names: tuple[str, ...] = get_args(WriteFunction)) -> Any:

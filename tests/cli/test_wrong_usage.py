@@ -261,6 +261,7 @@ FINDING = [
     ("listen rtu:///dev/null --between rtu+tcp://127.0.0.1:1", "only read"),
     ("listen rtu+tcp://h:0 --between ttyUSB0", "rtu:///dev/ttyUSB0: the scheme must be"),
     ("listen x.txt", "the scheme must be rtu, ascii"),
+    ("read h hr 0:float32 --max-registers 1", "float32 takes 2 registers, which is more than"),
     ("listen FOLDER/x.pcapng", "x.pcapng: byte 4: no pcapng or pcap file"),
     ("listen x.pcapng -b 9600", "--baudrate applies to serial ports only, not to x.pcapng"),
 ]

@@ -37,7 +37,7 @@ def rows(tool: str) -> Iterator[tuple[str, list[str]]]:
 
 @pytest.mark.parametrize("tool", TOOLS)
 def test_every_option_of_ours_exists(tool: str) -> None:
-    known = {*parser_of("read")._option_string_actions, *parser_of("write")._option_string_actions}
+    known = {*parser_of("read").flags, *parser_of("write").flags}
     found = list(rows(tool))
     assert len(found) >= 8
     for theirs, ours in found:

@@ -4,7 +4,9 @@ Commands that ask one device: read, write, identify, diagnose, raw and map.
 ::
 
     values           the arguments of read and write
-    reading          the requests of read, once or again and again
+    reading          read, once
+    watching         read, again and again
+    item_plan        the requests of several items
     writing          the requests of write
     items            what is read or written, as words and as requests
     formatters       values as lines, cells of CSV and fields of JSON, and what prints them

@@ -12,16 +12,15 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
-from ...maps.meaning import no_value
 from ...protocol.errors import ModbusError
 from ...protocol.plain import SHORT_FLOATS, clock_text, plain, shortest, text_of, time_text
-from ...protocol.values import Interpretation, ValueType, readings, value_type
 from ..output import Redrawn, print_csv, print_json
 from .items import ALL, HEX, REGISTERS, Item, reason_of
 from .units import fail
 
 if TYPE_CHECKING:
     from ...maps.point import Point
+    from ...protocol.values import Interpretation, ValueType
 
 # fmt: off
 __all__ = [
@@ -118,13 +117,15 @@ def _whence(item: Item) -> dict[str, Any]:
     """Return the fields of JSON that name an item."""
     if item.point is not None:
         return {"name": item.point.name}
-    found: dict[str, Any] = {"table": item.table, "address": item.address + item.base}
+    fields: dict[str, Any] = {"table": item.table, "address": item.address + item.base}
     if item.bit is not None:
-        found["bit"] = item.bit
-    return {**found, "file": item.file} if item.table == "file" else found
+        fields["bit"] = item.bit
+    return {**fields, "file": item.file} if item.table == "file" else fields
 
 
 def _of_type(item: Item, kind: ValueType, cells: list[int]) -> _Shown:
+    from ...maps.meaning import no_value
+
     values = kind.values_in(cells)
     if all(isinstance(value, ValueError) for value in values):
         place = f"{item.table.replace('_', ' ')} from {item.number()}"
@@ -153,6 +154,8 @@ def _in_all_ways(item: Item, cells: list[int]) -> _Shown:
     Return what registers mean, each with the number of its first register, plausible ones first:
     all interpretations as one value, and, from each register on, the likely ones of fewer.
     """
+    from ...protocol.values import readings, value_type
+
     placed: list[tuple[int, Interpretation]] = []
     for at in range(len(cells)):
         sizes = [size for size in SIZES if size < len(cells) and at + size <= len(cells)]
@@ -181,13 +184,13 @@ def _in_all_ways(item: Item, cells: list[int]) -> _Shown:
 
 
 def _of_point(item: Item, point: Point, cells: list[int], source: Any) -> ReadResult:
-    found = point.judge(cells if item.kind else [bool(cell) for cell in cells], source=source)
-    rows = rows_of_point(point, found.value, found.reason)
-    fields = {"name": point.name, "value": plain(found.value)}
-    if not found.reason:
+    judged = point.judge(cells if item.kind else [bool(cell) for cell in cells], source=source)
+    rows = rows_of_point(point, judged.value, judged.reason)
+    fields = {"name": point.name, "value": plain(judged.value)}
+    if not judged.reason:
         return ReadResult(item, rows, fields)
-    fields["no_value"] = {"quality": found.quality, "reason": found.reason}
-    return ReadResult(item, rows, fields, remark=f"{point.name}: {found.reason}")
+    fields["no_value"] = {"quality": judged.quality, "reason": judged.reason}
+    return ReadResult(item, rows, fields, remark=f"{point.name}: {judged.reason}")
 
 
 def rows_of_point(point: Point, value: Any, reason: str) -> list[ValueText]:

@@ -16,25 +16,30 @@ import argparse
 import re
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ...maps.items import Borders, Read
+from ...protocol import pdu
 from ...protocol.checks import integer
 from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.plain import number_of
-from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE
-from ...protocol.values import ValueType, parse_reference, value_type
-from ...protocol.words import REFERENCE_TABLES, close_word, plain, table_named
+from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE, TABLES, checked_values
+from ...protocol.words import REFERENCE_TABLES, close_word, parse_reference, plain, table_named
 from ...protocol.words import TABLE_WORDS as VENDORS
 from ..arguments import list_keys
 from ..main import advice
 
 if TYPE_CHECKING:
+    from ...maps.items import Borders, Read
     from ...maps.point import Point
     from ...maps.register_map import RegisterMap
+    from ...protocol.values import ValueType
 
-__all__ = ["ALL", "HEX", "REGISTERS", "TABLE_WORDS", "Item", "Words", "map_of", "reason_of"]
+# fmt: off
+__all__ = [
+    "ALL", "HEX", "REGISTERS", "TABLE_WORDS", "Item", "Words", "cells_of", "map_of", "reason_of",
+    "requests_of",
+]
+# fmt: on
 
 TABLE_WORDS = {
     "coils": "coils",
@@ -55,13 +60,15 @@ USUAL = {"order": "ABCD", "encoding": "ascii", "padding": "\0"}
 ALL, HEX = "all", "hex"
 """Forms of registers without a type: every interpretation (--type all), and hexadecimal."""
 
+RECORDS = 121
+"""Records of a file that one request reads: the byte count of the answer goes to 245."""
+
 _PLACE = re.compile(
     r"(?P<first>-?[^-:.]*)(?:\.(?P<bit>[0-9]+)|(?:-(?P<last>[0-9]+))?(?P<type>:.+)?)", re.DOTALL
 )
 
 
-@dataclass(frozen=True)
-class Item:
+class Item(NamedTuple):
     """
     Values of one table, or a point of a register map.
 
@@ -76,7 +83,7 @@ class Item:
 
     table: str
     address: int
-    count: int = 1
+    count: int = 1  # type: ignore[assignment]  # in place of the method of tuples
     kind: ValueType | None = None
     file: int = 0
     point: Point | None = None
@@ -108,6 +115,8 @@ class Item:
         """The item as a `Plan` of cells takes it; only for the four tables."""
         if self.point is not None:
             return self.point.read
+        from ...maps.items import Read
+
         name = None if self.kind is None else self.kind.name  # by which no request divides a value
         return Read(self.table, self.address, self.count, name)  # type: ignore[arg-type]
 
@@ -127,13 +136,13 @@ class Words:
         self._have_values = have_values
         self._base = int(options.count_from_1)
         self._type: str | None = None if is_all else options.type
-        given = {name: value for name in USUAL if (value := getattr(options, name)) is not None}
-        for name in given:
+        layout = {name: value for name in USUAL if (value := getattr(options, name)) is not None}
+        for name in layout:
             if is_all:
                 raise ValueError(f"--type all shows every interpretation, and has no --{name}")
             if self._type is None and not any(re.match(r"[0-9][0-9-]*:", each) for each in words):
                 raise ValueError(f"--{name} needs --type, or a type as in hr 100:float32")
-        self._options_of_types = {**USUAL, **given}
+        self._options_of_types = {**USUAL, **layout}
         self._kind(self._type)  # refuses what is wrong without any item, too
 
     def __bool__(self) -> bool:
@@ -153,7 +162,7 @@ class Words:
         items = [_of_point(self.map[name]) for name in names] if self.map is not None else []
         while self._words:
             item = self.take_item()
-            items.append(item if item.point else replace(item, count=self._take_count(item)))
+            items.append(item if item.point else item._replace(count=self._take_count(item)))
         return items
 
     def borders(self) -> Borders:
@@ -274,18 +283,20 @@ class Words:
             raise ValueError(f"{item.table.replace('_', ' ')} have no type, only {allowed} have")
         kind = self._kind(wanted)
         is_range = last != item.address
-        item = replace(item, kind=kind, form=form, is_range=is_range)
+        item = item._replace(kind=kind, form=form, is_range=is_range)
         if not is_range:
             return item
         cells = last - item.address + 1
         if cells < 1 or cells % item.size:
             what = f"registers of {kind.name}, {item.size} each" if kind else "cells"
             raise ValueError(f"{item.label()} to {item.number(cells - 1)} is no range of {what}")
-        return replace(item, count=cells // item.size)
+        return item._replace(count=cells // item.size)
 
     def _kind(self, name: str | None) -> ValueType | None:
         if name is None:
             return None
+        from ...protocol.values import value_type
+
         kind, _, order = name.rpartition(":")
         if not kind or order.isdecimal():  # string:8
             return value_type(name, **self._options_of_types)
@@ -297,17 +308,17 @@ def _split(text: str) -> tuple[str, str | None, str | None, str | None]:
     Return the address, the bit, the end of the range and the type of a word such as 100.3 or
     100-105:float32.
     """
-    found = _PLACE.fullmatch(text)
-    if found is None:
+    match = _PLACE.fullmatch(text)
+    if match is None:
         return text, None, None, None
-    return found["first"], found["bit"], found["last"], found["type"] and found["type"][1:]
+    return match["first"], match["bit"], match["last"], match["type"] and match["type"][1:]
 
 
 def _with_bit(item: Item, text: str) -> Item:
     """Return the item of one bit of a register."""
     if item.table not in REGISTER_TABLES:
         raise ValueError(f"{item.label()}.{text}: only holding and input registers have bits")
-    return replace(item, bit=integer("bit", number_of("bit", text), 0, 15))
+    return item._replace(bit=integer("bit", number_of("bit", text), 0, 15))
 
 
 def _address(text: str, base: int) -> int:
@@ -340,6 +351,42 @@ def map_of(options: argparse.Namespace) -> RegisterMap | None:
     from ...tools.simulator.example_files import map_file
 
     return load_map(map_file(options.map), **list_keys(options))
+
+
+# --- requests ------------------------------------------------------------------------
+
+
+def requests_of(item: Item, max_registers: int) -> list[pdu.Request[Any]]:
+    """Return the requests for an item, none of which divides a value; of a queue there is one."""
+    if item.table == "fifo_queue":
+        if item.count != 1:
+            raise ValueError("fifo takes no count: a queue is always read as a whole")
+        return [pdu.ReadFifoQueue(item.address)]
+    end = item.address + item.count * item.size
+    if item.table == "file":
+        step = max(RECORDS // item.size, 1) * item.size
+        firsts = range(item.address, max(end, item.address + 1), step)
+        return [pdu.ReadFileRecords(((item.file, at, min(step, end - at)),)) for at in firsts]
+    checked_values(item.address, item.count, item.size)
+    rules = TABLES[item.table]
+    step = rules.most_read if rules.is_bits else max_registers // item.size * item.size
+    if item.kind is not None and not step:
+        raise ValueError(
+            f"{item.kind.name} takes {item.size} registers, which is more than max_registers,"
+            f" {max_registers}"
+        )
+    return [rules.read(at, min(step, end - at)) for at in range(item.address, end, step)]
+
+
+def cells_of(item: Item, answers: Sequence[Any]) -> Any:
+    """Return the cells of an item in the answers to its requests, or the first error of them."""
+    cells: list[int] = []
+    for answer in answers:
+        if isinstance(answer, ModbusError):
+            return answer
+        (part,) = answer if item.table == "file" else (answer,)
+        cells += map(int, part)
+    return cells
 
 
 def reason_of(error: ModbusError, item: Item) -> str:

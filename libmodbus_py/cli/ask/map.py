@@ -10,8 +10,9 @@ from textwrap import fill
 from typing import Any
 
 from .. import arguments
-from ..arguments import declare, maps, names_of_maps
+from ..arguments import maps, names_of_maps
 from ..output import complain
+from ..parser import Parser, declare
 
 __all__ = ["add_command"]
 
@@ -111,14 +112,14 @@ OF_CLASS_OUTPUT = """
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments of each action."""
     command.epilog = EXAMPLES
-    actions = command.add_subparsers(metavar="ACTION", required=True)
+    add_action = command.add_commands("ACTION")
 
     def add(name: str, about: str, epilog: str, more: str = "") -> Any:
         text = f"{fill(about[0].upper() + about[1:] + more, 79)}."
-        action = actions.add_parser(name, help=about, description=text, epilog=epilog)
+        action = add_action(name, about, description=text, epilog=epilog)
         action.set_defaults(run=partial(_run, name))
         return action
 
@@ -133,13 +134,13 @@ def add_command(command: argparse.ArgumentParser) -> None:
     declare(imported, OF_OUTPUT)
     search = {"action": "store", "nargs": "+", "default": [], "complete": names_of_maps}
     declare(add("list", LIST, OF_LIST, "; --map takes their names"), SEARCH, search=search)
-    made = add("class", CLASS, OF_CLASS)
-    declare(made, f"FILE\n  {OF_FILE}", file={"complete": maps})
-    arguments.add_columns(made, rare="", encoding=True)
-    declare(made, OF_CLASS_OUTPUT)
+    of_class = add("class", CLASS, OF_CLASS)
+    declare(of_class, f"FILE\n  {OF_FILE}", file={"complete": maps})
+    arguments.add_columns(of_class, rare="", encoding=True)
+    declare(of_class, OF_CLASS_OUTPUT)
     device = add("from-device", FROM_DEVICE, OF_DEVICE, TO_FILL_IN)
     declare(device, f"{arguments.URL}{OF_OUTPUT}")
-    arguments.add_client_options(device.add_argument_group("requests"), usual=_timeouts)
+    arguments.add_client_options(device.group("requests"), usual=_timeouts)
     arguments.add_serial_options(device)
     arguments.add_security_options(device)
     from_sunspec = add("from-sunspec", FROM_SUNSPEC, OF_SUNSPEC)

@@ -15,8 +15,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from .. import arguments
-from ..arguments import declare
 from ..output import print_json
+from ..parser import Parser, declare
 
 if TYPE_CHECKING:
     from ...client.blocking import Client
@@ -77,7 +77,7 @@ FUNCTION
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments of identify, diagnose or raw."""
     name = command.prog.rpartition(" ")[2]
     arguments.add_client(command, several=name != "raw")

@@ -12,7 +12,8 @@ from typing import Any, get_args
 from ...protocol.checks import DURATION, duration_of
 from ...protocol.words import BitsType, NumberType, Order, TimeType
 from .. import arguments
-from ..arguments import declare, maps
+from ..arguments import maps
+from ..parser import Parser, declare
 from ..serve import over_http
 
 __all__ = ["add_command", "names"]
@@ -112,18 +113,18 @@ OF_SENDING = """
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments of read or write."""
     (_add_read if command.prog.endswith(" read") else _add_write)(command)
 
 
-def _add_read(command: argparse.ArgumentParser) -> None:
+def _add_read(command: Parser) -> None:
     command.description, command.epilog = READ, f"{READING}\n\n{arguments.URLS}"
     declare(command, f"{arguments.URL}{OF_READ}", what={"complete": names})
     _add_item_arguments(command, ", or all, which shows every interpretation")
     declare(command, OF_REQUESTS, max_registers={"default": 125})
-    group = command.add_argument_group("output")
-    form = group.add_mutually_exclusive_group()
+    group = command.group("output")
+    form = group.exclusive()
     declare(form, "--hex\n  print registers in hexadecimal")
     arguments.add_forms(form, "print CSV", csv_file="add rows to FILE")
     declare(
@@ -138,22 +139,22 @@ def _add_read(command: argparse.ArgumentParser) -> None:
     command.set_defaults(run=_read, adds_rows=True)
 
 
-def _add_write(command: argparse.ArgumentParser) -> None:
+def _add_write(command: Parser) -> None:
     command.description, command.epilog = WRITE, f"{WRITING}\n\n{arguments.URLS}"
     text = f"{arguments.URL}WHAT VALUE ...\n  the values to write"
     declare(command, text, what={"nargs": "+", "complete": names})
     _add_item_arguments(command)
-    group = command.add_argument_group("writing")
+    group = command.group("writing")
     declare(group, "--multiple\n  write single values with functions 15 and 16, not with 5 and 6")
-    declare(group.add_mutually_exclusive_group(), OF_REGISTERS)
+    declare(group.exclusive(), OF_REGISTERS)
     declare(group, OF_SENDING)
     arguments.add_requests(command)
     command.set_defaults(run=_write)
 
 
-def _add_item_arguments(command: argparse.ArgumentParser, more: str = "") -> None:
+def _add_item_arguments(command: Parser, more: str = "") -> None:
     """Add the arguments that say how values are stored in a device."""
-    group = command.add_argument_group("values")
+    group = command.group("values")
     types = [*get_args(NumberType), *get_args(BitsType), *get_args(TimeType), "string:"]
     orders = {"complete": get_args(Order)}
     declare(group, OF_VALUES % more, _of_reads, type={"complete": types}, order=orders)
@@ -201,11 +202,15 @@ def _polls(text: str) -> int:
 
 
 def _read(options: argparse.Namespace) -> int:
-    from .reading import read, watch
-
     if options.watch is None and (options.count or options.lasts or options.page):
         options.watch = 1.0
-    return read(options) if options.watch is None else watch(options)
+    if options.watch is None:
+        from .reading import read
+
+        return read(options)
+    from .watching import watch
+
+    return watch(options)
 
 
 def _write(options: argparse.Namespace) -> int:

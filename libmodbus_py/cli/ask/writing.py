@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import re
 from contextlib import closing
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...client.blocking import Client
@@ -106,7 +105,7 @@ def _say(context: Client, map: RegisterMap | None, write: Write, cells: list[int
         value = context.read_map(map, [name])[name]
         line += f", read back {value} {item.point.units}".rstrip()
     elif cells is not None:
-        rows = result_of(replace(item, count=len(cells) // item.size), cells).rows
+        rows = result_of(item._replace(count=len(cells) // item.size), cells).rows
         line += f", read back {' '.join(row.text for row in rows)}"
     print(line)
 
@@ -116,7 +115,7 @@ def _say(context: Client, map: RegisterMap | None, write: Write, cells: list[int
 
 def _writes(options: argparse.Namespace, words: Words) -> list[Write]:
     """Return the writes in the order typed, which devices may depend on."""
-    found: list[Write] = []
+    writes: list[Write] = []
     while words:
         item = words.take_item()
         texts = words.take_values()
@@ -124,10 +123,10 @@ def _writes(options: argparse.Namespace, words: Words) -> list[Write]:
             requests = _point_requests(options, words.map, item, texts)
         else:
             requests = _requests(options, item, texts)
-        found.append(Write(item, texts, requests))
-    if len(found) > 1 and (options.mask or options.and_read):
+        writes.append(Write(item, texts, requests))
+    if len(writes) > 1 and (options.mask or options.and_read):
         raise ValueError("--mask and --and-read allow one item only")
-    return found
+    return writes
 
 
 def _point_requests(
@@ -214,7 +213,7 @@ def _verified(context: Client, write: Write, differing: list[str]) -> list[int]:
     from ...device.access import touched
 
     item = write.item
-    found: list[int] = []
+    read: list[int] = []
     for request in write.requests:
         (access,) = touched(request).writes
         written, bits = access.values, 0xFFFF
@@ -233,5 +232,5 @@ def _verified(context: Client, write: Write, differing: list[str]) -> list[int]:
             for at, (wanted, cell) in enumerate(zip(written, cells, strict=False))
             if (int(wanted) ^ int(cell)) & bits
         ]
-        found += [int(cell) for cell in cells[: len(written)]]
-    return found
+        read += [int(cell) for cell in cells[: len(written)]]
+    return read

@@ -19,8 +19,9 @@ from ...protocol.plain import clock_text, plain, time_text
 from ...tools.listener.listener import CAPTURES, listen
 from ...tools.listener.transaction import Transaction
 from .. import arguments
-from ..arguments import declare, with_options
+from ..arguments import with_options
 from ..output import PROGRAM, complain, counted, harmless, print_csv, print_json, styled
+from ..parser import Parser, declare
 
 if TYPE_CHECKING:
     from ...tools.listener.named import LearnedMap, MapDecoder, NamedValue
@@ -83,12 +84,12 @@ URL
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     declare(command, ARGUMENTS, map={"complete": arguments.maps})
     arguments.add_columns(command, encoding=True)
-    arguments.add_forms(command.add_mutually_exclusive_group(), "with --map, print CSV")
+    arguments.add_forms(command.exclusive(), "with --map, print CSV")
     arguments.add_units(command, "print the transactions of these units only, such as 1-9,17")
     arguments.add_serial_options(command)
     command.set_defaults(run=_listen)

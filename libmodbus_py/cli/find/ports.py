@@ -9,8 +9,8 @@ from dataclasses import asdict
 
 from ...ports.serial_devices import SerialDevice, serial_devices
 from .. import arguments
-from ..arguments import declare
 from ..output import harmless, print_csv, print_json
+from ..parser import Parser, declare
 
 __all__ = ["add_command"]
 
@@ -31,24 +31,24 @@ examples:
 COLUMNS = ("path", "state", "driver", "vendor", "product", "serial_number", "stable_path")
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     declare(command, "--all\n  list those without a USB device too, such as ttyS0")
-    arguments.add_forms(command.add_mutually_exclusive_group(), "print CSV")
+    arguments.add_forms(command.exclusive(), "print CSV")
     command.set_defaults(run=_ports)
 
 
 def _ports(options: argparse.Namespace) -> int:
     every = serial_devices()
-    found = every if options.all else [each for each in every if each.vendor] or every
+    devices = every if options.all else [each for each in every if each.vendor] or every
     if options.json:
-        for each in found:
+        for each in devices:
             print_json(asdict(each))
     elif options.csv:
-        print_csv([COLUMNS, *([getattr(each, name) for name in COLUMNS] for each in found)])
+        print_csv([COLUMNS, *([getattr(each, name) for name in COLUMNS] for each in devices)])
     else:
-        _print_table(found)
+        _print_table(devices)
     return 0 if every else 1
 
 

@@ -32,9 +32,10 @@ from ...tools.scan.probe import (
 from ...tools.scan.scan import Found, Progress, Scan, scan
 from ...tools.scan.search import MOST_REQUESTS, Extent, Searching, search
 from .. import arguments
-from ..arguments import declare, with_options
+from ..arguments import with_options
 from ..main import INTERRUPTED
 from ..output import Status, counted, duration, missing, print_json, progress
+from ..parser import Parser, declare
 
 __all__ = ["add_command"]
 
@@ -96,7 +97,7 @@ OF_LINES = f"""
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, f"{EXAMPLES}\n\n{arguments.URLS}"
     declare(command, arguments.URL)
@@ -104,7 +105,7 @@ def add_command(command: argparse.ArgumentParser) -> None:
     declare(command, ARGUMENTS.format(_units(USUAL_UNITS)))
     arguments.add_forms(command, json="print JSON, one object in the end")
     arguments.add_client_options(
-        command.add_argument_group("requests"),
+        command.group("requests"),
         without=("unit",),
         usual=lambda: {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"},
     )
@@ -250,12 +251,12 @@ class _Report:
         for note in self.notes:
             self.say(note)
         if self._as_json and self._has_begun:
-            told = [
+            facts = [
                 _plain(each, self._extents.get(each.url), has_values=self._has_values)
                 for each in self.found
             ]
             tried = {setting: _units(units) for setting, units in self.tried.items()}
-            print_json({"found": told, "tried": tried, "notes": self.notes, "stopped": stopped})
+            print_json({"found": facts, "tried": tried, "notes": self.notes, "stopped": stopped})
         elif self.tried or self.hosts:
             found = counted(len(self.found), "unit") if self.found else "no unit"
             self.say(f"tried {self._all_tried()}: {found} found{' so far' * stopped}")
@@ -306,8 +307,8 @@ def _form(setting: str) -> str:
 
 def _units(units: Iterable[int]) -> str:
     """Return units as they are typed, such as "1-10,17"."""
-    found = joined(range(unit, unit + 1) for unit in units)
-    return ",".join(f"{each[0]}-{each[-1]}" if len(each) > 1 else f"{each[0]}" for each in found)
+    ranges = joined(range(unit, unit + 1) for unit in units)
+    return ",".join(f"{each[0]}-{each[-1]}" if len(each) > 1 else f"{each[0]}" for each in ranges)
 
 
 def _safe(data: bytes) -> str:
@@ -339,16 +340,16 @@ def _plain(found: Found, extents: list[Extent] | None, *, has_values: bool) -> d
         "is_late", "is_any",
     )
     # fmt: on
-    told = {name: getattr(found, name) for name in names} | {"took": round(found.took, 4)}
-    told["server_id"] = None if found.server_id is None else found.server_id.data.hex()
-    told["identification"] = None
+    fields = {name: getattr(found, name) for name in names} | {"took": round(found.took, 4)}
+    fields["server_id"] = None if found.server_id is None else found.server_id.data.hex()
+    fields["identification"] = None
     if found.identification is not None:
-        told["identification"] = {
+        fields["identification"] = {
             OBJECT_NAMES.get(number, str(number)): value.decode("ascii", "backslashreplace")
             for number, value in found.identification.objects.items()
         }
     if extents is not None:
-        told["tables"] = {
+        fields["tables"] = {
             each.table: {
                 "ranges": [
                     {"address": part.start, "count": len(part)}
@@ -362,7 +363,7 @@ def _plain(found: Found, extents: list[Extent] | None, *, has_values: bool) -> d
             }
             for each in extents
         }
-    return told
+    return fields
 
 
 # --- ranges of hosts ---------------------------------------------------------------------------
@@ -370,18 +371,18 @@ def _plain(found: Found, extents: list[Extent] | None, *, has_values: bool) -> d
 
 def host_range(text: str) -> list[tuple[str, int]] | None:
     """Return host and port of each host of a range such as 192.0.2.0/24:1502; None for others."""
-    found = RANGE.fullmatch(text)
-    if found is None:
+    match = RANGE.fullmatch(text)
+    if match is None:
         return None
     try:
-        network = ip_network(found[1], strict=False)
+        network = ip_network(match[1], strict=False)
     except ValueError as error:
         raise ValueError(f"{text!r}: {error}") from None
     if network.num_addresses > MOST_HOSTS:
         raise ValueError(
             f"{text!r} has {network.num_addresses} hosts, and a scan tries {MOST_HOSTS} at most"
         )
-    port = int(found[2] or DEFAULT_PORT)
+    port = int(match[2] or DEFAULT_PORT)
     if not 1 <= port <= 65535:
         raise ValueError(f"{text!r}: the port must be in 1..65535")
     return [(str(host), port) for host in network.hosts()]

@@ -10,9 +10,9 @@ from typing import Any
 
 from ...client.blocking import Client
 from .. import arguments
-from ..arguments import declare
 from ..ask.units import ask_units, fail, units_of
 from ..output import complain, harmless, print_csv, print_json
+from ..parser import Parser, declare
 
 __all__ = ["add_command"]
 
@@ -30,13 +30,13 @@ examples:
   libmodbus-py sunspec 192.0.2.10 --csv > inverter.csv"""
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, f"{EXAMPLES}\n\n{arguments.URLS}"
     arguments.add_client(command, several=True)
     text = "the address at which the models begin (0, 40000 and 50000 are tried)"
     declare(command, f"--base A\n  {text}", base={"type": int})
-    arguments.add_forms(command.add_mutually_exclusive_group(), "print CSV")
+    arguments.add_forms(command.exclusive(), "print CSV")
     command.set_defaults(run=_sunspec)
 
 
@@ -45,16 +45,16 @@ def _sunspec(options: argparse.Namespace) -> int:
     rows: list[dict[str, Any]] = []
 
     def report(client: Client) -> None:
-        found = _asked(client, options.base)
+        points = _asked(client, options.base)
         if several:
-            found = [{"unit": client.unit, **row} for row in found]
+            points = [{"unit": client.unit, **row} for row in points]
         if options.csv:  # one table of all units
-            rows.extend(found)
+            rows.extend(points)
         elif options.json:
-            for row in found:
+            for row in points:
                 print_json(row)
         else:
-            _print_table(found)
+            _print_table(points)
 
     code = ask_units(options, report, partial(fail, as_json=options.json, lacks="models"))
     if rows:

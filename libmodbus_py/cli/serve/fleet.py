@@ -33,9 +33,9 @@ from ...services.workers.contents import Pushed
 from ...services.workers.polling import Polling
 from ...services.workers.records import BUCKET, Connection, FleetSettings, in_key
 from .. import arguments
-from ..arguments import declare
 from ..main import CommandError
 from ..output import complain, print_json
+from ..parser import Parser, declare
 from .running import Hangup, notify_ready
 
 __all__ = ["add_arguments", "add_command", "poll", "waited_for"]
@@ -82,19 +82,19 @@ PAUSE = 0.5
 ELECTION = 30.0
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments of the command fleet."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     text = f"STATUS\n  print the status of the fleet\n{ENGINE}"
-    what = {"dest": "what", "metavar": None, "choices": ["status"]}
+    what = {"dest": "what", "metavar": "status", "choices": ["status"]}
     declare(command, text, status=what, engine={"required": True})
     arguments.add_forms(command)
     command.set_defaults(run=_fleet)
 
 
-def add_arguments(command: argparse.ArgumentParser) -> None:
+def add_arguments(command: Parser) -> None:
     """Declare the options of poll for several machines."""
-    group = command.add_argument_group("several machines")
+    group = command.group("several machines")
     declare(group, f"{ENGINE}{OF_WORKERS}", zone={"default": []}, worker={"default": ""})
 
 
@@ -122,9 +122,9 @@ def poll(
         # From now on, though NATS may elect a leader for a while.
         with signal_handlers({signal.SIGHUP: hung_up}):
             hangup.release()
-            changed: list[Callable[[], None]] = []
+            changes: list[Callable[[], None]] = []
             name = f"libmodbus-py {options.worker}".strip()
-            async with _engine(servers, name, lambda: changed[0]() if changed else None) as client:
+            async with _engine(servers, name, lambda: changes[0]() if changes else None) as client:
                 bucket, current = await _opened(client, settings, connections)
                 polling = Polling(
                     client,
@@ -135,7 +135,7 @@ def poll(
                     outputs=outputs,
                     journal=journal,
                 )
-                changed.append(polling.engine_changed)
+                changes.append(polling.engine_changed)
                 leaving = {signal.SIGINT: polling.leave, signal.SIGTERM: polling.leave}
                 screen = asyncio.create_task(show(polling.fleet)) if show else None
                 try:
@@ -192,15 +192,15 @@ async def _answered(ask: Callable[[], Coroutine[Any, Any, T]], limit: float = ma
     After `limit` seconds the last reason is raised. Reasons alternate; each is logged once.
     """
     give_up = time.monotonic() + limit
-    told: set[str] = set()
+    names: set[str] = set()
     while True:
         try:
             return await ask()
         except EngineGone as error:
             if time.monotonic() > give_up:
                 raise
-            if str(error) not in told:
-                told.add(str(error))
+            if str(error) not in names:
+                names.add(str(error))
                 logger.warning("waiting for the engine: %s", error)
         await asyncio.sleep(PAUSE)
 

@@ -19,7 +19,8 @@ from ...services.gateway import config
 from ...services.gateway.gateway import Gateway
 from ...services.gateway.routes import Route, parse_route
 from .. import arguments, logs
-from ..arguments import declare, with_options
+from ..arguments import with_options
+from ..parser import Parser, declare
 from . import over_http
 from .running import add_audit, add_limits, starting
 
@@ -68,7 +69,7 @@ OF_WAITING = """
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description = (
         "Forward requests of clients to devices on other lines, and the answers back."
@@ -84,10 +85,10 @@ def add_command(command: argparse.ArgumentParser) -> None:
     usual = inspect.signature(Gateway).parameters
     own_units = ",".join(map(str, usual["own_units"].default))
     defaults = {name: usual[name].default for name in OPTIONS} | {"own_units": own_units}
-    group = command.add_argument_group("waiting requests")
+    group = command.group("waiting requests")
     declare(group, OF_WAITING, lambda: defaults, writes_first={"default": None})
     arguments.add_client_options(
-        command.add_argument_group("requests to the devices"),
+        command.group("requests to the devices"),
         without=("unit",),
         usual=lambda: {"max_pause": f"{MAX_PAUSE:g}"},
     )
@@ -124,9 +125,9 @@ def _gateway(options: argparse.Namespace) -> int:
         def make_shown() -> Shown:
             from ...services.gateway.shown_gateway import ShownGateway
 
-            made = ShownGateway(options.config or ", ".join(options.urls), gateway)
-            tracing.enter_context(gateway.tracing(made.note))
-            return made
+            page = ShownGateway(options.config or ", ".join(options.urls), gateway)
+            tracing.enter_context(gateway.tracing(page.note))
+            return page
 
         with contextlib.ExitStack() as tracing:
             command.serve(gateway, urls, make_shown)

@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any, TextIO
 
-from ..arguments import declare, refuse_given
+from ..arguments import refuse_given
 from ..output import complain, inform
+from ..parser import Group, Parser, declare
 
 if TYPE_CHECKING:
     from ...server.server import Server
@@ -28,7 +29,7 @@ TOKEN = "LIBMODBUS_PY_PAGE_TOKEN"
 """The environment variable that has the token of the page."""
 
 
-def add_metrics(command: argparse.ArgumentParser) -> None:
+def add_metrics(command: Parser) -> None:
     """Declare the option for metrics."""
     text = "serve metrics for Prometheus at this address, over HTTP"
     declare(command, f"--metrics HOST:PORT\n  {text}", metrics={"type": _address})
@@ -46,7 +47,7 @@ rare --page-token FILE
 """
 
 
-def add_page(command: argparse._ActionsContainer, what: str = "the devices") -> None:
+def add_page(command: Parser | Group, what: str = "the devices") -> None:
     """Declare the options for a page that shows `what`."""
     declare(command, OF_PAGE % what, page={"type": _address, "const": ("127.0.0.1", 8080)})
 

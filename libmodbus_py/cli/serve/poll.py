@@ -29,8 +29,8 @@ from ...services.fleet.trial import overloads, trying
 from ...services.tasks import WriterThread
 from ...system import allow_all_descriptors
 from .. import arguments, logs, tracing
-from ..arguments import declare
 from ..output import Redrawn, Status, complain, inform
+from ..parser import Parser, declare
 from . import fleet as workers
 from . import over_http
 from .running import Hangup, notify_ready
@@ -78,11 +78,11 @@ MODES = """
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     declare(command, "FILE\n  fleet file, such as fleet.toml")
-    declare(command.add_mutually_exclusive_group(), MODES)
+    declare(command.exclusive(), MODES)
     more = {"action": "append", "const": STANDARD_OUTPUT, "default": []}
     for name, form in FILES.items():
         text = f"append readings to a file as {form}; without PATH, print them; may be repeated"
@@ -140,10 +140,10 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
         workers.waited_for(_run(fleet, options, file, hangup, show))
     if not options.once:
         return 0
-    left = [line for line, is_left in _counts(fleet) if is_left]
-    for line in left:
+    counts = [line for line, is_left in _counts(fleet) if is_left]
+    for line in counts:
         complain(line)
-    return 1 if left or fleet.statistics.failures else 0
+    return 1 if counts or fleet.statistics.failures else 0
 
 
 def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:

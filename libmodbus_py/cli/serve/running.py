@@ -28,8 +28,9 @@ from ...server.audit import Audit, AuditFile
 from ...server.limits import FULL_POLICIES, Limits
 from ...server.serving import Running, Serving
 from .. import logs
-from ..arguments import declare, given
+from ..arguments import given
 from ..output import complain, inform
+from ..parser import Parser, declare
 from ..tracing import print_frame
 from .over_http import exposed, shown
 
@@ -243,9 +244,9 @@ OF_AUDIT = """
 """
 
 
-def add_limits(command: argparse.ArgumentParser) -> Any:
+def add_limits(command: Parser) -> Any:
     """Declare the options for limits, and return their group."""
-    group = command.add_argument_group("limits on clients")
+    group = command.group("limits on clients")
     declare(
         group,
         OF_LIMITS,
@@ -257,6 +258,6 @@ def add_limits(command: argparse.ArgumentParser) -> Any:
     return group
 
 
-def add_audit(command: argparse.ArgumentParser) -> None:
+def add_audit(command: Parser) -> None:
     """Declare the options for an audit trail."""
-    declare(command.add_argument_group("audit trail"), OF_AUDIT)
+    declare(command.group("audit trail"), OF_AUDIT)

@@ -20,7 +20,8 @@ from ...tools.simulator import device_file, example_files
 from ...tools.simulator.hooks_file import HooksFile
 from ...tools.simulator.reloading import Reloader
 from .. import arguments, logs
-from ..arguments import OF_SERVERS, declare, with_options
+from ..arguments import OF_SERVERS, with_options
+from ..parser import Parser, declare
 from . import over_http
 from .running import add_audit, add_limits, starting
 
@@ -72,14 +73,14 @@ rare --unknown-unit POLICY
 """
 
 
-def add_command(command: argparse.ArgumentParser) -> None:
+def add_command(command: Parser) -> None:
     """Declare the arguments."""
     command.description = DESCRIPTION
     command.epilog = f"{EXAMPLES}\n\n{arguments.SCHEMES_OF_URLS}"
     text = f"where to listen, such as {EXAMPLE_URL}, the default for examples"
     declare(command, f"[URL ...]\n  {text}", url={"dest": "urls"})
     example = {"const": "", "complete": lambda **_: [*example_files.DEVICES]}
-    source = command.add_mutually_exclusive_group()
+    source = command.exclusive()
     declare(source, SOURCES, example=example, map={"complete": arguments.maps})
     arguments.add_columns(command, encoding=True)
     arguments.add_units(
@@ -165,9 +166,9 @@ def _simulation(options: argparse.Namespace, path: str | None) -> device_file.Si
 
 
 def _list_examples() -> int:
-    found = example_files.described()
-    width = max(map(len, found))
-    for name, description in found.items():
+    devices = example_files.described()
+    width = max(map(len, devices))
+    for name, description in devices.items():
         print(f"{name:{width}}  {description}")
     return 0
 

@@ -48,6 +48,13 @@ def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
     done = run("read", url, "holding", "0", "100", "--max-registers", "30", "-v")
     assert done.err.count(" > ") == 4
     assert run("read", url, "holding", "0", "--max-registers", "0").code == 2
+    # No request divides a value: four registers each, of the seven that are allowed.
+    words = ("read", url, "holding", "0", "3", "--type", "float64", "--max-registers", "7", "-v")
+    assert [line[-11:] for line in run(*words).err.splitlines() if " > " in line] == [
+        "00 00 00 04",
+        "00 04 00 04",
+        "00 08 00 04",
+    ]
     done = run("read", url, "file:4", "0", "200", "--type", "uint32", "--json", "-v")
     assert json.loads(done.out)["values"] == [0x70008, 0x90000, *[0] * 198]
     lengths = [int(line[-5:].replace(" ", ""), 16) for line in done.err.splitlines()[::2]]

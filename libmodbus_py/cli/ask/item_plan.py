@@ -1,0 +1,51 @@
+"""
+The plan of several items, or of points of a map: few requests, and what a device refuses is left
+out. No I/O.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ...maps.holes import Holes, carried_out, reading
+from ...maps.items import Borders
+from ...maps.plan import Plan
+from .items import Item, cells_of, requests_of
+
+__all__ = ["ItemPlan"]
+
+
+class ItemPlan(Plan):
+    """A plan whose results are cells; files and queues are read by themselves, behind all else."""
+
+    def __init__(
+        self,
+        items: Sequence[Item],
+        borders: Borders,
+        max_registers: int,
+        holes: Holes | None = None,
+    ) -> None:
+        others = [at for at, item in enumerate(items) if item.table in ("file", "fifo_queue")]
+        self._others = {at: (items[at], requests_of(items[at], max_registers)) for at in others}
+        reads = {at: item.read for at, item in enumerate(items) if at not in others}
+        super().__init__(reads, borders=borders, max_registers=max_registers)
+        self._limits = borders, max_registers
+        self._holes = Holes() if holes is None else holes
+
+    def of(self, items: Sequence[Item]) -> ItemPlan:
+        """Return a plan of some of the items, which knows what the device refuses."""
+        return ItemPlan(items, *self._limits, self._holes)
+
+    def cells(self, ask: Callable[[Sequence[Any]], list[Any]], connects: int) -> dict[int, Any]:
+        """Return the cells of each item by its index, or the error in place of them."""
+        steps = reading(self.blocks, self._holes, time.monotonic(), connects)
+        cells: dict[int, Any] = self.results(carried_out(steps, ask))
+        answers = iter(ask([each for _, requests in self._others.values() for each in requests]))
+        for at, (item, requests) in self._others.items():
+            cells[at] = cells_of(item, [next(answers) for _ in requests])
+        return cells
+
+    def _decoded(self, name: Any, cells: list[Any]) -> Any:
+        return [int(cell) for cell in cells]
