@@ -16,7 +16,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "log.md").read_text()
 
 LEVELS = {"info": "info", "warning": "warning", "error": "error", "exception": "error"}
 
-ROW = re.compile(r"^\| `(.+?)` \| (?:\*(info|error)\*: )?(.+?) \|$", re.MULTILINE)
+ROW = re.compile(r"^`(.+?)` \| (?:\*(info|error)\*: )?(.+)$", re.MULTILINE)
 
 PLACE = re.compile(r"%[sdgr]|%\.\d[fg]")
 
