@@ -346,13 +346,11 @@ def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(
 
 
 @pytest.mark.parametrize("baudrate", [9600, 115200])
-@pytest.mark.parametrize("late", [0.0, 0.016])
 @pytest.mark.parametrize("is_read_first", [False, True])
-def test_a_terminal_that_echoes(baudrate: int, late: float, is_read_first: bool) -> None:
+def test_a_terminal_that_echoes(baudrate: int, is_read_first: bool) -> None:
     """On a real port, where bytes take no time."""
 
     def echo(data: bytes, write: Write) -> None:
-        time.sleep(late)
         write(data)
 
     with (
