@@ -170,7 +170,7 @@ class Row:
         if (process := os.fork()) == 0:
             other = Library(OTHER, *self.settings.values())
             while True:
-                while select.select([other.descriptor], [], [], 0.1)[0]:
+                while select.select([other.descriptor], [], [], 0.3)[0]:
                     os.read(other.descriptor, 256)
                 self.attempt(other.read_holding_registers, 100, 30)
                 time.sleep(1)
@@ -222,7 +222,7 @@ class Row:
 
 FORMAT = "{:36} {:6} {:>6} {:3} {:>6} {:>5} {:>4} {:>3}"
 RETRIES: dict[str, Any] = {"timeout": 1, "retries": 3}
-SHARED = RETRIES | {"silence": 0.2}
+SHARED = RETRIES | {"silence": 0.6}
 
 # What is done: who asks, who answers; scheme, baud rate, form, number; options of the client; what
 # the cable changes, loses and doubles; how many transactions may be lost. None may be wrong.
