@@ -39,13 +39,13 @@ async def test_a_closed_buffer_takes_nothing_and_gives_what_it_has() -> None:
     buffer = Buffer()
     buffer.put_readings(poll(1.0, 2))
     assert not buffer.is_over
-    buffer.close()
+    buffer.close_buffer()
     assert not buffer.is_over
     buffer.put_readings(poll(2.0))
     assert (len(buffer), buffer.dropped) == (2, 0)
-    assert told(await buffer.take(9)) == told(poll(1.0, 2))
+    assert told(await buffer.take_readings(9)) == told(poll(1.0, 2))
     assert buffer.is_over
-    assert await buffer.take(9) == []
+    assert await buffer.take_readings(9) == []
 
 
 def test_a_buffer_has_a_size_that_is_promised() -> None:
