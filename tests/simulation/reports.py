@@ -4,7 +4,9 @@ for each poll, devices that are busy, that close after each answer, or send wron
 """
 
 import asyncio
-from collections.abc import Awaitable, Callable
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -33,7 +35,7 @@ async def on_busy_line(world: World) -> None:
         pieces, pause = (world.random.choice([b"\xff", b"\0"]),), (0.4, 0.4)
     noise = asyncio.create_task(_talk(world, pieces, pause))
     try:
-        async with AsyncClient(url, timeout=timeout) as plc:
+        async with _client(url, timeout=timeout) as plc:
             await _poll(world, plc, partial(_ask, world, 8 * timeout))
             await _serve(world, plc, partial(_ask, world, 8 * timeout))
     finally:
@@ -51,14 +53,15 @@ async def _talk(world: World, pieces: tuple[bytes, ...], pause: tuple[float, flo
 
 
 async def with_new_clients(world: World) -> None:
-    """A client for each poll of five requests, as in a function that is called again and again."""
+    """A client for each poll of five requests, as in a function; some answers are late."""
     timeout = 0.1
+    world.options = replace(world.options, faults=("late",))
     is_serial = world.random.random() < 0.5
     url = _line(world, timeout) if is_serial else _host(world, "rtu+tcp", timeout)
     until = world.events.now + world.options.seconds
     while world.events.now < until:
         await asyncio.sleep(world.pause())
-        async with AsyncClient(url, timeout=timeout) as plc:
+        async with _client(url, timeout=timeout) as plc:
             for _ in range(5):
                 await _ask(world, 8 * timeout, plc, world.random.choice(_units(world)))
 
@@ -68,7 +71,7 @@ async def around_writes(world: World) -> None:
     timeout, busy = 0.3, world.random.choice([1, 3])
     url = _host(world, "tcp", timeout) if world.random.random() < 0.5 else _line(world, timeout)
     how = {"busy_retries": busy, "retries": world.random.choice([0, 2])}
-    async with AsyncClient(url, timeout=timeout, **how) as plc:
+    async with _client(url, timeout=timeout, **how) as plc:
         await _poll(world, plc, partial(_ask_around, world))
 
 
@@ -97,10 +100,20 @@ async def of_odd_hosts(world: World) -> None:
     host = world.hosts[-1]
     host.closes, host.has_ids = is_closing, is_closing
     world.calm()
-    async with AsyncClient(url, timeout=1.0, ids="check" if is_closing else "ignore") as plc:
+    async with _client(url, timeout=1.0, ids="check" if is_closing else "ignore") as plc:
         await _poll(world, plc, partial(_ask, world, 8.0))
     if world.witness.failed:
         world.witness.fail("an odd host is read", f"{world.witness.failed} calls failed")
+
+
+@contextlib.asynccontextmanager
+async def _client(url: str, **options: Any) -> AsyncIterator[AsyncClient]:
+    """Use a client that connects with its first request, because a host may refuse it."""
+    plc = AsyncClient(url, **options)
+    try:
+        yield plc
+    finally:
+        await plc.close()
 
 
 def _units(world: World) -> range:
