@@ -459,7 +459,11 @@ class Device(NamedValues, PythonFunctions):
                 if self._rules is not None:
                     self._rules.check(touched, self.mapping)
                 if not self._hooks.is_empty:
-                    touched = Touched(*(tuple(map(self._described, side)) for side in touched))
+                    if writes or self.has_points:
+                        touched = Touched(*(tuple(map(self._described, side)) for side in touched))
+                    else:
+                        for access in reads:  # of this request alone; a copy is a third of its cost
+                            object.__setattr__(access, "device", self)
                     self._hooks.before(touched)
             if handle is not None:
                 response = request.encode_response(handle(self, request, log))
