@@ -25,8 +25,6 @@ from ..protocol.mistakes import WrongValue
 from ..protocol.plain import CONTROL
 from .texts import FileError, FilePlace
 
-__all__ = ["CELLS", "CsvRow", "CsvText", "csv_rows", "flag_in", "number_in", "whole_in"]
-
 DELIMITERS = ",;\t|"
 
 MARKDOWN = "Markdown"

@@ -18,14 +18,6 @@ from ..protocol.checks import integer, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue, close_option, inside, item
 from .texts import shown_key
 
-# fmt: off
-__all__ = [
-    "REQUIRED", "Check", "Key", "Keys", "a_list", "anything", "bytes_or_text", "flag", "in_bytes",
-    "in_seconds", "keys_of", "one_of", "table", "tables", "text",
-    "whole",
-]
-# fmt: on
-
 Check = Callable[[Path, object], Any]
 """Checks the value of the key at a path, and returns the converted value."""
 

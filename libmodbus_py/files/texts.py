@@ -19,13 +19,6 @@ from ..protocol.extras import what_is_missing
 from ..protocol.mistakes import Mistake, Path, Problem, WrongValue, placed
 from ..system import open_file
 
-# fmt: off
-__all__ = [
-    "FileError", "FilePlace", "compared", "line_of", "load_file", "read_table",
-    "read_text", "read_toml", "reread", "shown_key",
-]
-# fmt: on
-
 
 class FilePlace(NamedTuple):
     """A place in a file; everything is left out where it is not known."""

@@ -41,20 +41,6 @@ from ..protocol.errors import (
 )
 from ..protocol.tables import TABLES
 
-# fmt: off
-__all__ = [
-    "Block",
-    "BlockPiece",
-    "Holes",
-    "PartialAnswer",
-    "Span",
-    "Unreadable",
-    "carried_out",
-    "is_refusal",
-    "reading",
-]
-# fmt: on
-
 RETRY_S = 600.0
 """Seconds after which what a device refused is tried again."""
 

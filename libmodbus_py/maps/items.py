@@ -19,13 +19,6 @@ from ..protocol.words import FloatType, PlainIntegerType
 if TYPE_CHECKING:
     from datetime import datetime
 
-# fmt: off
-__all__ = [
-    "AnyItem", "BitItem", "Borders", "FloatItem", "Forbidden", "IntegerItem", "Items", "Key",
-    "NamedValues", "PlanOptions", "Read", "Strict", "Tolerant", "Values", "checked_items",
-]
-# fmt: on
-
 
 @named_arguments
 @dataclass(frozen=True)

@@ -18,8 +18,6 @@ from ..protocol.words import ORDER_WORDS, TYPE_WORDS, plain, type_named
 from .list_words import ListOptions, word_of, words
 from .point_checks import BYTES, SCALES
 
-__all__ = ["PADDINGS", "RAW", "READERS", "address_in", "type_keys"]
-
 FUNCTION_TABLES = {
     **dict.fromkeys((1, 5, 15), "coils"),
     2: "discrete_inputs",

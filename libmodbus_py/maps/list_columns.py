@@ -13,13 +13,6 @@ from ..protocol.mistakes import close_to
 from .list_cells import READERS
 from .list_words import Origin, word_of, words
 
-# fmt: off
-__all__ = [
-    "HEADINGS_OF_KINDS", "KEYS", "MOST_NAMED", "ListColumn", "SaidColumns", "find_columns",
-    "without_base",
-]
-# fmt: on
-
 NOTHING = "nothing"
 """The kind of columns that are ignored."""
 

@@ -22,13 +22,6 @@ from ..protocol.mistakes import WrongType, WrongValue, close_to, inside, named_a
 from ..protocol.pdu.request import store
 from ..protocol.words import ORDER_WORDS, TABLE_WORDS, order_named, plain, table_named
 
-# fmt: off
-__all__ = [
-    "LIST", "MODPOLL", "REFERENCE", "ListKeys", "ListOptions", "Origin", "flat_rows", "options_of",
-    "word_of", "words",
-]
-# fmt: on
-
 REFERENCE = "reference"
 """In place of a first address: each address is a reference, such as 40123."""
 

@@ -31,8 +31,6 @@ from .list_columns import (
 from .list_words import MODPOLL, REFERENCE, ListOptions, flat_rows, word_of, words
 from .meaning import Scaling
 
-__all__ = ["MapEntry", "MapError", "RegisterList"]
-
 LAST_OF_BYTE = {"int8": -128, "uint8": 255}
 """Type that SunSpec lacks -> what it would take for no value."""
 

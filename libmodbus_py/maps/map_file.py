@@ -16,18 +16,10 @@ from typing import Any
 from ..files.schema import Key, Keys, keys_of, table, tables, whole
 from ..files.texts import FilePlace, line_of, read_table, read_text, read_toml
 from ..protocol.mistakes import Path, WrongValue, placed
-from .list_cells import PADDINGS
 from .list_words import ListOptions
 from .lists import MapEntry, MapError, RegisterList
 from .point import Point
 from .point_plan import scale_mistakes
-
-# fmt: off
-__all__ = [
-    "FORMS", "PADDINGS", "POINT", "Contents", "MapError", "contents_of", "contents_of_text",
-    "remarks",
-]
-# fmt: on
 
 FORMS: tuple[str, ...] = (".toml", ".csv", ".tsv", ".txt", ".md", ".xlsx")
 """The suffixes of files that may be maps; all but the first have columns."""

@@ -27,20 +27,6 @@ if TYPE_CHECKING:
     # Imported where needed: it takes as long as a read, and most programs scale nothing.
     from fractions import Fraction
 
-__all__ = [
-    "CellChange",
-    "Judged",
-    "Meaning",
-    "NoValue",
-    "Part",
-    "Scaling",
-    "exact",
-    "no_value",
-    "number",
-    "part_of",
-    "scaling_by",
-]
-
 Reason = Literal["Missing", "Implausible", "InvalidData", "InvalidTime", "BadScale"]
 
 # Far beyond any measured quantity, and small enough for exact arithmetic.

@@ -24,8 +24,6 @@ from .holes import Block, BlockPiece, Holes, PartialAnswer, Span, Unreadable
 from .items import Borders, Forbidden, Items, NamedValues, PlanOptions, Read, checked_items
 from .meaning import no_value
 
-__all__ = ["Plan", "planned", "unreadable_of"]
-
 
 class _Part(NamedTuple):
     """The location of a piece of an item in the answers: answers[request][start:stop]."""

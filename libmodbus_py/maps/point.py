@@ -17,8 +17,6 @@ from .items import Read
 from .meaning import CellChange, Judged, Meaning, NoValue, Scaling, exact, scaling_by
 from .point_checks import check_point
 
-__all__ = ["Point"]
-
 Rights = Literal["read", "write", "read_write"]
 
 

@@ -19,13 +19,6 @@ from .items import Read
 from .meaning import Meaning, Part, Scaling, number, part_of
 from .states import NumberSpan, States, check_spans, state_key
 
-# fmt: off
-__all__ = [
-    "ACCESSES", "BYTES", "LONGEST_INTERVAL", "MAX_DESCRIPTION", "MAX_NAME", "SCALES",
-    "SHORTEST_INTERVAL", "check_point",
-]
-# fmt: on
-
 # A `Point` whose arguments are not all checked yet; its module imports this one.
 Point = Any
 

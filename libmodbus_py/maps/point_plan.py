@@ -19,8 +19,6 @@ from .meaning import Meaning, NoValue, scaling_by
 from .plan import Plan
 from .point import Point
 
-__all__ = ["PointPlan", "borders_of", "scale_mistakes", "sources_of"]
-
 
 def scale_mistakes(points: Mapping[str, Point]) -> Iterator[tuple[str, WrongValue]]:
     """Yield the name of each point whose `scale_from` is wrong, and the error."""

@@ -22,13 +22,6 @@ from .point_plan import PointPlan, borders_of, scale_mistakes, sources_of
 if TYPE_CHECKING:
     from .list_words import ListKeys, ListOptions  # most programs read no list
 
-# fmt: off
-__all__ = [
-    "AnyMap", "BoundMap", "MapBinding", "RegisterMap", "attribute_names", "close_to", "load_map",
-    "map_of", "map_with", "spelled",
-]
-# fmt: on
-
 RESERVED = frozenset(
     {
         *("bind", "client", "datetime", "map", "read", "self", "write"),

@@ -14,8 +14,6 @@ from ..protocol.mistakes import Path, WrongValue
 from ..protocol.plain import shortest
 from ..protocol.values import ValueType
 
-__all__ = ["NumberSpan", "States", "check_spans", "state_key"]
-
 ELSE = "else"
 """The key of the name of all numbers that have no other."""
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from .point import Point
 
-__all__ = ["json_value", "typed_register", "typed_value", "typed_values"]
-
 Each = TypeVar("Each")
 
 

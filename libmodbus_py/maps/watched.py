@@ -24,13 +24,6 @@ if TYPE_CHECKING:
     from .point_plan import PointPlan
     from .register_map import RegisterMap
 
-# fmt: off
-__all__ = [
-    "Pace", "PartialPlans", "PointIntervals", "PolledValues", "Totals", "WatchedPoints", "polled",
-    "watched",
-]
-# fmt: on
-
 TOLERANCE = 0.001
 """The part of the time between two polls that sums of times may be inexact by."""
 

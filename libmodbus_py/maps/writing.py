@@ -16,8 +16,6 @@ from ..protocol.tables import TABLES, WriteFunction
 from .meaning import CellChange
 from .point import Point
 
-__all__ = ["cell_requests", "check_cells", "check_overlaps", "write_requests"]
-
 # Table -> the requests that write one cell, and several.
 _WRITES: dict[str, tuple[Any, Any]] = {
     "coils": (pdu.WriteCoil, pdu.WriteCoils),

@@ -22,13 +22,6 @@ from .mistakes import Path, WrongType, WrongValue
 if TYPE_CHECKING:
     from .logs import HarmlessLogger
 
-# fmt: off
-__all__ = [
-    "DURATION", "are_registers", "checked_callback", "duration_of", "finished", "integer",
-    "log_failure", "log_warning", "number", "seconds", "shown",
-]
-# fmt: on
-
 Given = TypeVar("Given")
 Result = TypeVar("Result")
 

@@ -25,8 +25,6 @@ from collections import deque
 
 from .scan import MIN_ADU
 
-__all__ = ["Echo"]
-
 # Frames that are remembered, more than are ever on their way. Where nothing is received, such as
 # after broadcasts, the oldest are forgotten.
 MAX_SENT = 64

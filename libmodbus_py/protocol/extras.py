@@ -8,8 +8,6 @@ import re
 import sys
 from typing import NamedTuple
 
-__all__ = ["EXTRAS", "how_to_add", "what_is_missing"]
-
 
 class Extra(NamedTuple):
     """

@@ -10,8 +10,6 @@ from typing import NamedTuple
 from .errors import FrameError
 from .scan import MAX_PDU
 
-__all__ = ["Frame", "Framer", "Overheard", "add_error", "checked_frame"]
-
 # In a row, in one scan: a flood of bytes must not cause a flood of errors.
 MOST_ERRORS = 8
 

@@ -13,8 +13,6 @@ from typing import Any
 
 from .mistakes import WrongValue
 
-__all__ = ["COMPACT_JSON", "JSON", "SORTED_JSON", "each_once", "json_line", "json_text"]
-
 JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
 """Encodes text as it is."""
 

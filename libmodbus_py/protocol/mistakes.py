@@ -14,14 +14,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import wraps
 from typing import Any, ParamSpec, Self, TypeVar
 
-# fmt: off
-__all__ = [
-    "OTHER_SPELLINGS", "SERIAL_SETTINGS", "Mistake", "Path", "Problem", "WrongType", "WrongValue",
-    "close_option", "close_to", "inside", "item", "named_arguments", "named_parameters",
-    "path_text", "placed", "unknown_option",
-]
-# fmt: on
-
 Path = tuple[str | int, ...]
 Class = TypeVar("Class", bound=type)
 Parameters = ParamSpec("Parameters")

@@ -15,8 +15,6 @@ from .checks import integer, shown
 from .mistakes import Path, WrongType, WrongValue, item
 from .value_types import ValueType, items_of
 
-__all__ = ["NUMBERS"]
-
 MODULUS = 10_000
 """Registers of some meters hold four decimal digits each."""
 

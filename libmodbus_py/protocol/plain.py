@@ -23,13 +23,6 @@ if TYPE_CHECKING:
 
     from .value_types import ValueType
 
-# fmt: off
-__all__ = [
-    "BITS", "CONTROL", "SHORT_FLOATS", "bit_of", "clock_text", "decimal_of", "number_of", "plain",
-    "shortest", "text_of", "time_of", "time_text", "units_of", "value_of", "without_controls",
-]
-# fmt: on
-
 CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Control characters (Cc of Unicode) beside the line feed: terminals obey them."""
 

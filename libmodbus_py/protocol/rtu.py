@@ -49,8 +49,6 @@ from .scan import (
     lib,
 )
 
-__all__ = ["Piece", "RtuCutter", "has_own_length", "may_be"]
-
 Kind = Literal["request", "response", "damage"]
 
 MAX_NOISE = 4

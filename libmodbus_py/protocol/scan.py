@@ -13,7 +13,8 @@ NOT_BUILT = (
 )
 
 try:
-    from ._scan import ffi, lib
+    from ._scan import ffi
+    from ._scan import lib as lib
 except ImportError as error:
     raise ImportError(f"{NOT_BUILT} ({error})") from error
 
@@ -31,13 +32,6 @@ UNFINISHED: int = lib.UNFINISHED
 
 ALLOWANCE = 0.02
 """Seconds after which a byte that was received is here: USB adapters keep bytes for 16 ms."""
-
-# fmt: off
-__all__ = [
-    "ALLOWANCE", "AT_END", "GOES_ON", "MAX_ADU", "MAX_PDU", "MIN_ADU", "NOT_BUILT", "NO_FRAME",
-    "SILENT", "UNFINISHED", "FrameScanner", "crc16", "is_one_adu", "lib", "pause_between_frames",
-]
-# fmt: on
 
 
 def crc16(data: bytes | bytearray) -> int:

@@ -16,16 +16,9 @@ from typing import Any, Literal, NamedTuple, get_args
 from . import pdu
 from .checks import integer
 from .mistakes import WrongType, WrongValue
-from .pdu.request import MAX_WRITTEN, TABLE_SIZE, checked_span
+from .pdu.request import MAX_WRITTEN, checked_span
+from .pdu.request import TABLE_SIZE as TABLE_SIZE
 from .words import TABLE_WORDS, close_word, table_named
-
-# fmt: off
-__all__ = [
-    "REGISTER_TABLES", "TABLES", "TABLE_SIZE", "RegisterTable", "Table", "WritableTable",
-    "WriteFunction", "check_writable", "checked_ranges", "checked_table", "checked_values",
-    "checked_write_function", "contains", "joined", "register_table", "touches", "without",
-]
-# fmt: on
 
 WritableTable = Literal["holding_registers"]
 RegisterTable = Literal[WritableTable, "input_registers"]

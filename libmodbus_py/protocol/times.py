@@ -17,8 +17,6 @@ from typing import Any, NamedTuple
 from .mistakes import Path, WrongType, WrongValue
 from .value_types import ValueType
 
-__all__ = ["TIMES", "checked_time_zone", "in_time_zone", "pack_time", "unpack_time"]
-
 CENTURY = 2000
 """The year from which dates in bytes count; CP56Time2a and others have no century."""
 

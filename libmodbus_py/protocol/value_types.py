@@ -14,12 +14,6 @@ from .checks import are_registers, integer
 from .mistakes import Path, WrongType, WrongValue
 from .words import ORDER_WORDS, close_word, order_named
 
-# fmt: off
-__all__ = [
-    "ORDERS", "WIDE_ORDERS", "WIDE_REGISTERS", "ValueType", "cells_of", "checked_order", "items_of",
-]
-# fmt: on
-
 ORDERS: dict[str, tuple[bool, bool]] = {
     "ABCD": (False, False),
     "CDAB": (True, False),

@@ -17,15 +17,6 @@ from typing import Literal, NamedTuple, NewType, TypeAlias, TypedDict, get_args
 from .checks import integer
 from .mistakes import WrongValue, close_to
 
-# fmt: off
-__all__ = [
-    "MAX_STRING_BYTES", "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "BitsType",
-    "FloatType", "IntegerType", "Layout", "NumberType", "Order", "PlainIntegerType", "Reference",
-    "StringType", "TextOptions", "TextType", "TimeType", "TypeName", "close_word", "order_named",
-    "parse_reference", "plain", "string_type", "table_named", "type_named",
-]
-# fmt: on
-
 Order = Literal[
     "ABCD", "CDAB", "BADC", "DCBA", "EFGHABCD", "CDABGHEF", "FEHGBADC", "DCBAHGFE",
 ]  # fmt: skip

@@ -11,8 +11,6 @@ from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from . import files, interface, reads, serial, writes
 from .request import IN_C, AddressError, Request, told
 
-__all__ = ["REQUESTS", "decode_request", "register", "request_length", "response_length"]
-
 Kind = TypeVar("Kind", bound=type[Request[Any]])
 
 REQUESTS: dict[int, type[Request[Any]]] = {

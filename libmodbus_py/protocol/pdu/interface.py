@@ -15,14 +15,6 @@ from ..errors import ExceptionResponse, IllegalFunction, InvalidResponse
 from ..scan import lib
 from .request import MAX_PDU, LengthRule, Request, Result, checked_data, in_c, store, unknown_length
 
-# fmt: off
-__all__ = [
-    "LEVELS", "MANDATORY", "OBJECT_NAMES", "DeviceIdentification", "EncapsulatedTransport",
-    "IdentificationPage", "MeiType", "RawRequest", "ReadDeviceIdCode", "ReadDeviceIdentification",
-    "pages",
-]
-# fmt: on
-
 
 @dataclass(frozen=True, slots=True)
 class RawRequest(Request[bytes]):

@@ -24,13 +24,6 @@ from .request import (
     store,
 )
 
-# fmt: off
-__all__ = [
-    "CommEventCounter", "CommEventLog", "Diagnostics", "ReadCommEventCounter", "ReadCommEventLog",
-    "ReadExceptionStatus", "ReportServerId", "ServerId", "SubFunction",
-]
-# fmt: on
-
 
 @dataclass(frozen=True, slots=True)
 class _Bare(Request[Result]):
