@@ -15,9 +15,9 @@ from collections.abc import Callable, Iterator, Mapping
 from os import PathLike, fspath
 from typing import Any, NamedTuple, Self, TypeVar
 
-from ..protocol.extras import what_is_missing
 from ..protocol.mistakes import Mistake, Path, Problem, WrongValue, placed
 from ..system import open_file
+from ..version import what_is_missing
 
 
 class FilePlace(NamedTuple):

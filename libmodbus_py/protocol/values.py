@@ -61,9 +61,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .checks import integer
 from .mistakes import Path, WrongType, WrongValue
-from .number_types import NUMBERS
 from .plain import text_of
-from .value_types import ORDERS, WIDE_ORDERS, WIDE_REGISTERS, ValueType, cells_of, checked_order
+from .value_types import NUMBERS, ORDERS, WIDE_ORDERS, ValueType, cells_of, checked_order
 from .words import (
     MAX_STRING_BYTES,
     TYPE_WORDS,
@@ -292,22 +291,18 @@ class Interpretation(NamedTuple):
 
         A number, or a text without control characters, is the more plausible the fewer characters
         it has for its registers. Behind these come what few devices have, and what is mostly
-        chance: numbers with an exponent, short texts, float16 and BCD; then bits.
+        chance: numbers with an exponent, texts of less than four characters, float16 and BCD; then
+        bits.
         """
         kind = value_type(self.type)
         text = self.value if kind.is_text else text_of(self.value, kind)
         if kind.is_text:
-            is_chance = len(text) < LEAST_TEXT or not text.isprintable()
+            # Of two random registers, 1 of 50 are printable.
+            is_chance = len(text) < 4 or not text.isprintable()
         else:
             is_chance = not re.fullmatch("-?[0-9.]+", text) or not self.type.startswith(_LIKELY)
-        return self.type.startswith("bits"), is_chance, len(text) - REGISTER_DIGITS * kind.registers
+        return self.type.startswith("bits"), is_chance, len(text) - 4 * kind.registers
 
-
-LEAST_TEXT = 4
-"""Characters of a text that is hardly chance: of two random registers, 1 of 50 are printable."""
-
-REGISTER_DIGITS = 4
-"""Digits by which a number may be longer for each register, without being less plausible."""
 
 _LIKELY = ("int", "uint", "float32", "float64")
 _USUAL = "(u?int|float|bcd|bits)(16|32|48|64)"
@@ -333,7 +328,7 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
     count = integer("the number of registers", len(cells), 1, 125)
     fitting = [kind for kind in TYPES.values() if kind.registers == count]
     names = [kind.name for kind in fitting if re.fullmatch(_USUAL, kind.name)]
-    orders = [*ORDERS, *(WIDE_ORDERS if count == WIDE_REGISTERS else ())]
+    orders = [*ORDERS, *(WIDE_ORDERS if 2 * count == len(WIDE_ORDERS[0]) else ())]
     interpretations: dict[tuple[str, str], Interpretation] = {}
     for name in [*names, f"string:{2 * count}"]:
         for order in orders if name in TYPES else ORDERS:

@@ -23,9 +23,9 @@ from ..maps.register_map import RegisterMap
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import ExceptionResponse, ModbusError
-from ..protocol.extras import what_is_missing
 from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.tables import TABLE_SIZE, Table
+from ..version import what_is_missing
 
 # fmt: off
 __all__ = [

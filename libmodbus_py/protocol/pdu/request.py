@@ -14,7 +14,7 @@ from weakref import WeakSet
 
 from ..checks import are_registers, integer, log_failure
 from ..errors import ExceptionResponse, InvalidResponse, in_hex
-from ..mistakes import WrongType, WrongValue
+from ..mistakes import Path, WrongType, WrongValue
 from ..scan import MAX_PDU as MAX_PDU
 from ..scan import lib
 
@@ -46,10 +46,8 @@ class AddressError(WrongValue):
     """An address that no table has: a server answers 2 to it, not 3."""
 
 
-def checked_bit(name: str, value: object) -> bool:
-    if isinstance(value, bool):
-        return value
-    return bool(integer(name, value, 0, 1))
+def checked_bit(name: str | Path, value: object) -> bool:
+    return value if isinstance(value, bool) else bool(integer(name, value, 0, 1))
 
 
 def checked_register(name: str, value: object) -> int:
