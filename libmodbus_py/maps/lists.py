@@ -29,7 +29,7 @@ from .list_columns import (
     without_base,
 )
 from .list_words import MODPOLL, REFERENCE, ListOptions, flat_rows, word_of, words
-from .meaning import Scaling
+from .scaling import Scaling
 
 LAST_OF_BYTE = {"int8": -128, "uint8": 255}
 """Type that SunSpec lacks -> what it would take for no value."""

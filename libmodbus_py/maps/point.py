@@ -14,8 +14,9 @@ from ..protocol.pdu.request import checked_sequence
 from ..protocol.tables import Table
 from ..protocol.values import Order, TypeName
 from .items import Read
-from .meaning import CellChange, Judged, Meaning, NoValue, Scaling, exact, scaling_by
+from .meaning import CellChange, Judged, Meaning, NoValue
 from .point_checks import check_point
+from .scaling import Scaling, exact, scaling_by
 
 Rights = Literal["read", "write", "read_write"]
 

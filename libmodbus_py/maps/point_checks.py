@@ -16,17 +16,11 @@ from ..protocol.plain import shortest
 from ..protocol.tables import TABLES, checked_table, checked_write_function
 from ..protocol.values import ValueType
 from .items import Read
-from .meaning import Meaning, Part, Scaling, number, part_of
-from .states import NumberSpan, States, check_spans, state_key
+from .meaning import Meaning, Part, part_of
+from .scaling import NumberSpan, Scaling, States, check_spans, number, state_key
 
 # A `Point` whose arguments are not all checked yet; its module imports this one.
 Point = Any
-
-# Seconds; a longer interval is taken to be a mistake.
-SHORTEST_INTERVAL, LONGEST_INTERVAL = 0.01, 86_400.0
-
-# Characters.
-MAX_NAME, MAX_DESCRIPTION = 100, 2000
 
 ACCESSES = ("read", "write", "read_write")
 SCALES = ("exponent", "factor")
@@ -40,12 +34,7 @@ HAVE_NO_VALUE = ("bcd", "sbcd", "mod10k", "umod10k")
 BYTE_TYPES = ("int8", "uint8")
 """Types that are the low byte of a register, if nothing else is said."""
 
-TEXTS = {
-    "name": (1, MAX_NAME),
-    "units": (0, MAX_NAME),
-    "group": (0, MAX_NAME),
-    "description": (0, MAX_DESCRIPTION),
-}
+TEXTS = {"name": (1, 100), "units": (0, 100), "group": (0, 100), "description": (0, 2000)}
 """Argument -> the fewest and the most characters."""
 
 NEED_NUMBERS: dict[str, Any] = {
@@ -82,21 +71,21 @@ def check_point(point: Point) -> None:
     table = checked_table(point.table)
     is_bits = TABLES[table].is_bits
     type_: Any = "uint16" if point.type is None and not is_bits else point.type
-    text = {"encoding": point.encoding, "padding": point.padding}
-    read = Read(table, point.address, point.count, type_, point.order, **text)
+    layout = point.order, point.encoding, point.padding
+    read = Read(table, point.address, point.count, type_, *layout)
     order = "ABCD" if read.kind is None else read.kind.order
-    store(point, read=read, table=table, address=read.address, count=read.count, order=order)
-    store(point, type=read.type)
+    place = {"table": table, "address": read.address, "count": read.count}
+    store(point, read=read, type=read.type, order=order, **place)
     if point.time_zone != "UTC":
         store(read, kind=_local(read.kind, point))
-    if point.interval is not None:
-        seconds("interval", point.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
-    if point.rewrite is not None:
-        seconds("rewrite", point.rewrite, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+    for name in ("interval", "rewrite"):
+        if getattr(point, name) is not None:
+            checked_interval(name, getattr(point, name))
     if point.write_function is not None:
         checked_write_function(point.write_function, ("single", "multiple"))
-    if not isinstance(point.border, bool):
-        raise WrongType("border", f"must be true or false, not {point.border!r}")
+    for name in ("border", "never_falls"):
+        if not isinstance(getattr(point, name), bool):
+            raise WrongType(name, f"must be true or false, not {getattr(point, name)!r}")
     store(point, access=_access(point), meaning=_meaning(point, read.kind))
     if point.rewrite is not None and point.access == "read":
         raise WrongValue("rewrite", "must be left out where access is read")
@@ -112,6 +101,11 @@ def check_point(point: Point) -> None:
             raise placed(error, ()).renamed(("initial",)) from None
 
 
+def checked_interval(name: str, value: object) -> float:
+    """Return the seconds from poll to poll: 0.01 or more, up to a day."""
+    return seconds(name, value, 0.01)
+
+
 def _check_string(name: str | Path, value: object) -> None:
     if not isinstance(value, str):
         raise WrongType(name, f"must be a string, not {type(value).__name__}")
@@ -122,13 +116,10 @@ def _check_text(name: str | Path, value: Any, least: int, most: int) -> None:
     if not least <= len(value) <= most:
         raise WrongValue(name, f"must have {least}..{most} characters, not {len(value)}")
     spaces = "\n\t" if name == "description" else ""
-    unfit = [
-        character for character in value if not character.isprintable() and character not in spaces
-    ]
-    if unfit or (name != "description" and value != value.strip()):
-        raise WrongValue(
-            name, f"must be printable characters, without spaces around: {reprlib.repr(value)}"
-        )
+    is_printable = all(letter.isprintable() or letter in spaces for letter in value)
+    if not is_printable or (name != "description" and value != value.strip()):
+        form = "printable characters, without spaces around"
+        raise WrongValue(name, f"must be {form}: {reprlib.repr(value)}")
 
 
 def _local(kind: ValueType | None, point: Point) -> ValueType:
@@ -237,7 +228,7 @@ def _names(
     result: dict[Any, str] = {}
     for key, text in names.items():
         path = (name, str(key))
-        _check_text(path, text, 1, MAX_NAME)
+        _check_text(path, text, *TEXTS["name"])
         name_key = key_of(path, key)
         if name_key in result:
             raise WrongValue(path, "is given twice")
@@ -283,8 +274,6 @@ def _check_numbers(point: Point, meaning: Meaning) -> None:
         raise WrongValue("scale_as", f"must be one of {', '.join(SCALES)}, not {point.scale_as!r}")
     if point.scale_from is None and point.scale_as != "exponent":
         raise WrongValue("scale_as", "must be left out without scale_from")
-    if not isinstance(point.never_falls, bool):
-        raise WrongType("never_falls", f"must be true or false, not {point.never_falls!r}")
     if point.scale_from is not None:
         if not isinstance(point.scale_from, str):
             raise WrongType("scale_from", f"must be a name, not {type(point.scale_from).__name__}")

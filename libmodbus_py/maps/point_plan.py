@@ -15,9 +15,10 @@ from ..protocol.tables import Table
 from ..protocol.values import ValueType
 from .holes import PartialAnswer
 from .items import Borders, PlanOptions
-from .meaning import Meaning, NoValue, scaling_by
+from .meaning import Meaning, NoValue
 from .plan import Plan
 from .point import Point
+from .scaling import scaling_by
 
 
 def scale_mistakes(points: Mapping[str, Point]) -> Iterator[tuple[str, WrongValue]]:

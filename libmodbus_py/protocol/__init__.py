@@ -18,6 +18,5 @@ Bottom up:
     values     numbers, text, bits and times in registers
                (value_types: what they have in common, numbers and bits; times: the
                forms of dates and times)
-    plain      values as text: as people read and type them, as JSON can contain them, for terminals
-    json_text  the encoders of JSON
+    plain      values as text: as people read and type them, in JSON, for terminals
 """

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar, overload
 from ..client.functions_async import AsyncFunctions
 from ..client.functions_blocking import BlockingFunctions
 from ..maps.point import Point
-from ..maps.point_checks import MAX_DESCRIPTION
+from ..maps.point_checks import TEXTS
 from ..maps.register_map import RegisterMap
 from ..protocol import pdu
 from ..protocol.checks import integer
@@ -459,7 +459,7 @@ def _keys(point: Mapping[str, Any], scales: Mapping[str, str]) -> dict[str, Any]
     keys = {
         "access": "read_write" if point.get("access") == "RW" else "read",
         "units": point.get("units", "").strip(),
-        "description": "".join(filter(str.isprintable, description))[:MAX_DESCRIPTION],
+        "description": "".join(filter(str.isprintable, description))[: TEXTS["description"][1]],
     }
     if kind == "string" and size <= LONGEST_TEXT:
         return {**keys, "type": f"string:{2 * size}", "encoding": "utf-8", "missing": "sunspec"}

@@ -17,7 +17,7 @@ from ...maps.map_file import POINT
 from ...maps.point import Point
 from ...maps.point_plan import scale_mistakes
 from ...maps.register_map import RegisterMap, map_with
-from ...maps.states import ELSE, NumberSpan, state_key
+from ...maps.scaling import ELSE, NumberSpan, state_key
 from ...protocol.mistakes import Path, WrongValue, close_to, inside, path_text
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLES
