@@ -11,8 +11,8 @@ Bottom up:
     scan       the CRC, and where RTU frames begin and end; in C (scan.c)
     pdu        one class for each function: encode and decode, request and response
     rtu        cuts RTU frames out of a stream, for clients, servers and listeners
-    frames     frames, and the base of framers
-    framing    unit and PDU as bytes on TCP, UDP, RTU and ASCII lines, and back
+    frames     frames, the base of framers; unit and PDU as bytes on TCP and UDP, and back
+    framing    the same on RTU and ASCII lines
     echo       the local echo of a line among received bytes
     tables     the four tables: what they contain, how much of it a request may carry, and ranges
     values     numbers, text, bits and times in registers
