@@ -65,36 +65,29 @@ class Keys(dict[str, Key]):
     def __or__(self, other: Mapping[str, Key]) -> Keys:  # type: ignore[override]
         return Keys({**self, **other}.values())
 
-    def read(self, path: Path, given: object) -> Any:
+    def read(self, path: Path, content: object) -> Any:
         """Return the result of `make` for the checked values; errors have the path of a key."""
-        found = table(path, given)
-        for name in found:
+        values = table(path, content)
+        for name in values:
             if name not in self:
                 close = close_option(name, self)
                 reason = f"no such key; allowed are {', '.join(self)}{close}"
                 raise WrongValue.about((*path, shown_key(name)), reason)
         for key in self.values():
-            if key.default is REQUIRED and key.name not in found:
+            if key.default is REQUIRED and key.name not in values:
                 raise WrongValue((*path, key.name), "is missing")
-        values = {name: self[name].check((*path, name), value) for name, value in found.items()}
+        values = {name: self[name].check((*path, name), value) for name, value in values.items()}
         with inside(*path):
             return self._make(**values)
 
 
 def keys_of(make: Callable[..., Any], **checks: Check) -> Keys:
     """Return the arguments of a class as keys; it checks all values but those of `checks`."""
-    return Keys(
-        (
-            Key(
-                each.name,
-                checks.get(each.name, anything),
-                default=each.default,
-                kind=str(each.annotation),
-            )
-            for each in inspect.signature(make).parameters.values()
-        ),
-        make,
-    )
+    keys = [
+        Key(name, checks.get(name, anything), default=entry.default, kind=str(entry.annotation))
+        for name, entry in inspect.signature(make).parameters.items()
+    ]
+    return Keys(keys, make)
 
 
 def whole(low: int, high: int) -> Check:
@@ -120,9 +113,9 @@ a_list: Check = _of_kind(list, "a list")
 def tables(path: Path, value: object) -> list[dict[str, object]]:
     """Check an array of tables."""
     if not isinstance(value, list):
-        name = ".".join(each for each in path if isinstance(each, str))
+        name = ".".join(part for part in path if isinstance(part, str))
         raise WrongType(path, f"must be a list of tables: [[{name}]]")
-    return [table(item(path, at), each) for at, each in enumerate(value)]
+    return [table(item(path, at), entry) for at, entry in enumerate(value)]
 
 
 def bytes_or_text(low: int, high: int) -> Check:
@@ -199,5 +192,5 @@ def _amount(
 
 def _in_units(text: str, units: dict[str, int]) -> float:
     """Return an amount in its smallest unit; nan if it is none."""
-    found = _AMOUNT.fullmatch(text)
-    return float(found[1]) * units.get(found[2], math.nan) if found else math.nan
+    match = _AMOUNT.fullmatch(text)
+    return float(match[1]) * units.get(match[2], math.nan) if match else math.nan

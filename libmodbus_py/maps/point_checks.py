@@ -9,7 +9,7 @@ import reprlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from ..protocol.checks import integer, seconds, shown
+from ..protocol.checks import integer, seconds, shown, string
 from ..protocol.mistakes import Path, WrongType, WrongValue, placed
 from ..protocol.pdu.request import store
 from ..protocol.plain import shortest
@@ -67,7 +67,7 @@ def check_point(point: Point) -> None:
     for name, (least, most) in TEXTS.items():
         _check_text(name, getattr(point, name), least, most)
     for name in ("encoding", "padding"):
-        _check_string(name, getattr(point, name))
+        string(name, getattr(point, name))
     table = checked_table(point.table)
     is_bits = TABLES[table].is_bits
     type_: Any = "uint16" if point.type is None and not is_bits else point.type
@@ -106,14 +106,8 @@ def checked_interval(name: str, value: object) -> float:
     return seconds(name, value, 0.01)
 
 
-def _check_string(name: str | Path, value: object) -> None:
-    if not isinstance(value, str):
-        raise WrongType(name, f"must be a string, not {type(value).__name__}")
-
-
 def _check_text(name: str | Path, value: Any, least: int, most: int) -> None:
-    _check_string(name, value)
-    if not least <= len(value) <= most:
+    if not least <= len(string(name, value)) <= most:
         raise WrongValue(name, f"must have {least}..{most} characters, not {len(value)}")
     spaces = "\n\t" if name == "description" else ""
     is_printable = all(letter.isprintable() or letter in spaces for letter in value)

@@ -57,6 +57,13 @@ def number(name: str | Path, value: object, low: float, high: float) -> int | fl
     return value
 
 
+def string(name: str | Path, value: object) -> str:
+    """Return a text; raise a TypeError for anything else."""
+    if not isinstance(value, str):
+        raise WrongType(name, f"must be a string, not {type(value).__name__}")
+    return value
+
+
 def are_registers(values: Sequence[object]) -> bool:
     """Return True if all are plain ints in 0..65535; fast, because bulk reads do little else."""
     return set(map(type, values)) == {int} and min(values) >= 0 and max(values) <= 0xFFFF  # type: ignore[type-var, operator]

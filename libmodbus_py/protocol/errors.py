@@ -150,80 +150,56 @@ class ExceptionResponse(ModbusError):
         default = f"{self.meaning} (exception {self.code})"
         super().__init__(default if reason == "" else reason, **transaction)
 
+    def __init_subclass__(cls, code: int | None = None, meaning: str = "") -> None:
+        if code is not None:
+            cls.code, cls.meaning = code, meaning
+
     @staticmethod
     def of(code: int, **transaction: Unpack[_Transaction]) -> ExceptionResponse:
         """Return the exception for a code, 0..255, of the subclass for that code."""
         return _BY_CODE.get(code, ExceptionResponse)(code=code, **transaction)
 
 
-class IllegalFunction(ExceptionResponse):
+class IllegalFunction(ExceptionResponse, code=1, meaning="illegal function"):
     """Exception 1: the function is not supported, or not in the current state of the server."""
 
-    code = 1
-    meaning = "illegal function"
 
-
-class IllegalDataAddress(ExceptionResponse):
+class IllegalDataAddress(ExceptionResponse, code=2, meaning="illegal data address"):
     """Exception 2: some of the addresses do not exist."""
 
-    code = 2
-    meaning = "illegal data address"
 
-
-class IllegalDataValue(ExceptionResponse):
+class IllegalDataValue(ExceptionResponse, code=3, meaning="illegal data value"):
     """Exception 3: a quantity, length or constant of the request is wrong."""
 
-    code = 3
-    meaning = "illegal data value"
 
-
-class ServerDeviceFailure(ExceptionResponse):
+class ServerDeviceFailure(ExceptionResponse, code=4, meaning="server device failure"):
     """Exception 4: the server failed while it executed the request."""
 
-    code = 4
-    meaning = "server device failure"
 
-
-class Acknowledge(ExceptionResponse):
+class Acknowledge(ExceptionResponse, code=5, meaning="acknowledge"):
     """Exception 5: the server has accepted the request, but will need a long time for it."""
 
-    code = 5
-    meaning = "acknowledge"
 
-
-class ServerDeviceBusy(ExceptionResponse):
+class ServerDeviceBusy(ExceptionResponse, code=6, meaning="server device busy"):
     """Exception 6: the server is busy with a long command; the client should retry later."""
 
-    code = 6
-    meaning = "server device busy"
 
-
-class NegativeAcknowledge(ExceptionResponse):
+class NegativeAcknowledge(ExceptionResponse, code=7, meaning="negative acknowledge"):
     """Exception 7: the program function cannot be performed (PI-MBUS-300)."""
 
-    code = 7
-    meaning = "negative acknowledge"
 
-
-class MemoryParityError(ExceptionResponse):
+class MemoryParityError(ExceptionResponse, code=8, meaning="memory parity error"):
     """Exception 8: the file memory failed a consistency check."""
 
-    code = 8
-    meaning = "memory parity error"
 
-
-class GatewayPathUnavailable(ExceptionResponse):
+class GatewayPathUnavailable(ExceptionResponse, code=10, meaning="gateway path unavailable"):
     """Exception 10: the gateway has no path to the unit."""
 
-    code = 10
-    meaning = "gateway path unavailable"
 
-
-class GatewayTargetFailedToRespond(ExceptionResponse):
+class GatewayTargetFailedToRespond(
+    ExceptionResponse, code=11, meaning="gateway target device failed to respond"
+):
     """Exception 11: the unit behind the gateway did not respond."""
-
-    code = 11
-    meaning = "gateway target device failed to respond"
 
 
 NO_UNIT = (GatewayPathUnavailable, GatewayTargetFailedToRespond)

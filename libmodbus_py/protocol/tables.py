@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import reprlib
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from operator import attrgetter
 from typing import Any, Literal, NamedTuple, get_args
 
 from . import pdu
-from .checks import integer
-from .mistakes import WrongType, WrongValue
+from .checks import integer, string
+from .mistakes import WrongValue
 from .pdu.request import MAX_WRITTEN, checked_span
 from .pdu.request import TABLE_SIZE as TABLE_SIZE
 from .words import TABLE_WORDS, close_word, table_named
@@ -55,12 +55,13 @@ REGISTER_TABLES = [name for name, rules in TABLES.items() if not rules.is_bits]
 """The names of `RegisterTable`."""
 
 
-def checked_table(table: object) -> Any:
+def checked_table(table: object, names: Collection[str] = TABLES.keys()) -> Any:
     """Return the name of a table, which may be written as vendors do, such as "hr" or "4x"."""
     name = table_named(table)
-    if name is None:
-        close = close_word(table, TABLES, TABLE_WORDS)
-        raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {table!r}{close}")
+    if name not in names:
+        words = [word for word, meaning in TABLE_WORDS.items() if meaning in names]
+        close = close_word(table, names, words)
+        raise WrongValue("table", f"must be one of {', '.join(names)}, not {table!r}{close}")
     return name
 
 
@@ -85,26 +86,13 @@ def register_table(table: object) -> Any:
     Raises:
         TypeError, ValueError: there is no such table, or its cells are bits.
     """
-    _check_name(table)
-    name = table_named(table)
-    if name not in REGISTER_TABLES:
-        words = [word for word, meaning in TABLE_WORDS.items() if meaning in REGISTER_TABLES]
-        close = close_word(table, REGISTER_TABLES, words)
-        names = ", ".join(REGISTER_TABLES)
-        raise ValueError(f"table must be one of {names}, not {table!r}{close}")
-    return name
-
-
-def _check_name(table: object) -> None:
-    if not isinstance(table, str):
-        raise WrongType("table", f"must be a string, not {type(table).__name__}")
+    return checked_table(string("table", table), REGISTER_TABLES)
 
 
 def check_writable(table: object) -> None:
     """Raise a TypeError or ValueError for any other table than that of holding registers."""
-    _check_name(table)
-    if table != "holding_registers" and table_named(table) != "holding_registers":
-        raise ValueError(f"table must be holding_registers, not {table!r}")
+    if table != "holding_registers" and table_named(string("table", table)) != "holding_registers":
+        raise WrongValue("table", f"must be holding_registers, not {table!r}")
 
 
 # --- ranges of addresses -------------------------------------------------------------------

@@ -72,22 +72,15 @@ def _iec870_from(data: bytes) -> datetime:
         raise ValueError("the device says that its time is invalid")
     if year & 0x7F > 99:
         raise ValueError("out of range")
-    time = datetime(
-        CENTURY + (year & 0x7F),
-        day >> 8 & 15,
-        day & 31,
-        hour >> 8 & 31,
-        hour & 63,
-        milliseconds // 1000,
-        milliseconds % 1000 * 1000,
-        UTC,
-    )
+    second, rest = divmod(milliseconds, 1000)
+    date = CENTURY + (year & 0x7F), day >> 8 & 15, day & 31
+    time = datetime(*date, hour >> 8 & 31, hour & 63, second, rest * 1000, UTC)
     # Summer time is an hour ahead of the standard time, which is taken as UTC.
     return time - timedelta(hours=1) if hour & 0x8000 else time
 
 
 def _fields(time: datetime) -> tuple[int, ...]:
-    return time.month, time.day, time.hour, time.minute, time.second
+    return time.timetuple()[1:6]
 
 
 def _bytes_from(data: bytes) -> datetime:
@@ -107,8 +100,8 @@ def _digits_from(data: bytes) -> datetime:
 
 def _weekday_to(time: datetime) -> bytes:
     """Return year; month and day of the week, 1 for Monday; day and hour; minute and second."""
-    fields = time.month, time.isoweekday(), time.day, time.hour, time.minute, time.second
-    return pack(">H6B", _short_year(time.year, 99), *fields)
+    month, *others = _fields(time)
+    return pack(">H6B", _short_year(time.year, 99), month, time.isoweekday(), *others)
 
 
 def _weekday_from(data: bytes) -> datetime:

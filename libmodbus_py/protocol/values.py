@@ -59,7 +59,7 @@ from encodings import normalize_encoding
 from encodings.aliases import aliases
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .checks import integer
+from .checks import integer, string
 from .mistakes import Path, WrongType, WrongValue
 from .plain import text_of
 from .value_types import NUMBERS, ORDERS, WIDE_ORDERS, ValueType, cells_of, checked_order
@@ -135,10 +135,8 @@ def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
     registers = (size + 1) // 2
     nul = _fill_of("\0", encoding)
 
-    def pack(name: str | Path, value: object) -> bytes:
-        if not isinstance(value, str):
-            raise WrongType(name, f"must be a string, not {type(value).__name__}")
-        if "\0" in value:
+    def pack(name: str | Path, value: Any) -> bytes:
+        if "\0" in string(name, value):
             raise WrongValue(name, f"must be without NUL, which ends it: {reprlib.repr(value)}")
         data = _encoded(name, value, encoding)
         room = size - len(data)
@@ -185,10 +183,8 @@ def _encoded(name: str | Path, value: str, encoding: str) -> bytes:
 
 def _fill_of(padding: str, encoding: str) -> bytes:
     """Return the bytes of one more padding: without the mark that begins UTF-16 text."""
-    for name, value in (("encoding", encoding), ("padding", padding)):
-        if not isinstance(value, str):
-            raise WrongType(name, f"must be a string, not {type(value).__name__}")
-    if len(padding) != 1:
+    string("encoding", encoding)
+    if len(string("padding", padding)) != 1:
         raise WrongValue("padding", f"must be one character, not {reprlib.repr(padding)}")
     if not _known_encoding(encoding):
         form = "ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS"
@@ -200,10 +196,8 @@ def _fill_of(padding: str, encoding: str) -> bytes:
 _MAC = r"[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}"
 
 
-def _pack_mac(name: str | Path, value: object) -> bytes:
-    if not isinstance(value, str):
-        raise WrongType(name, f"must be a string, not {type(value).__name__}")
-    if not re.fullmatch(_MAC, value):
+def _pack_mac(name: str | Path, value: Any) -> bytes:
+    if not re.fullmatch(_MAC, string(name, value)):
         raise WrongValue(name, f"must be like 0D:D7:4C:C6:44:8E, not {reprlib.repr(value)}")
     return bytes.fromhex(f"0000{value.replace(':', '').replace('-', '')}")
 
