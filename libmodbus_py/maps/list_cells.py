@@ -5,6 +5,7 @@ raises WrongValue.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import reprlib
@@ -42,14 +43,6 @@ def _word(meanings: Mapping[str, str]) -> Callable[[str], str]:
     return read
 
 
-def _table(text: str) -> str:
-    return _word(words().tables)(text)
-
-
-def _access(text: str) -> str:
-    return _word(words().accesses)(text)
-
-
 def _writable(text: str) -> str:
     yes = ["yes", "y", "true", "1", "x", "w", "ja", "oui", "sí", "si", "是"]
     no = ["no", "n", "false", "0", "-", "nein", "non", "否"]
@@ -70,19 +63,23 @@ def _missing(text: str) -> str | list[int | float]:
     if plain(text) == "sunspec":
         return "sunspec"
     numbers = re.split(r"[;,\s]+", text.strip("; "))
-    return [whole_in(each) if each[:2] in ("0x", "0X") else number_in(each) for each in numbers]
+    return [whole_in(word) if word[:2] in ("0x", "0X") else number_in(word) for word in numbers]
+
+
+def _json(text: str, kind: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        raise WrongValue((), f"must be {kind}, not {reprlib.repr(text)}") from None
 
 
 def _names(text: str) -> dict[str, str]:
     """Return the names of "0 = off; 1 = on", or of a JSON object."""
     if text.startswith("{"):
-        try:
-            return dict(json.loads(text))
-        except ValueError:
-            raise WrongValue((), f"must be a JSON object, not {reprlib.repr(text)}") from None
+        return dict(_json(text, "a JSON object"))
     names: dict[str, str] = {}
-    for each in text.strip("; ").split(";"):
-        key, separator, name = each.partition("=")
+    for pair in text.strip("; ").split(";"):
+        key, separator, name = pair.partition("=")
         if not separator or not name.strip():
             raise WrongValue((), f"must be like 0 = off; 1 = on, not {reprlib.repr(text)}")
         if key.strip() in names:
@@ -94,10 +91,6 @@ def _names(text: str) -> dict[str, str]:
 
 
 _STATES = re.compile(r"(?<!\S)-?[0-9]+\s*=")
-
-
-def _units_or_states(text: str) -> dict[str, Any]:
-    return {"states": _names(text)} if _STATES.match(text) else {"units": _units(text)}
 
 
 _WITH_SCALE = re.compile(r"[x\xd7*]?\s*([01][.,]0*1|10+|1/10+)\s*(?=[^\W\d]|[°%µ])(.*)")
@@ -137,22 +130,17 @@ def _formula(text: str) -> dict[str, Any]:
         return {"scale" if factor[1] == "*" else "divisor": number}
     if power := _POWER.fullmatch(text.strip().casefold()):
         return {"scale_address": power[1]}
-    wanted = "x * 0.1, x / 10 or x * Math.pow(10, sf['40075'])"
-    raise WrongValue((), f"must be like {wanted}, not {reprlib.repr(text)}")
+    form = "x * 0.1, x / 10 or x * Math.pow(10, sf['40075'])"
+    raise WrongValue((), f"must be like {form}, not {reprlib.repr(text)}")
 
 
 def _initial(text: str) -> Any:
     """Return the number, the truth, the list in JSON, or the text."""
     if text.startswith("["):
-        try:
-            return json.loads(text)
-        except ValueError:
-            raise WrongValue((), f"must be a list in JSON, not {reprlib.repr(text)}") from None
+        return _json(text, "a list in JSON")
     for read in (flag_in, number_in):
-        try:
+        with contextlib.suppress(WrongValue):
             return read(text)
-        except WrongValue:
-            continue
     return text
 
 
@@ -168,18 +156,20 @@ READERS: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys((*NUMBERS, *RAW, "plausible_maximum", "rewrite"), number_in),
     **dict.fromkeys(("states", "bits"), _names),
     "units": _units,
-    "units_or_states": _units_or_states,
+    "units_or_states": lambda text: (
+        {"states": _names(text)} if _STATES.match(text) else {"units": _units(text)}
+    ),
     "scale_and_units": _scale_and_units,
     "exponent": _exponent,
     "negative_exponent": lambda text: -_exponent(text),
     "formula": _formula,
     "initial": _initial,
-    "table": _table,
+    "table": lambda text: _word(words().tables)(text),
     "function": _function,
     "type": str,
     "order": lambda text: ORDER_WORDS.get(plain(text), text),
     "padding": lambda text: PADDINGS.get(plain(text), text),
-    "access": _access,
+    "access": lambda text: _word(words().accesses)(text),
     "writable": _writable,
     "missing": _missing,
     **dict.fromkeys(("never_falls", "border"), flag_in),
@@ -206,30 +196,27 @@ def address_in(cell: str, base: int, *, is_reference: bool) -> tuple[str, int, i
             raise WrongValue((), f"must rise: {reprlib.repr(cell)}")
         return first[0], first[1], last[1] - first[1] + 1
     if match := _WITH_TABLE.fullmatch(cell.casefold()):
-        table, address = parse_reference(f"{match[1]}{match[2]:0>5}")
-        return table, address, None
-    if is_reference:
-        try:
-            table, address = parse_reference(cell)
-        except ValueError:
-            wanted = "a reference such as 40123 or 300007 where nothing says the table"
-            given = f"{reprlib.repr(cell)} (--list table=holding_registers says it)"
-            raise WrongValue((), f"must be {wanted}, not {given}") from None
-        return table, address, None
-    return "", _number(cell, base), None
+        return *parse_reference(f"{match[1]}{match[2]:0>5}"), None
+    if not is_reference:
+        return "", _number(cell, base), None
+    try:
+        return *parse_reference(cell), None
+    except ValueError:
+        form = "a reference such as 40123 or 300007 where nothing says the table"
+        text = f"{reprlib.repr(cell)} (--list table=holding_registers says it)"
+        raise WrongValue((), f"must be {form}, not {text}") from None
 
 
 def _number(cell: str, base: int) -> int:
     if base == 16 and re.fullmatch("[0-9A-Fa-f]{1,8}", cell):
         return int(cell, 16)
-    if base != 10 and (re.fullmatch("0[0-9]+|[0-9A-Fa-f]{2,8}", cell) and not cell.isdecimal()):
-        raise WrongValue((), f"must be like 100, 0x64 or 64h; {_HEX}: {reprlib.repr(cell)}")
+    hint = "if it is hexadecimal, say --column address_hex=HEADING"
+    if base != 10 and (re.fullmatch("[0-9A-Fa-f]{2,8}", cell) and not cell.isdecimal()):
+        raise WrongValue((), f"must be like 100, 0x64 or 64h; {hint}: {reprlib.repr(cell)}")
     if base != 10 and re.fullmatch("0[0-9]+", cell):
-        raise WrongValue((), f"may be decimal, --column address_dec=HEADING; {_HEX}: {cell}")
+        raise WrongValue((), f"may be decimal, --column address_dec=HEADING; {hint}: {cell}")
     return whole_in(cell)
 
-
-_HEX = "if it is hexadecimal, say --column address_hex=HEADING"
 
 # --- types -------------------------------------------------------------------------------
 
@@ -286,18 +273,16 @@ def _text_size(
     if size is not None and length == size:
         return size
     if lengths is None:
-        reason = f"{cell} may count bytes or registers: say --list lengths=bytes or =registers"
-        raise WrongValue((), reason)
+        hint = "say --list lengths=bytes or =registers"
+        raise WrongValue((), f"{cell} may count bytes or registers: {hint}")
     return length if lengths == "bytes" else 2 * length
 
 
 def _unknown(cell: str, word: str) -> WrongValue:
     if meanings := words().ambiguous_types.get(word):
         example = f"--list 'types={cell}={re.split('[, ]', meanings)[0]}'"
-        reason = f"{cell} may be {meanings}: say which, as in {example}"
-        return WrongValue((), reason)
-    names = dict.fromkeys([*TYPE_WORDS.values(), "string:N"])
+        return WrongValue((), f"{cell} may be {meanings}: say which, as in {example}")
+    names = ", ".join(dict.fromkeys([*TYPE_WORDS.values(), "string:N"]))
     hint = close_to(word, [*TYPE_WORDS, *words().types])
-    allowed = ", ".join(names)
-    said = f"{reprlib.repr(cell)} (--list 'types={cell}=TYPE' says it)"
-    return WrongValue((), f"must be one of {allowed}, not {said}{hint}")
+    text = f"{reprlib.repr(cell)} (--list 'types={cell}=TYPE' says it)"
+    return WrongValue((), f"must be one of {names}, not {text}{hint}")

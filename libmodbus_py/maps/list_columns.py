@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from ..files.csv_text import CsvRow
 from ..protocol.mistakes import close_to
 from .list_cells import READERS
-from .list_words import Origin, word_of, words
+from .list_words import MOST_NAMED, Origin, word_of, words
 
 NOTHING = "nothing"
 """The kind of columns that are ignored."""
@@ -19,14 +19,10 @@ NOTHING = "nothing"
 CHANGE_VALUES = ("type", "order", "scale", "divisor", "units", "access")
 """Kinds of which no second column is ignored."""
 
-MOST_NAMED = 12
-"""How many of a list are named in a message, at most."""
-
 HEADINGS_OF_KINDS = {word_of(kind): kind for kind in READERS}
-"""Headings that are kinds themselves."""
+"""Headings that are kinds themselves: all but "device" are keys of a map."""
 
-KEYS = HEADINGS_OF_KINDS.keys() - {"device"}
-"""Headings that are keys of a map."""
+KEYS = {word for word in HEADINGS_OF_KINDS if word != "device"}
 
 
 class ListColumn(NamedTuple):
@@ -46,13 +42,11 @@ class SaidColumns(NamedTuple):
     @classmethod
     def of(cls, columns: Mapping[str, Any]) -> SaidColumns:
         """Return what the option `columns` says; raise ValueError if a kind does not exist."""
-        ignored = columns.get(NOTHING, ())
+        headings = {**columns}
+        ignored = headings.pop(NOTHING, ())
         ignored = [ignored] if isinstance(ignored, str) else ignored
-        headings = {
-            HEADINGS_OF_KINDS.get(word_of(kind), words().headings.get(word_of(kind), kind)): heading
-            for kind, heading in columns.items()
-            if kind != NOTHING
-        }
+        kinds = words().headings | HEADINGS_OF_KINDS
+        headings = {kinds.get(word_of(kind), kind): text for kind, text in headings.items()}
         for kind in headings:
             if kind not in READERS:
                 allowed = ", ".join((*READERS, NOTHING))

@@ -20,13 +20,17 @@ from ..files.schema import keys_of
 from ..protocol.checks import integer
 from ..protocol.mistakes import WrongType, WrongValue, close_to, inside, named_arguments
 from ..protocol.pdu.request import store
-from ..protocol.words import ORDER_WORDS, TABLE_WORDS, order_named, plain, table_named
+from ..protocol.words import ORDER_WORDS, TABLE_WORDS, plain
 
 REFERENCE = "reference"
 """In place of a first address: each address is a reference, such as 40123."""
 
 LENGTHS = ("bytes", "registers")
 """The units that the number behind the type of a text may count."""
+
+
+MOST_NAMED = 12
+"""How many of a list are named in a message, at most."""
 
 
 class ListKeys(TypedDict, total=False):
@@ -110,7 +114,7 @@ def _keyed(value: Any) -> Any:
     if not isinstance(value, Mapping):
         return value
     return {
-        int(key) if isinstance(each, list) else word_of(key): each for key, each in value.items()
+        int(key) if isinstance(text, list) else word_of(key): text for key, text in value.items()
     }
 
 
@@ -172,10 +176,13 @@ class ListOptions:
             if value is not None and value not in allowed:
                 wanted = f"must be one of {', '.join(allowed)}, not {value!r}"
                 raise WrongValue(name, wanted + close_to(value, allowed))
-        if self.table is not None:
-            store(self, table=_named("table", table_named(self.table), self.table, TABLE_WORDS))
-        if self.order is not None:
-            store(self, order=_named("order", order_named(self.order), self.order, ORDER_WORDS))
+        for name, meanings in (("table", TABLE_WORDS), ("order", ORDER_WORDS)):
+            if (value := getattr(self, name)) is None:
+                continue
+            if (meaning := meanings.get(plain(str(value)))) is None:
+                allowed = ", ".join(dict.fromkeys(meanings.values()))
+                raise WrongValue(name, f"must be one of {allowed}, not {value!r}")
+            store(self, **{name: meaning})
         if self.first_address not in (None, REFERENCE):
             if isinstance(self.first_address, str) and self.first_address.isdecimal():
                 store(self, first_address=int(self.first_address))
@@ -204,17 +211,10 @@ LIST = keys_of(ListOptions).but("columns")
 """The options but for `columns`, as keys of files."""
 
 
-def options_of(given: Mapping[str, Any]) -> ListOptions:
+def options_of(content: Mapping[str, Any]) -> ListOptions:
     """Return the options that the keys `columns` and `list` of a table in a file say."""
     with inside("list"):
-        return ListOptions(columns=given.get("columns", {}), **given.get("list", {}))
-
-
-def _named(name: str, found: str | None, text: object, meanings: Mapping[str, str]) -> str:
-    if found is None:
-        allowed = ", ".join(dict.fromkeys(meanings.values()))
-        raise WrongValue(name, f"must be one of {allowed}, not {text!r}")
-    return found
+        return ListOptions(columns=content.get("columns", {}), **content.get("list", {}))
 
 
 # --- configurations of modpoll in Python, whose rows are of three kinds ---------------------------

@@ -20,15 +20,8 @@ from ..protocol.mistakes import Path, WrongValue, inside
 from ..protocol.values import value_type
 from ..protocol.words import plain
 from .list_cells import RAW, READERS, address_in, type_keys
-from .list_columns import (
-    HEADINGS_OF_KINDS,
-    KEYS,
-    MOST_NAMED,
-    SaidColumns,
-    find_columns,
-    without_base,
-)
-from .list_words import MODPOLL, REFERENCE, ListOptions, flat_rows, word_of, words
+from .list_columns import HEADINGS_OF_KINDS, KEYS, SaidColumns, find_columns, without_base
+from .list_words import MODPOLL, MOST_NAMED, REFERENCE, ListOptions, flat_rows, word_of, words
 from .scaling import Scaling
 
 LAST_OF_BYTE = {"int8": -128, "uint8": 255}
@@ -187,8 +180,9 @@ class RegisterList:
             if self._first_address is not None or origin == "iobroker":
                 tables = "holding_registers, input_registers, coils or discrete_inputs"
                 reason = f"say --list table= one of {tables}"
-                also = "" if self._first_address is not None else _OR_REFERENCE
-                raise self._error(f"no column has the table: {reason}{also}")
+                if self._first_address is None:  # the first digits of references say the table
+                    reason += ", whose addresses count from 0, or first_address=reference"
+                raise self._error(f"no column has the table: {reason}")
             self.notes.append(f"{column.heading} has references: 40001 is holding register 0")
         word = without_base(word_of(column.heading))[0]
         if self._first_address is not None or not self._tells_table or word in KEYS:
@@ -199,7 +193,7 @@ class RegisterList:
             raise self._error(f"{reason}: say --list first_address=0, =1 or =reference")
         cells = [_cell(row, column.at) for row in self._rows]
         numbers = [int(cell) for cell in cells if re.fullmatch("[0-9]{5}", cell)]
-        if cells and len(numbers) == len(cells) and all(map(_is_reference, numbers)):
+        if cells and len(numbers) == len(cells) and 30001 <= min(numbers) <= max(numbers) <= 49999:
             reason = f"column {column.heading} may have references, such as {numbers[0]}"
             raise self._error(f"{reason}: say --list first_address=0 or =reference")
 
@@ -251,7 +245,6 @@ class RegisterList:
                 keys[kind] = self._read(kind, text)
         texts["name"] = self._names[row.line]
         keys |= {"name": texts["name"]} if texts["name"] else {}
-        _settle_table(keys, texts)
         self._settle_address(keys, texts)
         self._settle_type(keys, texts)
         self._settle_scale(keys)
@@ -268,6 +261,9 @@ class RegisterList:
         return read(self._text.number_cell(text) if is_number else text)
 
     def _settle_address(self, keys: dict[str, Any], texts: Mapping[str, str]) -> None:
+        table = keys.pop("function", None)
+        if table and keys.setdefault("table", table) != table:
+            raise WrongValue("function", f"{texts['function']} is none of {keys['table']}")
         keys.setdefault("table", self._table)
         if "address" not in texts:
             return
@@ -353,29 +349,11 @@ class RegisterList:
         if raws.get("raw_initial") == 0:
             del raws["raw_initial"]  # with which devices begin anyway
         for kind, raw in raws.items():
-            keys[RAW[kind]] = scaled(raw, scale, offset)
+            is_scaled = (scale, offset) != (1, 0)
+            keys[RAW[kind]] = Scaling(scale, offset).to_value(raw) if is_scaled else raw
         if scale < 0 and "raw_minimum" in raws and "raw_maximum" in raws:
             keys["minimum"], keys["maximum"] = keys["maximum"], keys["minimum"]
 
 
-def scaled(raw: float, scale: float, offset: float) -> float:
-    """Return the value of a raw number."""
-    return raw if (scale, offset) == (1, 0) else Scaling(scale, offset).to_value(raw)
-
-
-# The first digits of references say the table; otherwise addresses count from 0.
-_OR_REFERENCE = ", whose addresses count from 0, or first_address=reference"
-
-
 def _cell(row: CsvRow, at: int) -> str:
     return row.cells[at] if at < len(row.cells) else ""
-
-
-def _is_reference(number: int) -> bool:
-    return 30001 <= number <= 49999
-
-
-def _settle_table(keys: dict[str, Any], texts: Mapping[str, str]) -> None:
-    table = keys.pop("function", None)
-    if table and keys.setdefault("table", table) != table:
-        raise WrongValue("function", f"{texts['function']} is none of {keys['table']}")

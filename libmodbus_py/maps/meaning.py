@@ -58,13 +58,8 @@ def no_value(name: str, kind: ValueType, error: ValueError) -> NoValue:
 
 class Judged(NamedTuple):
     """
-    A value of a point, or the reason why there is none.
-
-    Attributes:
-        value: as `Point.decode` returns it; None if there is none.
-        quality: "good", or "bad" if there is no value.
-        reason: that of `NoValue`, and empty with a value; of a list, the reason of the first
-            item that is None.
+    A value, as `Point.decode` returns it, or the reason of `NoValue` why there is none; of a list,
+    the reason of the first item that is None.
     """
 
     value: Any
@@ -194,7 +189,8 @@ class Meaning:
         self.bits: Mapping[str, Part] = bits
         has_names = states is not None or bool(bits)
         self.is_plain: bool = not (part or span or missing or has_names)
-        self.has_numbers: bool = _has_numbers(kind, part) and not has_names
+        is_number = not part.is_flag if part else kind is not None and kind.limits is not None
+        self.has_numbers: bool = is_number and not has_names
         self.from_bytes: Callable[[bytes], Any] = bool if kind is None else self._reader(kind)
 
     def _reader(self, kind: ValueType) -> Callable[[bytes], Any]:
@@ -321,9 +317,3 @@ class Meaning:
             bits |= self.bits[name].put(("value", name), bit)
             mask |= self.bits[name].mask
         return bits, mask
-
-
-def _has_numbers(kind: ValueType | None, part: Part | None) -> bool:
-    if part is not None:
-        return not part.is_flag
-    return kind is not None and kind.limits is not None

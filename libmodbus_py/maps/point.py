@@ -213,15 +213,7 @@ class Point:
         return self.judge(cells, source=source).value
 
     def judge(self, cells: Sequence[Any], *, source: float | None = None) -> Judged:
-        """
-        Return the value that the cells of the point hold, or the reason why there is none.
-
-        Args:
-            cells, source: as for `decode`.
-
-        Raises:
-            TypeError, ValueError: as `decode`.
-        """
+        """Return the value that the cells hold, or the reason why there is none; as `decode`."""
         try:
             if len(cells) != len(self.cells):
                 raise WrongValue("cells", f"must have {len(self.cells)} items, not {len(cells)}")
@@ -323,12 +315,8 @@ class Point:
         low, high = self.minimum, self.maximum
         if not _is_within(value, low, high):
             span = f"{'' if low is None else low}..{'' if high is None else high}"
-            text = (
-                shown(value)
-                if written_value is None
-                else f"{shown(written_value)}, written as {shown(value)}"
-            )
-            raise WrongValue("value", f"must be in {span}, not {text}")
+            text = "" if written_value is None else f"{shown(written_value)}, written as "
+            raise WrongValue("value", f"must be in {span}, not {text}{shown(value)}")
 
 
 def _is_within(value: Any, low: Any, high: Any) -> bool:

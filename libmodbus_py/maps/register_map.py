@@ -8,7 +8,8 @@ import keyword
 import re
 import reprlib
 import unicodedata
-from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain, count
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, Unpack
 
@@ -46,11 +47,11 @@ class RegisterMap(Mapping[str, Point]):
             does not name a readable number of the map, or leads back to its own point.
     """
 
-    __slots__ = ("_kept", "_points")
+    __slots__ = ("_last", "_points")
 
     def __init__(self, points: Iterable[Point]) -> None:
         self._points: dict[str, Point] = {}
-        self._kept: tuple[object, PointPlan] | None = None
+        self._last: tuple[object, PointPlan] | None = None
         for point in points:
             if not isinstance(point, Point):
                 raise WrongType("points", f"must be Point objects, not {type(point).__name__}")
@@ -75,7 +76,7 @@ class RegisterMap(Mapping[str, Point]):
     @property
     def initial(self) -> dict[str, Any]:
         """The initial values of points that have one, by name."""
-        return {name: each.initial for name, each in self.items() if each.initial is not None}
+        return {name: point.initial for name, point in self.items() if point.initial is not None}
 
     def plan(self, names: Iterable[str] | None = None, **options: Unpack[PlanOptions]) -> PointPlan:
         """
@@ -88,17 +89,16 @@ class RegisterMap(Mapping[str, Point]):
         Raises:
             TypeError, ValueError: there is no such point, or it cannot be read; or as for `Plan`.
         """
-        wanted = None if names is None else tuple(_checked_names(names))
-        asked = (wanted, options)
-        if (kept := self._kept) is not None and kept[0] == asked:
-            return kept[1]
-        points = self._readable(wanted)
+        arguments = None if names is None else tuple(_checked_names(names)), options
+        if self._last is not None and self._last[0] == arguments:
+            return self._last[1]
+        points = self._readable(arguments[0])
         sources = sources_of(points, self._points)
-        made = PointPlan(points, sources, borders_of(self._points.values()), **options)
+        plan = PointPlan(points, sources, borders_of(self._points.values()), **options)
         # The caller may change the list of forbidden ranges later.
         if "forbidden" not in options:
-            self._kept = (asked, made)
-        return made
+            self._last = (arguments, plan)
+        return plan
 
     def writes(
         self,
@@ -146,21 +146,18 @@ class RegisterMap(Mapping[str, Point]):
                 points that must be read is to be written, too.
         """
         if not isinstance(values, Mapping):
-            raise WrongType(
-                "values", f"must be a mapping from names to values, not {type(values).__name__}"
-            )
+            form = "a mapping from names to values"
+            raise WrongType("values", f"must be {form}, not {type(values).__name__}")
+        sources: dict[str, None] = {}
         for name in values:
-            if not self._known(name).is_writable:
+            point = self._known(name)
+            if not point.is_writable:
                 raise WrongValue(name, "cannot be written: its access is read")
-        for name in values:
-            source = self._points[name].scale_from
-            if source in values:
-                raise WrongValue(
-                    name,
-                    f"is scaled by {source}, which must be written before, in a call of its own",
-                )
-        found = (self._points[name].scale_from for name in values)
-        return list(dict.fromkeys(each for each in found if each is not None))
+            if (source := point.scale_from) in values:
+                hint = "which must be written before, in a call of its own"
+                raise WrongValue(name, f"is scaled by {source}, {hint}")
+            sources |= {} if source is None else {source: None}
+        return list(sources)
 
     def group(self, name: str) -> list[str]:
         """
@@ -169,12 +166,12 @@ class RegisterMap(Mapping[str, Point]):
         Raises:
             ValueError: the group has no readable points.
         """
-        found = [each.name for each in self._readable(None) if each.group == name and name]
-        if not found:
-            groups = sorted({each.group for each in self._readable(None)} - {""})
-            known = f"; its groups are {', '.join(groups[:20])}" if groups else ""
-            raise ValueError(f"the map has no points of a group {reprlib.repr(name)}{known}")
-        return found
+        names = [point.name for point in self._readable(None) if point.group == name and name]
+        if not names:
+            groups = sorted({point.group for point in self._readable(None)} - {""})
+            hint = f"; its groups are {', '.join(groups[:20])}" if groups else ""
+            raise ValueError(f"the map has no points of a group {reprlib.repr(name)}{hint}")
+        return names
 
     def bind(self, client: MapClient, **options: Unpack[PlanOptions]) -> BoundMap:
         """
@@ -214,14 +211,14 @@ AnyMap: TypeAlias = RegisterMap | str | PathLike[str]
 """A register map, or the path of its file."""
 
 
-def map_of(given: AnyMap, name: str = "map") -> RegisterMap:
+def map_of(map: AnyMap, name: str = "map") -> RegisterMap:
     """Return a register map, or load that of a file; `name` is that of the argument, for errors."""
-    if isinstance(given, RegisterMap):
-        return given
-    if not isinstance(given, str | PathLike):
-        wanted = "a RegisterMap or the path of its file"
-        raise WrongType(name, f"must be {wanted}, not {type(given).__name__}")
-    return load_map(given)
+    if isinstance(map, RegisterMap):
+        return map
+    if not isinstance(map, str | PathLike):
+        form = "a RegisterMap or the path of its file"
+        raise WrongType(name, f"must be {form}, not {type(map).__name__}")
+    return load_map(map)
 
 
 def load_map(
@@ -274,12 +271,10 @@ class MapClient(Protocol):
     @property
     def read_map(self) -> Any:
         """The method that reads points of a map."""
-        ...
 
     @property
     def write_map(self) -> Any:
         """The method that writes points of a map."""
-        ...
 
 
 class MapBinding:
@@ -328,20 +323,19 @@ class MapBinding:
 
     def _read(self, attributes: Iterable[str]) -> Any:
         """Read points, all if no attribute is given; return None, or a coroutine for it."""
-        names = [self._named(each) for each in attributes] or None
-        found = self.client.read_map(self.map, names, **self._options)
-        if hasattr(found, "__await__"):
-            return self._keep_later(found)
-        self._values.update(found)
-        return None
+        names = [self._named(attribute) for attribute in attributes] or None
+        result = self.client.read_map(self.map, names, **self._options)
+        if hasattr(result, "__await__"):
+            return self._update(result)
+        return self._values.update(result)
 
-    async def _keep_later(self, coming: Coroutine[Any, Any, Mapping[str, Any]]) -> None:
-        self._values.update(await coming)
+    async def _update(self, result: Awaitable[Mapping[str, Any]]) -> None:
+        self._values.update(await result)
 
     def _write(self, values: Mapping[str, Any]) -> Any:
         """Write values by attribute; return None, or a coroutine for it."""
-        given = {self._named(attribute): value for attribute, value in values.items()}
-        return self.client.write_map(self.map, given)
+        by_name = {self._named(attribute): value for attribute, value in values.items()}
+        return self.client.write_map(self.map, by_name)
 
     def _value(self, name: str) -> Any:
         """Return the value of a point, None for none; raise AttributeError if it was not read."""
@@ -422,14 +416,14 @@ class BoundMap(MapBinding):
 
 def attribute_names(names: Iterable[str]) -> dict[str, str]:
     """Return the attribute for the name of each point, by the rules of `BoundMap`."""
-    given = list(names)
-    found = {name: name for name in given if _identifier(name) == name}
-    taken = set(found)
-    for name in given:
-        if name not in found:
-            found[name] = _free(_identifier(name), taken)
-            taken.add(found[name])
-    return {name: found[name] for name in given}
+    names = list(names)
+    attributes = {name: name for name in names if _identifier(name) == name}
+    taken = {*attributes}
+    for name in names:
+        if name not in attributes:
+            attributes[name] = _free(_identifier(name), taken)
+            taken.add(attributes[name])
+    return {name: attributes[name] for name in names}
 
 
 def _identifier(name: str) -> str:
@@ -443,13 +437,10 @@ def spelled(name: str) -> str:
     """Return a name with one ``_`` for each run of characters that no identifier has."""
     # As Python itself spells identifiers; twice, because some letters become others and a space.
     text = unicodedata.normalize("NFKC", name)
-    text = "".join(each if f"a{each}".isidentifier() else " " for each in text)
+    text = "".join(letter if f"a{letter}".isidentifier() else " " for letter in text)
     return unicodedata.normalize("NFKC", re.sub(" +", "_", text))
 
 
 def _free(text: str, taken: set[str]) -> str:
-    number, found = 1, text
-    while found in taken:
-        number += 1
-        found = f"{text}_{number}"
-    return found
+    others = (f"{text}_{number}" for number in count(2))
+    return next(name for name in chain([text], others) if name not in taken)
