@@ -46,11 +46,8 @@ class CsvText:
     """
     The text of a table: its row of headings, its delimiter, and how many rows are skipped above.
 
-    Args:
-        text: the text.
-        is_known: whether a heading is known.
-        kind: the class of errors about characters, or what is not CSV.
-        headings: those of a list that has none of its own.
+    `is_known` says whether a heading is known; `kind` is the class of errors about characters, or
+    what is not CSV; `headings` are those of a list that has none of its own.
     """
 
     def __init__(

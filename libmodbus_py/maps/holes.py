@@ -180,12 +180,13 @@ class _PlanRun:
     def tolerant(self) -> _PlanSteps[list[Any]]:
         """Read all pieces but the holes, and search for others."""
         self._forget_old_cuts()
-        left_out = self._leave_out()
+        known = self._holes.refused.copy()
+        left_out = {piece: known[piece.span] for piece in self._pieces if piece.span in known}
+        self._read = {piece.span: alike(hole.error) for piece, hole in left_out.items()}
         portions = self._portions()
-        oldest = min(left_out, key=lambda piece: left_out[piece].at, default=None)
-        trials = (
-            [oldest] if oldest and (not portions or left_out[oldest].is_due(*self._time)) else []
-        )
+        trials = sorted(left_out, key=lambda piece: left_out[piece].at)[:1]
+        if portions and trials and not left_out[trials[0]].is_due(*self._time):
+            trials = []
         refusals = yield from self._send([*portions, *([piece] for piece in trials)])
         for piece in trials:
             outcome = self._read[piece.span]
@@ -244,13 +245,6 @@ class _PlanRun:
         cuts = self._holes.cuts
         for at in [at for at, cut in cuts.copy().items() if cut.is_due(*self._time)]:
             cuts.pop(at, None)
-
-    def _leave_out(self) -> dict[BlockPiece, PastRefusal]:
-        """Leave known holes out, and return them."""
-        refusals = self._holes.refused.copy()
-        left_out = {piece: refusals[piece.span] for piece in self._pieces if piece.span in refusals}
-        self._read = {piece.span: alike(hole.error) for piece, hole in left_out.items()}
-        return left_out
 
     def _portions(self) -> list[list[BlockPiece]]:
         """Return what is to be asked for, in as few requests as holes and cuts allow."""

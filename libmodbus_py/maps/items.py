@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Literal, Required, TypeAlias, TypedDict, TypeVar
 
 from ..protocol.errors import ModbusError
-from ..protocol.mistakes import WrongType, WrongValue, named_arguments, placed
+from ..protocol.mistakes import WrongType, WrongValue, inside, named_arguments
 from ..protocol.pdu.request import store
 from ..protocol.tables import TABLES, RegisterTable, Table, checked_table, checked_values
 from ..protocol.values import Order, TypeName, ValueType, value_type
@@ -167,14 +167,11 @@ def checked_items(items: object) -> dict[Any, Read]:
 def _checked_item(name: object, item: object) -> Read:
     if isinstance(item, Read):
         return item
+    path = f"items[{name!r}]"
     if not isinstance(item, tuple) or not 2 <= len(item) <= 7:
-        raise WrongType(
-            f"items[{name!r}]", f"must be a Read or a tuple of its arguments, not {item!r}"
-        )
+        raise WrongType(path, f"must be a Read or a tuple of its arguments, not {item!r}")
     arguments: list[Any] = [*item]
     if len(arguments) > 2 and isinstance(arguments[2], str):
         arguments.insert(2, 1)
-    try:
+    with inside(path):
         return Read(*arguments)
-    except (TypeError, ValueError) as error:
-        raise placed(error, (f"items[{name!r}]",)) from None

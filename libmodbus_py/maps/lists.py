@@ -42,18 +42,10 @@ class MapEntry(NamedTuple):
 
 class RegisterList:
     """
-    The text of a list, and what its columns mean.
+    The text of a list, as CSV or Markdown, and what its columns mean.
 
-    Args:
-        text: the text, as CSV or Markdown.
-        options: how it is read.
-
-    Attributes:
-        notes: how it was read, and what is ignored.
-
-    Raises:
-        MapError: the headings have no meaning, or two.
-        ValueError: an option names a column or a row that a list cannot have.
+    A MapError says that the headings have no meaning, or two; a ValueError, that an option names a
+    column or a row that a list cannot have. `notes` say how it was read, and what is ignored.
     """
 
     def __init__(self, text: str, options: ListOptions) -> None:

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
-from ..protocol.checks import are_registers, integer, shown
+from ..protocol.checks import are_registers, instance, integer, shown
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import Path, WrongType, WrongValue
 from ..protocol.pdu.request import checked_bit
@@ -307,10 +307,8 @@ class Meaning:
 
     def _named_bits(self, value: object) -> tuple[int, int]:
         """Return the bits of a mapping of names to values, and the mask of those bits."""
-        if not isinstance(value, Mapping):
-            raise WrongType("value", f"must be a dict of named bits, not {type(value).__name__}")
         bits = mask = 0
-        for name, bit in value.items():
+        for name, bit in instance("value", value, Mapping, "a dict of named bits").items():
             if name not in self.bits:
                 names = ", ".join(self.bits)
                 raise WrongValue("value", f"must have names of {names}, not {shown(name)}")

@@ -140,7 +140,8 @@ class Plan:
             [BlockPiece(span, tuple(pieces[span])) for span in sorted(pieces)] for pieces in blocks
         )
 
-    def _values(self, name: Any, answers: list[Any]) -> Any:
+    def _cells(self, name: Any, answers: list[Any]) -> Any:
+        """Return the cells of an item, or the error of a request."""
         cells: list[Any] = []
         for request, start, stop in self._parts[name]:
             answer = answers[request]
@@ -149,11 +150,11 @@ class Plan:
             if isinstance(answer, PartialAnswer) and (error := answer.errors.get((start, stop))):
                 return error
             cells += answer[start:stop]
-        return self._decoded(name, cells)
+        return cells
 
-    def _decoded(self, name: Any, cells: list[Any]) -> Any:
-        kind = self._reads[name].kind
-        if kind is None:
+    def _values(self, name: Any, answers: list[Any]) -> Any:
+        kind, cells = self._reads[name].kind, self._cells(name, answers)
+        if kind is None or isinstance(cells, ModbusError):
             return cells
         values = kind.values_in(cells_of(cells))
         errors = [value for value in values if isinstance(value, ValueError)]

@@ -9,11 +9,11 @@ import reprlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from ..protocol.checks import integer, seconds, shown, string
+from ..protocol.checks import choice, instance, integer, seconds, shown, string
 from ..protocol.mistakes import Path, WrongType, WrongValue, placed
 from ..protocol.pdu.request import store
 from ..protocol.plain import shortest
-from ..protocol.tables import TABLES, checked_table, checked_write_function
+from ..protocol.tables import TABLES, checked_table
 from ..protocol.values import ValueType
 from .items import Read
 from .meaning import Meaning, Part, part_of
@@ -82,7 +82,7 @@ def check_point(point: Point) -> None:
         if getattr(point, name) is not None:
             checked_interval(name, getattr(point, name))
     if point.write_function is not None:
-        checked_write_function(point.write_function, ("single", "multiple"))
+        choice("write_function", point.write_function, ("single", "multiple"))
     for name in ("border", "never_falls"):
         if not isinstance(getattr(point, name), bool):
             raise WrongType(name, f"must be true or false, not {getattr(point, name)!r}")
@@ -131,10 +131,7 @@ def _access(point: Point) -> str:
     can_be_written = TABLES[point.table].most_written > 0
     if point.access is None:
         return "read_write" if can_be_written else "read"
-    if point.access not in ACCESSES:
-        text = reprlib.repr(point.access)
-        raise WrongValue("access", f"must be one of {', '.join(ACCESSES)}, not {text}")
-    if point.access != "read" and not can_be_written:
+    if choice("access", point.access, ACCESSES) != "read" and not can_be_written:
         raise WrongValue("access", f"must be read for {point.table}, not {point.access!r}")
     return str(point.access)
 
@@ -202,22 +199,19 @@ def _part(point: Point, kind: ValueType | None) -> Part | None:
         return part_of("bit", point.bit, width, is_signed=is_signed)
     if name == "bits":
         return None
-    if point.byte not in BYTES:
-        raise WrongValue("byte", f"must be one of {', '.join(BYTES)}, not {point.byte!r}")
+    bits = BYTES[choice("byte", point.byte, BYTES)]
     if kind.registers != 1:
         raise WrongValue("byte", f"must be left out for {kind.name}, which has {width} bits")
-    return part_of("byte", BYTES[point.byte], width, is_signed=is_signed)
+    return part_of("byte", bits, width, is_signed=is_signed)
 
 
 def _names(
-    name: str, names: object, key_of: Callable[[Path, Any], Any], *, are_unique: bool = True
+    name: str, names: Any, key_of: Callable[[Path, Any], Any], *, are_unique: bool = True
 ) -> dict[Any, str]:
     """Return the names that an argument gives to numbers or bits; the keys of files are text."""
     if names is None:
         return {}
-    if not isinstance(names, Mapping):
-        raise WrongType(name, f"must be a table of names, not {type(names).__name__}")
-    if not names:
+    if not instance(name, names, Mapping, "a table of names"):
         raise WrongValue(name, "must not be empty")
     result: dict[Any, str] = {}
     for key, text in names.items():
@@ -264,15 +258,11 @@ def _bits(point: Point, kind: ValueType | None) -> dict[str, Part]:
 
 
 def _check_numbers(point: Point, meaning: Meaning) -> None:
-    if point.scale_as not in SCALES:
-        raise WrongValue("scale_as", f"must be one of {', '.join(SCALES)}, not {point.scale_as!r}")
-    if point.scale_from is None and point.scale_as != "exponent":
+    if choice("scale_as", point.scale_as, SCALES) != "exponent" and point.scale_from is None:
         raise WrongValue("scale_as", "must be left out without scale_from")
-    if point.scale_from is not None:
-        if not isinstance(point.scale_from, str):
-            raise WrongType("scale_from", f"must be a name, not {type(point.scale_from).__name__}")
-        if point.scale_from == point.name:
-            raise WrongValue("scale_from", "must be another point, not the point itself")
+    source = point.scale_from
+    if source is not None and instance("scale_from", source, str, "a name") == point.name:
+        raise WrongValue("scale_from", "must be another point, not the point itself")
     if point.never_falls and point.count > 1:
         raise WrongValue("never_falls", "must be left out where count is more than 1")
     if meaning.has_numbers:

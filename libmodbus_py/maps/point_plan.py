@@ -211,7 +211,7 @@ class PointPlan(Plan):
 
     def _value(self, name: str, answers: list[Any], scales: _Scales) -> Any:
         """Return a value, a `NoValue`, or the error of the request."""
-        point, cells = self._all[name], self._values(name, answers)
+        point, cells = self._all[name], self._cells(name, answers)
         source = scales.values.get(point.scale_from or "")
         for part in (cells, source):
             if isinstance(part, ModbusError) and not isinstance(part, NoValue):
@@ -235,9 +235,6 @@ class PointPlan(Plan):
                         scaling = scaling_by(scale.scale, scale.offset, scale.how, value)
                         scales.functions[number] = scaling.to_value
         return scales
-
-    def _decoded(self, name: str, cells: list[Any]) -> Any:
-        return cells  # `_value` decodes them
 
 
 def _form_of(kind: ValueType, meaning: Meaning) -> str:

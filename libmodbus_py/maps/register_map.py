@@ -14,6 +14,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, Unpack
 
 from ..protocol import pdu
+from ..protocol.checks import instance
 from ..protocol.mistakes import WrongType, WrongValue, close_to
 from ..protocol.tables import WriteFunction, checked_write_function
 from .items import PlanOptions
@@ -53,9 +54,7 @@ class RegisterMap(Mapping[str, Point]):
         self._points: dict[str, Point] = {}
         self._last: tuple[object, PointPlan] | None = None
         for point in points:
-            if not isinstance(point, Point):
-                raise WrongType("points", f"must be Point objects, not {type(point).__name__}")
-            if point.name in self._points:
+            if instance("points", point, Point, "Point objects").name in self._points:
                 raise WrongValue("name", f"{point.name!r} occurs twice")
             self._points[point.name] = point
         for _, mistake in scale_mistakes(self._points):
@@ -139,17 +138,11 @@ class RegisterMap(Mapping[str, Point]):
 
     def scale_sources(self, values: Mapping[str, Any]) -> list[str]:
         """
-        Return the names of the points that must be read before these values can be written.
-
-        Raises:
-            TypeError, ValueError: there is no such point, or it cannot be written; or one of the
-                points that must be read is to be written, too.
+        Return the names of the points that must be read before these values can be written; raise
+        TypeError or ValueError as `writes`, and if one of these points is to be written, too.
         """
-        if not isinstance(values, Mapping):
-            form = "a mapping from names to values"
-            raise WrongType("values", f"must be {form}, not {type(values).__name__}")
         sources: dict[str, None] = {}
-        for name in values:
+        for name in instance("values", values, Mapping, "a mapping from names to values"):
             point = self._known(name)
             if not point.is_writable:
                 raise WrongValue(name, "cannot be written: its access is read")
@@ -215,10 +208,8 @@ def map_of(map: AnyMap, name: str = "map") -> RegisterMap:
     """Return a register map, or load that of a file; `name` is that of the argument, for errors."""
     if isinstance(map, RegisterMap):
         return map
-    if not isinstance(map, str | PathLike):
-        form = "a RegisterMap or the path of its file"
-        raise WrongType(name, f"must be {form}, not {type(map).__name__}")
-    return load_map(map)
+    form = "a RegisterMap or the path of its file"
+    return load_map(instance(name, map, (str, PathLike), form))
 
 
 def load_map(

@@ -44,8 +44,8 @@ class PointIntervals:
 
     def __init__(self, own: Sequence[float | None], usual: float) -> None:
         self._indexes: dict[float, list[int]] = {}
-        for at, each in enumerate(own):
-            self._indexes.setdefault(usual if each is None else each, []).append(at)
+        for at, interval in enumerate(own):
+            self._indexes.setdefault(usual if interval is None else interval, []).append(at)
         self.interval: float = min(self._indexes, default=usual)
         # When the poll was due that read the points of an interval last.
         self._last: dict[float, float] = {}
@@ -171,20 +171,17 @@ class WatchedPoints:
 
     def poll(self, at: float) -> Generator[PointPlan, dict[str, Any], PolledValues]:
         """Yield the plans of a poll that is due now, take their results, and return all values."""
-        found = yield self._plans.plan_of(self._pace.due(at))
-        doubtful, fell = self._totals.take(self._all(found))
+        results = yield self._plans.plan_of(self._pace.due(at))
+        doubtful, fell = self._totals.take([*map(results.get, self._names)])
         if doubtful:
             again = yield self._plans.plan_of(tuple(sorted(doubtful)))
-            found |= again
-            _, fell = self._totals.take(self._all(again))
-        self._pace.done([at for at, name in enumerate(self._names) if _is_lost(found.get(name))])
-        self._values |= found
+            results |= again
+            _, fell = self._totals.take([*map(again.get, self._names)])
+        self._pace.done([at for at, name in enumerate(self._names) if _is_lost(results.get(name))])
+        self._values |= results
         values = PolledValues({name: self._values[name] for name in self._names})
         values.fell = frozenset(self._names[at] for at in fell)
         return values
-
-    def _all(self, found: dict[str, Any]) -> list[Any]:
-        return [found.get(name) for name in self._names]
 
 
 def _is_lost(value: object) -> bool:

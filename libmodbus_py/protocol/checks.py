@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from operator import index
 from types import AsyncGeneratorType, CoroutineType, GeneratorType
@@ -57,10 +57,23 @@ def number(name: str | Path, value: object, low: float, high: float) -> int | fl
     return value
 
 
+def instance(name: str | Path, value: Any, kind: Any, form: str) -> Any:
+    """Return an object of a class, or of one of several; raise a TypeError for any other."""
+    if not isinstance(value, kind):
+        raise WrongType(name, f"must be {form}, not {type(value).__name__}")
+    return value
+
+
 def string(name: str | Path, value: object) -> str:
     """Return a text; raise a TypeError for anything else."""
-    if not isinstance(value, str):
-        raise WrongType(name, f"must be a string, not {type(value).__name__}")
+    text: str = instance(name, value, str, "a string")
+    return text
+
+
+def choice(name: str | Path, value: Any, choices: Collection[str]) -> Any:
+    """Return one of some words; raise a ValueError for anything else."""
+    if value not in choices:
+        raise WrongValue(name, f"must be one of {', '.join(choices)}, not {reprlib.repr(value)}")
     return value
 
 

@@ -84,12 +84,8 @@ class ModbusError(Exception):
         if not isinstance(reason, str):
             raise TypeError(f"reason must be a string, not {type(reason).__name__}")
         super().__init__(reason)
-        self.unit = transaction.get("unit")
-        self.function = transaction.get("function")
-        self.asked = transaction.get("asked", "")
-        self.endpoint = transaction.get("endpoint", "")
-        self.sent = transaction.get("sent", b"")
-        self.received = transaction.get("received", b"")
+        for name, value in transaction.items():
+            setattr(self, name, value)
 
     @property
     def received(self) -> bytes:

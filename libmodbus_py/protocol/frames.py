@@ -134,8 +134,8 @@ class Framer(ABC):
     @abstractmethod
     def _scan(self) -> None: ...
 
-    @abstractmethod
-    def _scan_silence(self) -> None: ...
+    def _scan_silence(self) -> None:  # noqa: B027
+        """Take silence for the end of a frame; on TCP it is none."""
 
     def _report(self, why: str, data: bytes | bytearray, *, overrun: bool = False) -> None:
         error = FrameError(why, received=bytes(data))
@@ -288,9 +288,6 @@ class TcpFramer(Framer):
         if self._is_client and _is_short_exception(self.rest):
             self._results.append(_frame(self.rest))
             self.rest.clear()
-
-    def _scan_silence(self) -> None:
-        """Ignore silence, which ends no frame on TCP."""
 
 
 class UdpFramer(TcpFramer):

@@ -306,7 +306,8 @@ class RtuCutter:
             starts = range(at, len(data)) if self._may_end_later(data, at) else later
             found = next((each for each in starts if self._goes_on(data, each, each in later)), -1)
         elif self._role == "listener":
-            found = next((each for each in later if self._begins(data, each)), -1)
+            begins = (at for at in later if any(one.at(data, at, at) > 0 for one in self._scanners))
+            found = next(begins, -1)
         else:
             return at if is_kept else max(at, len(data) - MAX_ADU)
         if found >= 0:
@@ -333,9 +334,6 @@ class RtuCutter:
         """Return the end of the first frame of a function with a length rule, and its start."""
         scanner.fresh = -1
         return scanner.next(data, at, state), scanner.start
-
-    def _begins(self, data: bytes, at: int) -> bool:
-        return any(each.at(data, at, at) > 0 for each in self._scanners)
 
     def _goes_on(self, data: bytes, start: int, is_fresh: bool = True) -> bool:
         """Return True if frames without a gap go from here to the silence at the end."""

@@ -56,13 +56,11 @@ def pause_between_frames(baudrate: int, bits: int = 11) -> float:
 
 class FrameScanner:
     """
-    Finds the frames of one direction of a line.
+    Finds the frames of one direction of a line; responses for `is_client`.
 
-    Args:
-        is_client: whether responses come in.
-        rules: function code -> length rule of its PDU: a constant of scan.h, `base` and `at`;
-            frames of other codes end with silence, where their CRC fits.
-        ask: the length rule for those BY_PYTHON.
+    `rules` are function code -> length rule of its PDU: a constant of scan.h, `base` and `at`;
+    frames of other codes end with silence, where their CRC fits. `ask` is the rule of those
+    BY_PYTHON.
 
     Attributes:
         fresh: the place in the next data where a frame should begin; negative if it is past.

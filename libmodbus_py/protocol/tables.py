@@ -14,7 +14,7 @@ from operator import attrgetter
 from typing import Any, Literal, NamedTuple, get_args
 
 from . import pdu
-from .checks import integer, string
+from .checks import choice, integer, string
 from .mistakes import WrongValue
 from .pdu.request import MAX_WRITTEN, checked_span
 from .pdu.request import TABLE_SIZE as TABLE_SIZE
@@ -72,20 +72,13 @@ def checked_values(address: int, count: int, size: int) -> tuple[int, int]:
     return checked_span("address", address, name, count * size), count
 
 
-def checked_write_function(value: object, names: tuple[str, ...] = get_args(WriteFunction)) -> Any:
+def checked_write_function(value: object) -> Any:
     """Return a value that is allowed, or raise ValueError."""
-    if value not in names:
-        raise WrongValue("write_function", f"must be one of {', '.join(names)}, not {value!r}")
-    return value
+    return choice("write_function", value, get_args(WriteFunction))
 
 
 def register_table(table: object) -> Any:
-    """
-    Return the name of a table of registers, which may be written as vendors do.
-
-    Raises:
-        TypeError, ValueError: there is no such table, or its cells are bits.
-    """
+    """Return the name of a table of registers; a TypeError or ValueError if it is none."""
     return checked_table(string("table", table), REGISTER_TABLES)
 
 

@@ -14,7 +14,8 @@ from datetime import UTC, datetime, timedelta, tzinfo
 from struct import pack, unpack
 from typing import Any, NamedTuple
 
-from .mistakes import Path, WrongType, WrongValue
+from .checks import instance
+from .mistakes import Path, WrongValue
 from .value_types import ValueType
 
 CENTURY = 2000
@@ -29,12 +30,11 @@ class TimeForm(NamedTuple):
 
 
 def _checked_time(name: str | Path, value: object) -> datetime:
-    if not isinstance(value, datetime):
-        raise WrongType(name, f"must be a datetime, not {type(value).__name__}")
-    if value.utcoffset() is None:
-        raise WrongValue(name, f"must be a datetime with a time zone, not {value.isoformat()}")
+    time: datetime = instance(name, value, datetime, "a datetime")
+    if time.utcoffset() is None:
+        raise WrongValue(name, f"must be a datetime with a time zone, not {time.isoformat()}")
     try:
-        return value.astimezone(UTC)
+        return time.astimezone(UTC)
     except OverflowError:
         raise WrongValue(name, "must be a year in 1..9999") from None
 
@@ -153,14 +153,12 @@ def unpack_time(form: TimeForm, data: bytes) -> datetime:
 # --- local times --------------------------------------------------------------------------
 
 
-def checked_time_zone(name: str | Path, zone: object) -> tzinfo:
+def checked_time_zone(name: str | Path, zone: Any) -> tzinfo:
     """Return a time zone of the IANA database, such as "Europe/Berlin"."""
-    if not isinstance(zone, str):
-        raise WrongType(name, f"must be the name of a time zone, not {type(zone).__name__}")
     from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
     try:
-        return ZoneInfo(zone)
+        return ZoneInfo(instance(name, zone, str, "the name of a time zone"))
     except (ValueError, OSError, ZoneInfoNotFoundError):  # the last one is a KeyError
         form = "a time zone that this system knows, such as Europe/Berlin"
         raise WrongValue(name, f"must be {form}, not {zone[:100]!r}") from None

@@ -44,10 +44,8 @@ def _record_span(name: str, file: object, record: object, length: int) -> tuple[
     except ValueError as error:  # a file or record that does not exist is an address
         raise AddressError(*error.args) from None
     if checked[1] + length > RECORDS_PER_FILE:
-        raise AddressError(
-            f"{name} record",
-            f"+ length must not pass {RECORDS_PER_FILE}, but {checked[1]} + {length} does",
-        )
+        reason = f"must not pass {RECORDS_PER_FILE}, but {checked[1]} + {length} does"
+        raise AddressError(f"{name} record", f"+ length {reason}")
     return checked
 
 
@@ -85,20 +83,14 @@ class ReadFileRecords(Request[list[list[int]]]):
             size = integer(f"{name} length", length, 1, 124)
             checked.append((*_record_span(name, file, start, size), size))
         store(self, records=tuple(checked))
-        if self._response_size() > self.max_response:
-            raise ValueError(
-                f"records ask for a response of {self._response_size()} bytes,"
-                f" more than {self.max_response}"
-            )
-
-    def _response_size(self) -> int:
-        return sum(2 + 2 * length for _, _, length in self.records)
+        size = sum(2 + 2 * length for *_, length in checked)
+        if size > self.max_response:
+            limit = f"more than {self.max_response}"
+            raise ValueError(f"records ask for a response of {size} bytes, {limit}")
 
     def encode(self) -> bytes:
-        pieces = b"".join(
-            struct.pack(">BHHH", FILE_REFERENCE_TYPE, *record) for record in self.records
-        )
-        return bytes([self.function, len(pieces)]) + pieces
+        pieces = [struct.pack(">BHHH", FILE_REFERENCE_TYPE, *record) for record in self.records]
+        return bytes([self.function, 7 * len(pieces)]) + b"".join(pieces)
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:

@@ -79,11 +79,7 @@ MANDATORY = {0, 1, 2}
 FULL_MESSAGE = 244
 
 # The last object of each stream.
-LAST_OBJECT = {
-    ReadDeviceIdCode.BASIC: 0x02,
-    ReadDeviceIdCode.REGULAR: 0x7F,
-    ReadDeviceIdCode.EXTENDED: 0xFF,
-}
+LAST_OBJECT = dict(zip(ReadDeviceIdCode, (0x02, 0x7F, 0xFF), strict=False))
 
 
 class IdentificationPage(NamedTuple):
@@ -269,11 +265,7 @@ class DeviceIdentification(NamedTuple):
         }
 
 
-LEVELS = {
-    "basic": ReadDeviceIdCode.BASIC,
-    "regular": ReadDeviceIdCode.REGULAR,
-    "extended": ReadDeviceIdCode.EXTENDED,
-}
+LEVELS = {code.name.lower(): code for code in LAST_OBJECT}
 """Argument of `read_device_identification` -> the code."""
 
 

@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 from weakref import WeakSet
 
-from ..checks import are_registers, integer, log_failure
+from ..checks import are_registers, instance, integer, log_failure
 from ..errors import ExceptionResponse, InvalidResponse, in_hex
 from ..mistakes import Path, WrongType, WrongValue
 from ..scan import MAX_PDU as MAX_PDU
@@ -82,19 +82,17 @@ def checked_registers(name: str, values: object, limit: int) -> tuple[int, ...]:
 
 
 def checked_data(name: str, value: object, limit: int) -> bytes:
-    if not isinstance(value, bytes):
-        raise WrongType(name, f"must be bytes, not {type(value).__name__}")
-    if len(value) > limit:
-        raise WrongValue(name, f"must be up to {limit} bytes, not {len(value)}")
-    return value
+    data: bytes = instance(name, value, bytes, "bytes")
+    if len(data) > limit:
+        raise WrongValue(name, f"must be up to {limit} bytes, not {len(data)}")
+    return data
 
 
 def checked_span(name: str, address: object, count_name: str, count: int) -> int:
     start = integer(name, address, 0, TABLE_SIZE - 1)
     if start + count > TABLE_SIZE:
-        raise AddressError(
-            name, f"+ {count_name} must not pass {TABLE_SIZE}, but {start} + {count} does"
-        )
+        reason = f"must not pass {TABLE_SIZE}, but {start} + {count} does"
+        raise AddressError(name, f"+ {count_name} {reason}")
     return start
 
 
