@@ -135,10 +135,7 @@ class PastRefusal(NamedTuple):
 
 @dataclass(slots=True)
 class Holes:
-    """
-    The refusals of one unit, as one client knows them: pieces, and where requests begin; and which
-    request of a plan is sent first.
-    """
+    """What one client knows of a unit: refused pieces, where requests begin, and the first one."""
 
     refused: dict[Span, PastRefusal] = field(default_factory=dict)
     cuts: dict[tuple[Any, ...], PastRefusal] = field(default_factory=dict)

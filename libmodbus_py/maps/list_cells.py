@@ -186,10 +186,7 @@ _WITH_TABLE = re.compile(r"([134])[x:]0*([1-9][0-9]{0,4})")
 
 
 def address_in(cell: str, base: int, *, is_reference: bool) -> tuple[str, int, int | None]:
-    """
-    Return the table of a cell, "" if it does not say it, its address, and how many it names; None
-    if it names one.
-    """
+    """Return the table of a cell, or "", its address, and how many it names; None for one."""
     if ends := _RANGE.fullmatch(cell):
         first, last = (address_in(end, base, is_reference=is_reference) for end in ends.groups())
         if last[1] < first[1]:

@@ -183,11 +183,7 @@ class States(dict[Any, Any]):
 def state_key(
     path: Path, key: object, limits: tuple[float, float], floats: ValueType | None
 ) -> int | float | str | NumberSpan:
-    """
-    Return the number, range or `ELSE` that a key of a map says; raise TypeError or ValueError.
-
-    `floats` is the type of the numbers if they are floats.
-    """
+    """Return the number, range or `ELSE` of a key of a map; `floats` is the type of floats."""
     if key == ELSE:
         return ELSE
     if not isinstance(key, str) or ".." not in key:

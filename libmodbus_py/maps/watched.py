@@ -68,11 +68,7 @@ class PointIntervals:
         return tuple(sorted(at for each in self._due for at in self._indexes[each]))
 
     def done(self, unanswered: Collection[int] = ()) -> None:
-        """
-        Note that what was due is read, but for the unanswered: these are due once more.
-
-        If there was no answer at all, they are due until there is one.
-        """
+        """Note that what was due is read; the unanswered are due once more, if others are not."""
         missing = set(unanswered)
         if missing and all(missing.issuperset(self._indexes[each]) for each in self._due):
             return

@@ -95,14 +95,18 @@ def write_requests(
     """
     runs: list[_Run | _Masked] = []
     masked: dict[int, _Masked] = {}
-    changed_points = [
-        (point, point.change(value, source=source)) for point, value, source in changes
-    ]
-    check_overlaps(changed_points)
-    for point, (cells, masks) in changed_points:
+    pairs = [(point, point.change(value, source=source)) for point, value, source in changes]
+    check_overlaps(pairs)
+    for point, (cells, masks) in pairs:
         own = point.write_function or function
         if masks is not None:
-            runs += _mask(point, cells, masks, masked, own)
+            for address, bits, mask in zip(point.cells, cells, masks, strict=True):
+                if mask and address not in masked:
+                    masked[address] = _Masked(address, own)
+                    runs.append(masked[address])
+                if mask:
+                    masked[address].bits |= bits
+                    masked[address].mask |= mask
             continue
         for piece in _pieces(point, cells, own):
             last = runs[-1] if runs else None
@@ -113,31 +117,12 @@ def write_requests(
     return [*chain.from_iterable(run.requests for run in runs)]
 
 
-def _mask(
-    point: Point,
-    cells: list[int],
-    masks: list[int],
-    masked: dict[int, _Masked],
-    function: WriteFunction,
-) -> Iterator[_Masked]:
-    """Add the bits of a point; yield the registers of which none was written before."""
-    for address, bits, mask in zip(point.cells, cells, masks, strict=True):
-        if not mask:
-            continue
-        if address not in masked:
-            masked[address] = _Masked(address, function)
-            yield masked[address]
-        masked[address].bits |= bits
-        masked[address].mask |= mask
-
-
 def _pieces(point: Point, cells: list[Any], function: WriteFunction) -> Iterator[_Run]:
     """Yield cells that must stay together: a whole point if one request holds it, else a value."""
     most, size = TABLES[point.table].most_written, point.read.size
     if size > most:
-        raise ValueError(
-            f"{point.name}: {point.type} takes {size} registers, a write at most {most}"
-        )
+        reason = f"{point.type} takes {size} registers, a write at most {most}"
+        raise WrongValue.about(point.name, reason)
     step = len(cells) if len(cells) <= most else size
     for at in range(0, len(cells), step):
         yield _Run(point.table, point.address + at, cells[at : at + step], function)
@@ -153,9 +138,8 @@ def check_overlaps(changes: Iterable[tuple[Point, CellChange]]) -> None:
             mask = 0xFFFF if masks is None else masks[at]
             before, first = writers.get((point.table, address), (0, point.name))
             if before & mask:
-                raise ValueError(
-                    f"{first} and {point.name} share {point.table} {address}: write one of them"
-                )
+                names, cell = f"{first} and {point.name}", f"{point.table} {address}"
+                raise ValueError(f"{names} share {cell}: write one of them")
             writers[point.table, address] = before | mask, first
 
 
@@ -245,16 +229,16 @@ def _named_bits(text: str) -> dict[str, int]:
     """Return the bits of "door=1, mode=5", or of a JSON object."""
     if text.lstrip().startswith("{"):
         return _json(text, dict, "object")
-    found: list[tuple[str, int]] = []
-    for each in text.split(","):
-        name, separator, value = each.partition("=")
+    pairs: list[tuple[str, int]] = []
+    for pair in text.split(","):
+        name, separator, value = pair.partition("=")
         if not separator:
             raise ValueError(f"value must be like name=1, other=0, or a JSON object, not {text!r}")
         value = value.strip().lower()
         bits = BITS[value] if value in BITS else number_of("value", value)
-        found.append((name.strip(), bits))
+        pairs.append((name.strip(), bits))
     with inside("value"):
-        return each_once(found)
+        return each_once(pairs)
 
 
 def json_value(point: Point, value: Any) -> Any:
@@ -263,21 +247,21 @@ def json_value(point: Point, value: Any) -> Any:
     if kind is None or not kind.is_time:
         return value
     if point.count > 1 and isinstance(value, list):
-        return [value_of(each, kind) if isinstance(each, str) else each for each in value]
+        return [value_of(item, kind) if isinstance(item, str) else item for item in value]
     return value_of(value, kind) if isinstance(value, str) else value
 
 
 def _json(text: str, kind: type[Result], name: str) -> Result:
     """Return the object or array that a text contains as JSON."""
     try:
-        found = json.loads(text, object_pairs_hook=each_once)
+        value = json.loads(text, object_pairs_hook=each_once)
     except WrongValue as mistake:
         raise mistake.under(("value",)) from None
     except (ValueError, RecursionError):
-        found = None
-    if not isinstance(found, kind):
+        value = None
+    if not isinstance(value, kind):
         raise ValueError(f"value must be a JSON {name}, not {reprlib.repr(text)}")
-    return found
+    return value
 
 
 def typed_register(text: str) -> int:

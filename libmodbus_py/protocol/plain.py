@@ -101,11 +101,7 @@ def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def time_text(seconds: float) -> str:
-    """
-    Return seconds since 1970 in ISO 8601, in UTC, such as 2026-07-01T12:00:00.250Z.
-
-    A time that no year of 1..9999 has is shown in seconds, such as 253402300800.000s.
-    """
+    """Return seconds since 1970 as 2026-07-01T12:00:00.250Z; as 253402300800.000s from 10000 on."""
     from datetime import UTC, datetime  # which most commands never load
 
     try:

@@ -71,10 +71,7 @@ def has_own_length(request: pdu.Request[Any]) -> bool:
 
 
 def _scanner(*, is_client: bool, own: pdu.Request[Any] | None = None) -> FrameScanner:
-    """
-    Return a scanner for responses if `is_client`, else for requests, by the rules of `pdu`; `own`
-    is a request whose class has another rule for its response.
-    """
+    """Return a scanner by the rules of `pdu`, and by that of the response of an `own` request."""
     classes = dict(pdu.REQUESTS)
     if own is not None:
         classes[own.function] = type(own)

@@ -175,10 +175,7 @@ def table_named(text: object) -> str | None:
 
 
 def close_word(text: object, names: Iterable[str], words: Iterable[str]) -> str:
-    """
-    Return the end of a message about a word that is not known: the `names` that are close to it,
-    else the `words` of vendors, or the two orders that vendors mean by it.
-    """
+    """Return the end of a message about a word: close `names`, else `words`, or its two orders."""
     if words is ORDER_WORDS and (meanings := _TWO_ORDERS.get(plain(str(text)))):
         return meanings
     return close_to(text, names) or close_to(plain(str(text)), words)

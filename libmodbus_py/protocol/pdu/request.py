@@ -287,10 +287,7 @@ def told(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | No
 
 
 def arguments(request: Request[Any]) -> dict[str, Any]:
-    """
-    Return the arguments of a request by name, as people are shown them: the fields of a dataclass,
-    the public attributes of an object of any other class.
-    """
+    """Return the arguments of a request by name: the fields of a dataclass, or its attributes."""
     from dataclasses import fields, is_dataclass
 
     if not is_dataclass(request):
