@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..protocol.checks import integer, shown
+from ..protocol.checks import choice, integer, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue, close_option, inside, item
 from .texts import shown_key
 
@@ -138,13 +138,7 @@ def bytes_or_text(low: int, high: int) -> Check:
 
 def one_of(*choices: str) -> Check:
     """Return a check for one of some words."""
-
-    def check(path: Path, value: object) -> str:
-        if value not in choices:
-            raise WrongValue(path, f"must be one of {', '.join(choices)}, not {shown(value)}")
-        return str(value)
-
-    return check
+    return lambda path, value: choice(path, value, choices)
 
 
 # --- amounts with their units, such as "90 days" and "2 GB" ---------------------------------------

@@ -6,10 +6,9 @@ The registers of a device, by name, and the requests that read and write them. N
     register_map   the points of a device: RegisterMap, load_map; with a client: BoundMap
     map_file       the points of a file: TOML, or a list; MapError
     lists          register lists as vendors publish them: rows, arguments of points
-    list_columns   which of their headings means what
-    list_cells     the readers of their cells
+    list_cells     which of their headings means what, and the readers of their cells
     list_words     the words of their headings and cells, from list_words.toml: ListOptions
-    point          one named value: Point
+    point          one named value: Point; the names of points as attributes
     point_checks   the checks of its arguments
     meaning        cells to values and back: no value, states, bits, parts: Meaning, Judged,
                    NoValue

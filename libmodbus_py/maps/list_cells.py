@@ -1,6 +1,6 @@
 """
-The cells of register lists: a reader for each kind of column, which returns a value of `Point` or
-raises WrongValue.
+The columns of register lists: which heading means what; and a reader of the cells of each kind,
+which returns a value of `Point` or raises WrongValue.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ import json
 import re
 import reprlib
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
-from ..files.csv_text import flag_in, number_in, whole_in
+from ..files.csv_text import CsvRow, flag_in, number_in, whole_in
 from ..protocol.mistakes import WrongValue, close_to
 from ..protocol.values import parse_reference
-from ..protocol.words import ORDER_WORDS, TYPE_WORDS, plain, type_named
-from .list_words import ListOptions, word_of, words
+from ..protocol.words import ORDER_WORDS, plain
+from .list_words import MOST_NAMED, Origin, word_of, words
 from .point_checks import BYTES, SCALES
 
 FUNCTION_TABLES = {
@@ -215,71 +215,144 @@ def _number(cell: str, base: int) -> int:
     return whole_in(cell)
 
 
-# --- types -------------------------------------------------------------------------------
+# --- columns -----------------------------------------------------------------------------
 
-_WITH_ORDER = re.compile("(.+?) ?(abcd|cdab|badc|dcba|ab|ba)")
-_ORDERS = {"ab": "ABCD", "ba": "DCBA"}
-_TEXT = re.compile(r"(?:string|str|char|chars|ascii|text|utf8|字符串) ?:? ?([0-9]{1,9})")
+NOTHING = "nothing"
+"""The kind of columns that are ignored."""
 
+CHANGE_VALUES = ("type", "order", "scale", "divisor", "units", "access")
+"""Kinds of which no second column is ignored."""
 
-def type_keys(
-    cell: str, options: ListOptions, registers: int | None, size: int | None
-) -> dict[str, Any]:
-    """Return the arguments that the word of a type says; `registers` and `size` of a text."""
-    origin = options.of_origin
-    word = word_of(cell)
-    said = {word_of(key): meaning for key, meaning in options.types.items()}
-    meaning = said.get(word, origin.types.get(word))
-    if meaning is None and re.fullmatch(r"string:[0-9]+", cell.casefold()):
-        return {"type": cell.casefold()}
-    if meaning is None and (length := _TEXT.fullmatch(word)):
-        return {"type": f"string:{_text_size(int(length[1]), cell, options, registers, size)}"}
-    if meaning is None:
-        meaning = _meaning(word)
-    if meaning is None and (parts := _WITH_ORDER.fullmatch(word)):
-        order = _ORDERS.get(parts[2], parts[2].upper())
-        meaning = f"{_meaning(parts[1])} {order}" if _meaning(parts[1]) else None
-    has_size = registers is not None or size is not None
-    if meaning is None and has_size and _TEXT.fullmatch(f"{word} 1"):
-        meaning = "string"
-    if meaning is None:
-        raise _unknown(cell, word)
-    if meaning.startswith("?"):
-        raise WrongValue((), meaning[1:])
-    name, _, more = meaning.partition(" ")
-    key = "byte" if more in BYTES else "encoding" if more.startswith("utf") else "order"
-    keys = {"type": name} | ({key: more} if more else {})
-    if name == "string":
-        if not has_size:
-            raise WrongValue((), f"{cell} needs a column with its registers or bytes")
-        keys["type"] = f"string:{2 * registers if registers is not None else size}"
-    return keys
+HEADINGS_OF_KINDS = {word_of(kind): kind for kind in READERS}
+"""Headings that are kinds themselves: all but "device" are keys of a map."""
+
+KEYS = {word for word in HEADINGS_OF_KINDS if word != "device"}
 
 
-def _meaning(word: str) -> str | None:
-    return TYPE_WORDS.get(word) or type_named(word) or words().types.get(word)
+class ListColumn(NamedTuple):
+    """A column that says something: where it is, its heading, and the base of its addresses."""
+
+    at: int
+    heading: str
+    base: int = 0  # 10 or 16, or 0 if the heading does not say it
 
 
-def _text_size(
-    length: int, cell: str, options: ListOptions, registers: int | None, size: int | None
-) -> int:
-    """Return the bytes of a text of a length, which counts bytes or registers."""
-    lengths = options.lengths or options.of_origin.lengths
-    if registers is not None and length in (registers, 2 * registers):
-        return 2 * registers
-    if size is not None and length == size:
-        return size
-    if lengths is None:
-        hint = "say --list lengths=bytes or =registers"
-        raise WrongValue((), f"{cell} may count bytes or registers: {hint}")
-    return length if lengths == "bytes" else 2 * length
+class SaidColumns(NamedTuple):
+    """What the options say of columns: kind -> its heading, and the words that mean nothing."""
+
+    headings: Mapping[str, str]
+    ignored: frozenset[str]
+
+    @classmethod
+    def of(cls, columns: Mapping[str, Any]) -> SaidColumns:
+        """Return what the option `columns` says; raise ValueError if a kind does not exist."""
+        headings = {**columns}
+        ignored = headings.pop(NOTHING, ())
+        ignored = [ignored] if isinstance(ignored, str) else ignored
+        kinds = words().headings | HEADINGS_OF_KINDS
+        headings = {kinds.get(word_of(kind), kind): text for kind, text in headings.items()}
+        for kind in headings:
+            if kind not in READERS:
+                allowed = ", ".join((*READERS, NOTHING))
+                hint = close_to(kind, READERS)
+                raise ValueError(f"columns must name some of {allowed}, not {kind!r}{hint}")
+        return cls(headings, frozenset(map(word_of, ignored)))
 
 
-def _unknown(cell: str, word: str) -> WrongValue:
-    if meanings := words().ambiguous_types.get(word):
-        example = f"--list 'types={cell}={re.split('[, ]', meanings)[0]}'"
-        return WrongValue((), f"{cell} may be {meanings}: say which, as in {example}")
-    names = ", ".join(dict.fromkeys([*TYPE_WORDS.values(), "string:N"]))
-    hint = close_to(word, [*TYPE_WORDS, *words().types])
-    text = f"{reprlib.repr(cell)} (--list 'types={cell}=TYPE' says it)"
-    return WrongValue((), f"must be one of {names}, not {text}{hint}")
+def find_columns(
+    head: CsvRow, said: SaidColumns, origin: Origin, error: Callable[[str], Exception]
+) -> tuple[dict[str, ListColumn], list[str]]:
+    """
+    Return the columns of a row of headings by their kinds, and the headings that mean nothing;
+    raise what `error` makes of a reason if a heading has two meanings, or one is missing.
+    """
+    cells = [" ".join(cell.split()) for cell in head.cells]
+    by_heading = {word_of(heading): kind for kind, heading in said.headings.items()}
+    for key, heading in said.headings.items():
+        if word_of(heading) not in map(word_of, cells):
+            raise error(f"no column {heading}, which is named for {key}")
+    columns: dict[str, ListColumn] = {}
+    ignored = []
+    kind: str | None
+    # Headings that are the names of keys come before other words.
+    headings = [(at, heading) for at, heading in enumerate(cells) if heading]
+    for at, heading in sorted(headings, key=lambda column: word_of(column[1]) not in KEYS):
+        word, base = without_base(word_of(heading))
+        kind = by_heading.get(word_of(heading)) or _kind(heading, word, said, origin, error)
+        if kind is None:
+            ignored.append(heading)
+            continue
+        if kind in ("address_hex", "address_dec"):
+            kind, base = "address", 16 if kind.endswith("hex") else 10
+        if kind not in columns:
+            columns[kind] = ListColumn(at, heading, base)
+        elif kind == "address" and base != columns[kind].base and base:
+            if base == 10:  # one in hexadecimal beside it says the same
+                columns[kind] = ListColumn(at, heading, base)
+        elif kind == "description" or (
+            word_of(columns[kind].heading) in KEYS and kind not in CHANGE_VALUES
+        ):
+            ignored.append(heading)
+        else:
+            both = f"columns {columns[kind].heading} and {heading} both hold the {kind}"
+            raise error(f"{both}: say which, as in {_option(kind, heading)}")
+    for key in ("name", "address"):
+        if key not in columns:
+            usual = [word for word, meaning in words().headings.items() if meaning == key]
+            some = ", ".join(usual[:MOST_NAMED])
+            raise error(f"no column {key}; it may be called {some} ...")
+    return columns, ignored
+
+
+def _kind(
+    heading: str, word: str, said: SaidColumns, origin: Origin, error: Callable[[str], Exception]
+) -> str | None:
+    """Return the kind of a heading that is not named in the options; None if it has none."""
+    if word_of(heading) in said.ignored:
+        return None
+    for text in (word_of(heading), word, word.removeprefix("modbus ")):
+        if text in origin.columns:
+            return origin.columns[text] or None
+        kind = HEADINGS_OF_KINDS.get(text, words().headings.get(text))
+        if kind in said.headings:
+            return None  # another column is said to hold it
+        if kind is not None:
+            return kind
+    ambiguous = words().ambiguous
+    if (key := ambiguous.get(word_of(heading), ambiguous.get(word))) is not None:
+        choices = words().choices[key]
+        if not choices.keys().isdisjoint(said.headings):
+            return None
+        meanings = ", or ".join(
+            f"{_option(kind, heading)} if {text}" for kind, text in choices.items()
+        )
+        raise error(f"column {heading} has two meanings: say {meanings}")
+    alarming = words().alarming
+    spaced = word_of(re.sub("(?<=[a-z])(?=[A-Z])", " ", heading))  # of valueFormat
+    parts = [*word.split(), *spaced.split()]
+    parts += [part for part in alarming if not part.isascii() and part in word]
+    kinds = [alarming[part] for part in parts if part in alarming]
+    if kinds and word not in words().harmless and kinds[0] not in said.headings:
+        advice = f"{_option(kinds[0], heading)}, or {_option(NOTHING, heading)} to ignore it"
+        raise error(f"column {heading} is not known: say {advice}")
+    return None
+
+
+def _option(kind: str, heading: str) -> str:
+    """Return the option that says what a heading means."""
+    return f"--column {kind}={heading}" if " " not in heading else f"--column '{kind}={heading}'"
+
+
+def without_base(word: str) -> tuple[str, int]:
+    """Return a heading without the base of its numbers, which is 0 if it does not say it."""
+    for ends, base in ((_HEX, 16), (_DEC, 10)):
+        for end in ends:
+            if word.endswith(end) and word != end.strip():
+                return word.removesuffix(end).strip(), base
+            if word.startswith(f"{end.strip()} "):
+                return word.removeprefix(f"{end.strip()} "), base
+    return word, 0
+
+
+_HEX = (" hex", " hexadecimal", " 0x", "十六进制", " hexadezimal")
+_DEC = (" dec", " decimal", "十进制", " dezimal", " décimal")

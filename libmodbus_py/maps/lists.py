@@ -19,9 +19,26 @@ from ..files.texts import FileError, FilePlace
 from ..protocol.mistakes import Path, WrongValue, inside
 from ..protocol.values import value_type
 from ..protocol.words import plain
-from .list_cells import RAW, READERS, address_in, type_keys
-from .list_columns import HEADINGS_OF_KINDS, KEYS, SaidColumns, find_columns, without_base
-from .list_words import MODPOLL, MOST_NAMED, REFERENCE, ListOptions, flat_rows, word_of, words
+from .list_cells import (
+    HEADINGS_OF_KINDS,
+    KEYS,
+    RAW,
+    READERS,
+    SaidColumns,
+    address_in,
+    find_columns,
+    without_base,
+)
+from .list_words import (
+    MODPOLL,
+    MOST_NAMED,
+    REFERENCE,
+    ListOptions,
+    flat_rows,
+    type_keys,
+    word_of,
+    words,
+)
 from .scaling import Scaling
 
 LAST_OF_BYTE = {"int8": -128, "uint8": 255}
@@ -54,13 +71,8 @@ class RegisterList:
         self._origin = options.of_origin
         self.notes: list[str] = []
         self._said = SaidColumns.of(options.columns)
-        headings = (
-            HEADINGS_OF_KINDS.keys()
-            | words().headings.keys()
-            | words().ambiguous.keys()
-            | self._origin.columns.keys()
-            | {word_of(heading) for heading in self._said.headings.values()}
-        )
+        headings = {*HEADINGS_OF_KINDS, *words().headings, *words().ambiguous}
+        headings |= {*self._origin.columns, *map(word_of, self._said.headings.values())}
         is_modpoll = options.origin == "modpoll"
         self._text = CsvText(
             text, lambda cell: word_of(cell) in headings, MapError, headings=MODPOLL * is_modpoll
@@ -109,12 +121,9 @@ class RegisterList:
 
     def _error(self, reason: str) -> MapError:
         if self._options.origin is None:
-            origins = words().origins.items()
-            reason += "".join(
-                f"; --from {name} reads such lists"
-                for name, origin in origins
-                if any(sign in self._content for sign in origin.signs)
-            )
+            for name, origin in words().origins.items():
+                if any(sign in self._content for sign in origin.signs):
+                    reason += f"; --from {name} reads such lists"
         return MapError((), reason, place=FilePlace(line=self._text.head.line or None))
 
     # --- rows ------------------------------------------------------------------------------
@@ -277,19 +286,18 @@ class RegisterList:
 
     def _settle_type(self, keys: dict[str, Any], texts: Mapping[str, str]) -> None:
         registers, size = keys.pop("registers", None), keys.pop("bytes", None)
-        if str(keys["table"]).endswith("registers"):
+        is_of_registers = str(keys["table"]).endswith("registers")
+        if is_of_registers:
             keys.setdefault("order", self._options.order or self._origin.order)
-            if "type" in texts or "" in self._origin.types:
-                with inside("type"):
-                    keys |= type_keys(texts.get("type", ""), self._options, registers, size)
-        elif "type" in texts:
+        if "type" in texts or (is_of_registers and "" in self._origin.types):
             with inside("type"):
-                keys |= type_keys(texts["type"], self._options, registers, size)
-                keys.pop("order", None)
+                keys |= type_keys(texts.get("type", ""), self._options, registers, size)
+        if not is_of_registers and "type" in texts:
+            keys.pop("order", None)
         if "initial" in texts and str(keys.get("type")).startswith(("string", "eui")):
             keys["initial"] = texts["initial"]
         if keys.get("type") == "bool":
-            if str(keys["table"]).endswith("registers"):
+            if is_of_registers:
                 reason = "of registers must not be bool; bits16 gives those of one"
                 raise WrongValue("type", reason)
             del keys["type"]
@@ -297,7 +305,6 @@ class RegisterList:
             keys.setdefault("missing", LAST_OF_BYTE.get(keys["type"], self._origin.missing))
         if keys.get("missing") == "sunspec" and plain(texts.get("type", "")).startswith("acc"):
             keys["missing"] = [0]  # of accumulators, 0 means "not implemented"
-        is_of_registers = str(keys["table"]).endswith("registers")
         if registers is not None and not self._origin.is_sloppy and is_of_registers:
             type_word = keys.get("type", "uint16")
             width = value_type(type_word).registers * keys.get("count", 1)

@@ -4,12 +4,8 @@ The points of a device by name: the requests that read them, and the values of t
 
 from __future__ import annotations
 
-import keyword
-import re
 import reprlib
-import unicodedata
 from collections.abc import Awaitable, Iterable, Iterator, Mapping, Sequence
-from itertools import chain, count
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, Unpack
 
@@ -18,19 +14,11 @@ from ..protocol.checks import instance
 from ..protocol.mistakes import WrongType, WrongValue, close_to
 from ..protocol.tables import WriteFunction, checked_write_function
 from .items import PlanOptions
-from .point import Point
+from .point import Point, attribute_names
 from .point_plan import PointPlan, borders_of, scale_mistakes, sources_of
 
 if TYPE_CHECKING:
     from .list_words import ListKeys, ListOptions  # most programs read no list
-
-RESERVED = frozenset(
-    {
-        *("bind", "client", "datetime", "map", "read", "self", "write"),
-        *("bool", "dict", "float", "int", "list", "property", "str", "super"),
-    }
-)
-"""Names that no attribute may have, because bound maps and their classes use them."""
 
 
 class RegisterMap(Mapping[str, Point]):
@@ -400,38 +388,3 @@ class BoundMap(MapBinding):
 
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *self._names})
-
-
-# --- names of points as attributes ----------------------------------------------------------------
-
-
-def attribute_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the attribute for the name of each point, by the rules of `BoundMap`."""
-    names = list(names)
-    attributes = {name: name for name in names if _identifier(name) == name}
-    taken = {*attributes}
-    for name in names:
-        if name not in attributes:
-            attributes[name] = _free(_identifier(name), taken)
-            taken.add(attributes[name])
-    return {name: attributes[name] for name in names}
-
-
-def _identifier(name: str) -> str:
-    text = spelled(name).strip("_") or "point"
-    if not text.isidentifier():
-        text = f"point_{text}"
-    return f"{text}_" if keyword.iskeyword(text) or text in RESERVED else text
-
-
-def spelled(name: str) -> str:
-    """Return a name with one ``_`` for each run of characters that no identifier has."""
-    # As Python itself spells identifiers; twice, because some letters become others and a space.
-    text = unicodedata.normalize("NFKC", name)
-    text = "".join(letter if f"a{letter}".isidentifier() else " " for letter in text)
-    return unicodedata.normalize("NFKC", re.sub(" +", "_", text))
-
-
-def _free(text: str, taken: set[str]) -> str:
-    others = (f"{text}_{number}" for number in count(2))
-    return next(name for name in chain([text], others) if name not in taken)

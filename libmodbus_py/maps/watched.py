@@ -68,7 +68,7 @@ class PointIntervals:
         return tuple(sorted(at for each in self._due for at in self._indexes[each]))
 
     def done(self, unanswered: Collection[int] = ()) -> None:
-        """Note that what was due is read; the unanswered are due once more, if others are not."""
+        """Note what was read: the unanswered are due once more, or until anything is answered."""
         missing = set(unanswered)
         if missing and all(missing.issuperset(self._indexes[each]) for each in self._due):
             return

@@ -109,11 +109,11 @@ class ModbusError(Exception):
 
     def __repr__(self) -> str:
         names = ("code", "errno", "unit", "function", "asked", "endpoint", "sent", "received")
-        fields = ((name, getattr(self, name, None)) for name in names)
-        parts = (
-            f"{name}={_shown(value)}" for name, value in fields if value not in (None, "", b"")
-        )
-        return f"{type(self).__name__}({', '.join([repr(super().__str__()), *parts])})"
+        parts = [repr(super().__str__())]
+        for name in names:
+            if (value := getattr(self, name, None)) not in (None, "", b""):
+                parts.append(f"{name}={_shown(value)}")
+        return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def _shown(value: object) -> str:
@@ -138,9 +138,8 @@ class ExceptionResponse(ModbusError):
         self, reason: str = "", *, code: int | None = None, **transaction: Unpack[_Transaction]
     ) -> None:
         if isinstance(reason, int):
-            raise TypeError(
-                f"reason must be a string; code {reason} is ExceptionResponse.of({reason})"
-            )
+            hint = f"code {reason} is ExceptionResponse.of({reason})"
+            raise TypeError(f"reason must be a string; {hint}")
         if code is not None:
             self.code = code
         default = f"{self.meaning} (exception {self.code})"

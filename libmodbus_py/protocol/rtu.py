@@ -283,13 +283,11 @@ class RtuCutter:
 
     def _next_start(self, data: bytes, at: int) -> int:
         """Return the first byte behind a wrong one with which a frame may begin."""
-        later = [each for each in self._later if each > at][:1]
-        starts = (
-            []
-            if later and self._is_server
-            else [self._search(each, data, at + 1, GOES_ON)[1] for each in self._scanners]
-        )
-        start = min(later + starts)
+        starts = later = [place for place in self._later if place > at][:1]
+        if not (later and self._is_server):
+            found = (self._search(scanner, data, at + 1, GOES_ON) for scanner in self._scanners)
+            starts = [*later, *(start for _, start in found)]
+        start = min(starts)
         self._is_fresh = start in later
         return start
 

@@ -132,9 +132,8 @@ class ValueType:
         """
         cells = cells_of(registers)
         if len(cells) != self.registers:
-            raise WrongValue(
-                "registers", f"must hold {self.registers} for {self.name}, not {len(cells)}"
-            )
+            form = f"{self.registers} for {self.name}"
+            raise WrongValue("registers", f"must hold {form}, not {len(cells)}")
         return self._from_registers(cells)[0]
 
     def decode_many(self, registers: Iterable[int]) -> list[Any]:
@@ -147,10 +146,8 @@ class ValueType:
         """
         cells = cells_of(registers)
         if len(cells) % self.registers:
-            raise WrongValue(
-                "registers",
-                f"must hold a multiple of {self.registers} for {self.name}, not {len(cells)}",
-            )
+            form = f"a multiple of {self.registers} for {self.name}"
+            raise WrongValue("registers", f"must hold {form}, not {len(cells)}")
         return self._from_registers(cells)
 
     def _to_registers(self, name: str | Path, value: object) -> list[int]:

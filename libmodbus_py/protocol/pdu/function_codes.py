@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from ..checks import checked_callback
 from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from . import files, interface, reads, serial, writes
-from .request import IN_C, AddressError, Request, told
+from .request import AddressError, Request, told
 
 Kind = TypeVar("Kind", bound=type[Request[Any]])
 
@@ -85,8 +85,7 @@ def decode_request(pdu: bytes) -> Request[Any]:
     if request is None:
         raise IllegalFunction(f"no function {pdu[0]}", function=pdu[0])
     try:
-        rule = request.request_length
-        length = rule(pdu) if rule in IN_C else told(request, rule, pdu)
+        length = told(request, request.request_length, pdu)
         if length not in (len(pdu), 0):
             raise ValueError(f"a request of {len(pdu)} bytes")
         return request.decode(pdu)
@@ -109,10 +108,7 @@ def request_length(head: bytes) -> int | None:
         else, which is logged once for each class.
     """
     request = REQUESTS.get(head[0])
-    if request is None:
-        return 0
-    rule = request.request_length
-    return rule(head) if rule in IN_C else told(request, rule, head)
+    return 0 if request is None else told(request, request.request_length, head)
 
 
 def response_length(head: bytes) -> int | None:
@@ -120,7 +116,4 @@ def response_length(head: bytes) -> int | None:
     if head[0] & 0x80:
         return 2
     request = REQUESTS.get(head[0])
-    if request is None:
-        return 0
-    rule = request.response_length
-    return rule(head) if rule in IN_C else told(request, rule, head)
+    return 0 if request is None else told(request, request.response_length, head)
