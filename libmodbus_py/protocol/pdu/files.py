@@ -210,13 +210,6 @@ class ReadFifoQueue(Request[list[int]]):
     def __post_init__(self) -> None:
         store(self, address=checked_span("address", self.address, "", 1))
 
-    def encode(self) -> bytes:
-        return struct.pack(">BH", self.function, self.address)
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls(*struct.unpack(">H", pdu[1:]))
-
     def encode_response(self, result: Sequence[int]) -> bytes:
         values = checked_registers("result", result, self.max_count) if len(result) else ()
         head = struct.pack(">BHH", self.function, 2 + 2 * len(values), len(values))

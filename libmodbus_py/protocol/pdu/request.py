@@ -201,9 +201,12 @@ class Request(Generic[Result]):
     changes: bool = True
     expects_response: bool = True
 
+    __match_args__: ClassVar[tuple[str, ...]] = ()
+
     def encode(self) -> bytes:
-        """Encode the request PDU."""
-        raise NotImplementedError
+        """Encode the request PDU; by default, the fields of a dataclass are 16 bits each."""
+        fields = [getattr(self, name) for name in self.__match_args__]
+        return bytes([self.function]) + pack_registers(fields)
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
@@ -213,7 +216,7 @@ class Request(Generic[Result]):
         Raises:
             ValueError: a quantity, byte count or constant is wrong.
         """
-        raise NotImplementedError
+        return cls(*unpack_registers(pdu[1:]))
 
     def encode_response(self, result: Result) -> bytes:
         """

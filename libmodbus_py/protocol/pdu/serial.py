@@ -33,13 +33,6 @@ class _Bare(Request[Result]):
     changes = False
     request_length: ClassVar[LengthRule] = fixed(1)
 
-    def encode(self) -> bytes:
-        return bytes([self.function])
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls()
-
 
 class ReadExceptionStatus(_Bare[int]):
     """Function 7, section 6.7: read eight outputs of the device as a byte, the lowest in bit 0."""

@@ -75,13 +75,6 @@ class WriteRegister(_WriteOne[int]):
     function: ClassVar[int] = 0x06
     _check = staticmethod(checked_register)
 
-    def encode(self) -> bytes:
-        return struct.pack(">BHH", self.function, self.address, self.value)
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls(*struct.unpack(">HH", pdu[1:]))
-
 
 @dataclass(frozen=True, slots=True)
 class _WriteSeveral(Echoed, Generic[Value]):
@@ -161,13 +154,6 @@ class MaskWriteRegister(Echoed):
             or_mask=checked_register("or_mask", self.or_mask),
             address=checked_span("address", self.address, "", 1),
         )
-
-    def encode(self) -> bytes:
-        return struct.pack(">BHHH", self.function, self.address, self.and_mask, self.or_mask)
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls(*struct.unpack(">HHH", pdu[1:]))
 
 
 @dataclass(frozen=True, slots=True)
