@@ -193,11 +193,12 @@ def address_in(cell: str, base: int, *, is_reference: bool) -> tuple[str, int, i
             raise WrongValue((), f"must rise: {reprlib.repr(cell)}")
         return first[0], first[1], last[1] - first[1] + 1
     if match := _WITH_TABLE.fullmatch(cell.casefold()):
-        return *parse_reference(f"{match[1]}{match[2]:0>5}"), None
-    if not is_reference:
+        cell = f"{match[1]}{match[2]:0>5}"
+    elif not is_reference:
         return "", _number(cell, base), None
     try:
-        return *parse_reference(cell), None
+        table, address = parse_reference(cell)
+        return table, address, None
     except ValueError:
         form = "a reference such as 40123 or 300007 where nothing says the table"
         text = f"{reprlib.repr(cell)} (--list table=holding_registers says it)"

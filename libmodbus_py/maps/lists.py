@@ -94,7 +94,11 @@ class RegisterList:
             self.notes.append(f"columns that mean nothing here: {', '.join(ignored)}")
         rows = [*(flat_rows(self._text.rows()) if is_modpoll else self._text.rows())]
         self._rows = list(self._selected(rows))
+        self._table = self._options.table or self._origin.table
         self._tells_table = {"table", "function"} & self._columns.keys() or self._table
+        self._first_address = self._options.first_address  # address 0 as the list calls it
+        if self._first_address is None and self._tells_table:
+            self._first_address = self._origin.first_address
         self._check_addresses()
         self._check_offsets()
         self._names = self._read_names()
@@ -161,18 +165,6 @@ class RegisterList:
                 yield row
         if filters and not count:
             raise self._error(f"no row has {dict(self._options.only)}")
-
-    @property
-    def _table(self) -> str | None:
-        return self._options.table or self._origin.table
-
-    @property
-    def _first_address(self) -> int | str | None:
-        """The address 0 as the list calls it; None if nothing says it."""
-        options, origin = self._options, self._origin
-        if options.first_address is not None:
-            return options.first_address
-        return origin.first_address if self._tells_table else None
 
     def _check_addresses(self) -> None:
         """Refuse addresses that may count from 0 or from 1, or be references."""

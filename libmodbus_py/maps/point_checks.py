@@ -4,6 +4,7 @@ Checks of the arguments of a point, from which its attributes are made.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import reprlib
 from collections.abc import Callable, Iterable, Mapping
@@ -169,16 +170,10 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
         bits=bits,
     )
     _check_numbers(point, meaning)
-    store(
-        point,
-        missing=missing,
-        bit=None if point.bit is None or part is None else part.key,
-        states={
-            key.key if isinstance(key, NumberSpan) else key: name for key, name in states.items()
-        }
-        or None,
-        bits={part.key: name for name, part in bits.items()} or None,
-    )
+    bit = None if point.bit is None or part is None else part.key
+    names = {key.key if isinstance(key, NumberSpan) else key: states[key] for key in states}
+    parts = {part.key: name for name, part in bits.items()}
+    store(point, missing=missing, bit=bit, states=names or None, bits=parts or None)
     return meaning
 
 
@@ -234,12 +229,11 @@ def _states(point: Point, kind: ValueType | None, part: Part | None) -> dict[Any
     if limits is None:
         raise WrongValue("states", f"must be left out for {point.type_name}, which has no numbers")
     floats = kind if part is None and isinstance(limits[0], float) else None
-    names = _names(
-        "states",
-        point.states,
-        lambda path, key: state_key(path, key, limits, floats),
-        are_unique=False,
-    )
+
+    def key_of(path: Path, key: object) -> object:
+        return state_key(path, key, limits, floats)
+
+    names = _names("states", point.states, key_of, are_unique=False)
     check_spans(names)
     return names
 
@@ -303,45 +297,38 @@ def _missing(
             reason = f"must be numbers for {kind.name}, which SunSpec does not have"
             raise WrongValue("missing", reason)
         bits = 0 if kind.is_text else SUNSPEC_MISSING[kind.name]
-        return frozenset() if bits is None else frozenset(_raws_of_bits(point, kind, bits))
+        return frozenset() if bits is None else frozenset([_raw_of_bits(point, kind, bits)])
     if isinstance(missing, str):
         raise WrongValue("missing", f'must be numbers or "sunspec", not {reprlib.repr(missing)}')
-    return frozenset(
-        raw
-        for at, value in enumerate(missing)
-        for raw in _raws(("missing", at), point, kind, part, value)
-    )
+    numbers = enumerate(missing)
+    return frozenset(_raw(("missing", at), point, kind, part, number) for at, number in numbers)
 
 
-def _raws(
-    path: Path, point: Point, kind: ValueType, part: Part | None, given: object
-) -> Iterable[Any]:
+def _raw(path: Path, point: Point, kind: ValueType, part: Part | None, value: Any) -> Any:
     # Manuals name the bits of a negative number, such as 0x8000.
     if part is not None:
-        bits = integer(path, given, part.limits[0], (1 << part.width) - 1)
-        return [part.of(bits << part.shift)]
+        bits = integer(path, value, part.limits[0], (1 << part.width) - 1)
+        return part.of(bits << part.shift)
     if kind.is_text:
         raise WrongValue(path, 'must be "sunspec" for strings')
     most = (1 << 16 * kind.registers) - 1
     if kind.limits is None or point.bits is not None:
-        return _raws_of_bits(point, kind, integer(path, given, 0, most))
+        return _raw_of_bits(point, kind, integer(path, value, 0, most))
     low, high = kind.limits
     if kind.name.startswith("int"):
-        value = integer(path, given, int(low), 2 * int(high) + 1)
-        return [value if value <= high else value - 2 * (int(high) + 1)]
-    if kind.name.startswith(HAVE_NO_VALUE) and isinstance(given, int) and given > high:
-        return _raws_of_bits(point, kind, integer(path, given, int(low), most))
+        number = integer(path, value, int(low), 2 * int(high) + 1)
+        return number if number <= high else number - 2 * (int(high) + 1)
+    if kind.name.startswith(HAVE_NO_VALUE) and isinstance(value, int) and value > high:
+        return _raw_of_bits(point, kind, integer(path, value, int(low), most))
     try:
-        raw = kind.decode(kind.encode(given))
-        return [shortest(raw, kind.name) if isinstance(raw, float) else raw]
+        raw = kind.decode(kind.encode(value))
+        return shortest(raw, kind.name) if isinstance(raw, float) else raw
     except (TypeError, ValueError) as error:
         raise placed(error, ()).renamed(path) from None
 
 
-def _raws_of_bits(point: Point, kind: ValueType, bits: int) -> list[Any]:
-    if kind.name.startswith("bits") or point.bits is not None:
-        return [bits]
-    try:
-        return [kind.decode(kind.cells_of_number(bits))]
-    except ValueError:
-        return [bits]  # registers that hold no time, or no digits
+def _raw_of_bits(point: Point, kind: ValueType, bits: int) -> Any:
+    if not (kind.name.startswith("bits") or point.bits is not None):
+        with contextlib.suppress(ValueError):  # of registers that hold no time, or no digits
+            return kind.decode(kind.cells_of_number(bits))
+    return bits

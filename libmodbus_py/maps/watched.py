@@ -143,7 +143,7 @@ class PolledValues(NamedValues[str, Any]):
     fell: frozenset[str] = frozenset()
 
 
-class WatchedPoints:
+class WatchedPoints(PartialPlans):
     """
     Decides what is read at each poll of a map, and keeps the values of points that are not due.
 
@@ -157,9 +157,8 @@ class WatchedPoints:
         every: float,
         **options: Unpack[PlanOptions],
     ) -> None:
-        self._plans = PartialPlans(map, names, **options)
-        self._names = self._plans.names
-        points = [map[name] for name in self._names]
+        super().__init__(map, names, **options)
+        points = [map[name] for name in self.names]
         self._pace = PointIntervals([point.interval for point in points], every)
         self._totals = Totals(at for at, point in enumerate(points) if point.never_falls)
         self._values: dict[str, Any] = {}
@@ -167,16 +166,16 @@ class WatchedPoints:
 
     def poll(self, at: float) -> Generator[PointPlan, dict[str, Any], PolledValues]:
         """Yield the plans of a poll that is due now, take their results, and return all values."""
-        results = yield self._plans.plan_of(self._pace.due(at))
-        doubtful, fell = self._totals.take([*map(results.get, self._names)])
+        results = yield self.plan_of(self._pace.due(at))
+        doubtful, fell = self._totals.take([*map(results.get, self.names)])
         if doubtful:
-            again = yield self._plans.plan_of(tuple(sorted(doubtful)))
+            again = yield self.plan_of(tuple(sorted(doubtful)))
             results |= again
-            _, fell = self._totals.take([*map(again.get, self._names)])
-        self._pace.done([at for at, name in enumerate(self._names) if _is_lost(results.get(name))])
+            _, fell = self._totals.take([*map(again.get, self.names)])
+        self._pace.done([at for at, name in enumerate(self.names) if _is_lost(results.get(name))])
         self._values |= results
-        values = PolledValues({name: self._values[name] for name in self._names})
-        values.fell = frozenset(self._names[at] for at in fell)
+        values = PolledValues({name: self._values[name] for name in self.names})
+        values.fell = frozenset(self.names[at] for at in fell)
         return values
 
 

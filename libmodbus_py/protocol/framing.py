@@ -35,7 +35,7 @@ from .frames import (
     is_one_frame,
     split,
 )
-from .scan import ALLOWANCE, MAX_PDU, crc16, lib
+from .scan import ALLOWANCE, MAX_ADU, crc16, lib
 
 if TYPE_CHECKING:
     from .pdu import Request
@@ -76,7 +76,7 @@ class RtuFramer(Framer):
     """
 
     quiet: float
-    max_size = MAX_PDU + 3
+    max_size = MAX_ADU
 
     def __init__(self, role: Role, pause: float = 0.0, own: Request[Any] | None = None) -> None:
         if role not in ("client", "server"):

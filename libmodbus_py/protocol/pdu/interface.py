@@ -189,11 +189,8 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
     room: ClassVar[int] = MAX_PDU - 7
 
     def __post_init__(self) -> None:
-        store(
-            self,
-            code=integer("code", self.code, 1, 4),
-            object_id=integer("object_id", self.object_id, 0, 0xFF),
-        )
+        code = integer("code", self.code, 1, 4)
+        store(self, code=code, object_id=integer("object_id", self.object_id, 0, 0xFF))
 
     def encode(self) -> bytes:
         return bytes([self.function, MeiType.DEVICE_IDENTIFICATION, self.code, self.object_id])
@@ -215,8 +212,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
 
     def _answers(self, objects: dict[int, bytes]) -> bool:
         """Return True if these were requested: any objects of a stream, or the single one."""
-        single = self.code == ReadDeviceIdCode.INDIVIDUAL
-        return list(objects) == [self.object_id] if single else True
+        return self.code != ReadDeviceIdCode.INDIVIDUAL or list(objects) == [self.object_id]
 
     def _decode_misfit(self, pdu: bytes, length: int | None) -> IdentificationPage:
         """Decode a page of a device that announces all objects, but sends only those that fit."""

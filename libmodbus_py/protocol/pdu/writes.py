@@ -148,12 +148,12 @@ class MaskWriteRegister(Echoed):
     echoed = 7
 
     def __post_init__(self) -> None:
-        store(
-            self,
-            and_mask=checked_register("and_mask", self.and_mask),
-            or_mask=checked_register("or_mask", self.or_mask),
-            address=checked_span("address", self.address, "", 1),
+        masks = (
+            checked_register("and_mask", self.and_mask),
+            checked_register("or_mask", self.or_mask),
         )
+        address = checked_span("address", self.address, "", 1)
+        store(self, and_mask=masks[0], or_mask=masks[1], address=address)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,15 +177,9 @@ class ReadWriteRegisters(Request[list[int]]):
     def __post_init__(self) -> None:
         count = integer("read_count", self.read_count, 1, 125)
         values = checked_registers("values", self.values, 121)
-        store(
-            self,
-            read_address=checked_span("read_address", self.read_address, "read_count", count),
-            read_count=count,
-            write_address=checked_span(
-                "write_address", self.write_address, "len(values)", len(values)
-            ),
-            values=values,
-        )
+        start = checked_span("read_address", self.read_address, "read_count", count)
+        address = checked_span("write_address", self.write_address, "len(values)", len(values))
+        store(self, read_address=start, read_count=count, write_address=address, values=values)
 
     def encode(self) -> bytes:
         data = pack_registers(self.values)
