@@ -193,8 +193,9 @@ def address_in(cell: str, base: int, *, is_reference: bool) -> tuple[str, int, i
             raise WrongValue((), f"must rise: {reprlib.repr(cell)}")
         return first[0], first[1], last[1] - first[1] + 1
     if match := _WITH_TABLE.fullmatch(cell.casefold()):
-        cell = f"{match[1]}{match[2]:0>5}"
-    elif not is_reference:
+        table, address = parse_reference(f"{match[1]}{match[2]:0>5}")
+        return table, address, None
+    if not is_reference:
         return "", _number(cell, base), None
     try:
         table, address = parse_reference(cell)

@@ -148,12 +148,10 @@ class MaskWriteRegister(Echoed):
     echoed = 7
 
     def __post_init__(self) -> None:
-        masks = (
-            checked_register("and_mask", self.and_mask),
-            checked_register("or_mask", self.or_mask),
-        )
+        and_mask = checked_register("and_mask", self.and_mask)
+        or_mask = checked_register("or_mask", self.or_mask)
         address = checked_span("address", self.address, "", 1)
-        store(self, and_mask=masks[0], or_mask=masks[1], address=address)
+        store(self, and_mask=and_mask, or_mask=or_mask, address=address)
 
 
 @dataclass(frozen=True, slots=True)
