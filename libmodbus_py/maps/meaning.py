@@ -44,7 +44,8 @@ class NoValue(ModbusError, ValueError):
         self.name: str = name
         self.reason: Reason = reason
 
-    __repr__ = Exception.__repr__
+    def __repr__(self) -> str:
+        return Exception.__repr__(self)
 
     def __str__(self) -> str:
         return f"{self.name} {self.args[2]}"

@@ -248,7 +248,7 @@ class TcpFramer(Framer):
     """
 
     has_broadcast = False
-    max_size = _MBAP.size + MAX_PDU
+    max_size: int = _MBAP.size + MAX_PDU
 
     def __init__(self, role: Role = "server") -> None:
         super().__init__()

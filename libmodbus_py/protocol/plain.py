@@ -134,7 +134,7 @@ def _family(kind: ValueType) -> str:
 
 # Type -> forms with as many digits as every value keeps (IEEE 754), and with more, of which the
 # last tell every two values apart; and what packs it. Python shows the shortest of float64.
-SHORT_FLOATS = {
+SHORT_FLOATS: dict[str, tuple[tuple[str, ...], Callable[[float], bytes]]] = {
     "float16": (("%.3g", "%.4g", "%.5g"), Struct("e").pack),
     "float32": (("%.6g", "%.7g", "%.8g", "%.9g"), Struct("f").pack),
 }
