@@ -15,12 +15,9 @@ from collections.abc import Collection, Sequence
 from functools import partial
 from operator import index
 from types import AsyncGeneratorType, CoroutineType, GeneratorType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from .mistakes import Path, WrongType, WrongValue
-
-if TYPE_CHECKING:
-    from .logs import HarmlessLogger
 
 Given = TypeVar("Given")
 Result = TypeVar("Result")
@@ -144,22 +141,17 @@ def finished(name: str, result: Result) -> Result:
 
 def log_failure(logger: str, text: str, *args: object) -> None:
     """Log the exception that is being handled; one that a log handler raises goes to stderr."""
-    log = _logger(logger)
-    if log is not None:
-        log.exception(text, *args, stacklevel=2)
+    _log(logger, "exception", text, args)
 
 
 def log_warning(logger: str, text: str, *args: object) -> None:
     """Log a warning, as `log_failure` does."""
-    log = _logger(logger)
-    if log is not None:
-        log.warning(text, *args, stacklevel=2)
+    _log(logger, "warning", text, args)
 
 
-def _logger(name: str) -> HarmlessLogger | None:
-    """Return a logger; None if logging cannot be imported, because no descriptor is left."""
+def _log(logger: str, method: str, text: str, args: tuple[object, ...]) -> None:
     try:
         from .logs import HarmlessLogger  # no sooner than needed: most programs log nothing
-    except OSError:
-        return None
-    return HarmlessLogger(name)
+    except OSError:  # logging cannot be imported, because no descriptor is left
+        return
+    getattr(HarmlessLogger(logger), method)(text, *args, stacklevel=3)
