@@ -1,6 +1,4 @@
-"""
-What is read by a plan: the items, with their types, and their values by name.
-"""
+"""What is read by a plan: the items, with their types, and their values by name."""
 
 from __future__ import annotations
 

@@ -24,14 +24,10 @@ from ..protocol.checks import integer
 from ..protocol.mistakes import WrongType, WrongValue, close_to, inside, named_arguments
 from ..protocol.pdu.request import store
 from ..protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, plain, type_named
-from .point_checks import BYTES
+from .point_checks import ACCESSES, BYTES
 
 REFERENCE = "reference"
 """In place of a first address: each address is a reference, such as 40123."""
-
-LENGTHS = ("bytes", "registers")
-"""The units that the number behind the type of a text may count."""
-
 
 MOST_NAMED = 12
 """How many of a list are named in a message, at most."""
@@ -170,16 +166,13 @@ class ListOptions:
         for name in ("columns", "only", "types"):
             if not isinstance(getattr(self, name), Mapping):
                 raise WrongType(name, f"must be a mapping, not {getattr(self, name)!r}")
-        choices = {
-            "origin": words().origins,
-            "lengths": LENGTHS,
-            "access": ("read", "write", "read_write"),
-        }
+        lengths = ("bytes", "registers")
+        choices = {"origin": words().origins, "lengths": lengths, "access": ACCESSES}
         for name, allowed in choices.items():
             value = getattr(self, name)
             if value is not None and value not in allowed:
-                wanted = f"must be one of {', '.join(allowed)}, not {value!r}"
-                raise WrongValue(name, wanted + close_to(value, allowed))
+                reason = f"must be one of {', '.join(allowed)}, not {value!r}"
+                raise WrongValue(name, reason + close_to(value, allowed))
         for name, meanings in (("table", TABLE_WORDS), ("order", ORDER_WORDS)):
             if (value := getattr(self, name)) is None:
                 continue

@@ -27,20 +27,12 @@ FORMS: tuple[str, ...] = (".toml", ".csv", ".tsv", ".txt", ".md", ".xlsx")
 POINT = keys_of(Point)
 """The keys of a point, in every file that describes points."""
 
-DEFAULTS = Keys(
-    [
-        *POINT.but("name", "address").optional().values(),
-        Key("first_address", whole(0, 0xFFFF), "what the file calls address 0"),
-    ]
-)
+_FIRST = Key("first_address", whole(0, 0xFFFF), "what the file calls address 0")
+DEFAULTS = Keys([*POINT.but("name", "address").optional().values(), _FIRST])
 """The keys of ``[defaults]``: those of a point, and how its addresses count."""
 
-FILE = Keys(
-    [
-        Key("point", tables, "a table for each point: [[point]]", ()),
-        Key("defaults", DEFAULTS.read, "keys of all points without their own"),
-    ]
-)
+_POINTS = Key("point", tables, "a table for each point: [[point]]", ())
+FILE = Keys([_POINTS, Key("defaults", DEFAULTS.read, "keys of all points without their own")])
 
 
 @dataclass

@@ -1,6 +1,4 @@
-"""
-The meaning of the cells of a value: numbers, states, bits, parts of registers, or no value.
-"""
+"""The meaning of the cells of a value: numbers, states, bits, parts of registers, or no value."""
 
 from __future__ import annotations
 

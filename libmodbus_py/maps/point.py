@@ -1,6 +1,4 @@
-"""
-One named value of a device: its location and the meaning of its cells.
-"""
+"""One named value of a device: its location and the meaning of its cells."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Checks of the arguments of a point, from which its attributes are made.
-"""
+"""Checks of the arguments of a point, from which its attributes are made."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Plans that read points, and the points that scale them: the values of the answers, by name.
-"""
+"""Plans that read points, and the points that scale them: the values of the answers, by name."""
 
 from __future__ import annotations
 

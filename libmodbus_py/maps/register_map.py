@@ -1,6 +1,4 @@
-"""
-The points of a device by name: the requests that read them, and the values of the answers.
-"""
+"""The points of a device by name: the requests that read them, and the values of the answers."""
 
 from __future__ import annotations
 

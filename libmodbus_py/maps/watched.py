@@ -59,25 +59,25 @@ class PointIntervals:
         self._at = at
         over = at + self.interval * TOLERANCE
         self._due = [
-            each
-            for each in self._indexes
-            if each == self.interval or self._last.get(each, -math.inf) + each <= over
+            own
+            for own in self._indexes
+            if own == self.interval or self._last.get(own, -math.inf) + own <= over
         ]
         if len(self._due) == len(self._indexes):
             return None
-        return tuple(sorted(at for each in self._due for at in self._indexes[each]))
+        return tuple(sorted(at for own in self._due for at in self._indexes[own]))
 
     def done(self, unanswered: Collection[int] = ()) -> None:
         """Note what was read: the unanswered are due once more, or until anything is answered."""
         missing = set(unanswered)
-        if missing and all(missing.issuperset(self._indexes[each]) for each in self._due):
+        if missing and all(missing.issuperset(self._indexes[own]) for own in self._due):
             return
-        for each in self._due:
-            if each not in self._again and not missing.isdisjoint(self._indexes[each]):
-                self._again.add(each)
+        for own in self._due:
+            if own not in self._again and not missing.isdisjoint(self._indexes[own]):
+                self._again.add(own)
                 continue
-            self._again.discard(each)
-            self._last[each] = self._at
+            self._again.discard(own)
+            self._last[own] = self._at
 
 
 class Totals:

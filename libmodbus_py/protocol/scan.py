@@ -1,6 +1,4 @@
-"""
-The only import of scan.c: CRCs, the limits of RTU frames, and the silence between them.
-"""
+"""The only import of scan.c: CRCs, the limits of RTU frames, and the silence between them."""
 
 from __future__ import annotations
 

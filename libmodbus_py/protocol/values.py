@@ -202,10 +202,6 @@ def _pack_mac(name: str | Path, value: Any) -> bytes:
     return bytes.fromhex(f"0000{value.replace(':', '').replace('-', '')}")
 
 
-def _unpack_mac(data: bytes) -> str:
-    return data[2:].hex(":").upper()  # behind two bytes of padding, which may hold anything
-
-
 TIME_REGISTERS = {
     "unix32": 2, "unix64": 4, "ms64": 4, "y2k32": 2, "iec870": 4, "date48": 3, "bcddate48": 3,
     "date64": 4, "date96": 6, "shortdate96": 6,
@@ -217,7 +213,8 @@ TYPES: dict[str, ValueType] = {
     for kind in (
         *NUMBERS,
         *(_moments(name, registers) for name, registers in TIME_REGISTERS.items()),
-        ValueType("eui48", 4, _pack_mac, _unpack_mac),
+        # Two bytes of padding may hold anything.
+        ValueType("eui48", 4, _pack_mac, lambda data: data[2:].hex(":").upper()),
     )
 }
 """Name -> type, in the order ABCD; strings are made by `value_type`."""

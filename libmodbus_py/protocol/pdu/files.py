@@ -1,6 +1,4 @@
-"""
-File records and queues: functions 20, 21 and 24.
-"""
+"""File records and queues: functions 20, 21 and 24."""
 
 from __future__ import annotations
 
@@ -190,10 +188,6 @@ def _check_reference_types(kinds: Iterable[int]) -> None:
             raise AddressError("reference type", f"must be {FILE_REFERENCE_TYPE}, not {kind}")
 
 
-def _counted_wide(head: bytes) -> int | None:
-    return 3 + int.from_bytes(head[1:3], "big") if len(head) >= 3 else None
-
-
 @dataclass(frozen=True, slots=True)
 class ReadFifoQueue(Request[list[int]]):
     """Function 24, section 6.18: read 0..31 registers of the FIFO queue at `address`."""
@@ -204,7 +198,10 @@ class ReadFifoQueue(Request[list[int]]):
     repeatable = True
     changes = False
     request_length: ClassVar[LengthRule] = fixed(3)
-    response_length: ClassVar[LengthRule] = in_c(_counted_wide, lib.COUNTED_WIDE, 3, 1)
+    response_length: ClassVar[LengthRule] = in_c(
+        lambda head: 3 + int.from_bytes(head[1:3]) if len(head) >= 3 else None,
+        *(lib.COUNTED_WIDE, 3, 1),
+    )
     max_count: ClassVar[int] = 31
 
     def __post_init__(self) -> None:

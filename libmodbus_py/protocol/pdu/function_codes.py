@@ -1,6 +1,4 @@
-"""
-The function codes that framers, clients and servers know: `REQUESTS`, and what looks it up.
-"""
+"""The function codes that framers, clients and servers know: `REQUESTS`, and what looks it up."""
 
 from __future__ import annotations
 

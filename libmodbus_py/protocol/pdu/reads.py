@@ -1,6 +1,4 @@
-"""
-Reads of coils, discrete inputs and registers: functions 1-4.
-"""
+"""Reads of coils, discrete inputs and registers: functions 1-4."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Functions of serial lines: 7, 8, 11, 12 and 17. Many TCP devices answer them, too.
-"""
+"""Functions of serial lines: 7, 8, 11, 12 and 17. Many TCP devices answer them, too."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Writes of coils and registers: functions 5, 6, 15, 16, 22 and 23, which reads as well.
-"""
+"""Writes of coils and registers: functions 5, 6, 15, 16, 22 and 23, which reads as well."""
 
 from __future__ import annotations
 
