@@ -227,8 +227,8 @@ def type_keys(
     """Return the arguments that the word of a type says; `registers` and `size` of a text."""
     origin = options.of_origin
     word = word_of(cell)
-    said = {word_of(key): meaning for key, meaning in options.types.items()}
-    meaning = said.get(word, origin.types.get(word))
+    meanings = {word_of(key): meaning for key, meaning in options.types.items()}
+    meaning = meanings.get(word, origin.types.get(word))
     if meaning is None and re.fullmatch(r"string:[0-9]+", cell.casefold()):
         return {"type": cell.casefold()}
     if meaning is None and (length := _TEXT.fullmatch(word)):

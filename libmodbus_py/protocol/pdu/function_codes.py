@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 from ..checks import checked_callback
 from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from . import files, interface, reads, serial, writes
-from .request import AddressError, Request, told
+from .request import AddressError, Request, length_by
 
 Kind = TypeVar("Kind", bound=type[Request[Any]])
 
@@ -83,7 +83,7 @@ def decode_request(pdu: bytes) -> Request[Any]:
     if request is None:
         raise IllegalFunction(f"no function {pdu[0]}", function=pdu[0])
     try:
-        length = told(request, request.request_length, pdu)
+        length = length_by(request, request.request_length, pdu)
         if length not in (len(pdu), 0):
             raise ValueError(f"a request of {len(pdu)} bytes")
         return request.decode(pdu)
@@ -106,7 +106,7 @@ def request_length(head: bytes) -> int | None:
         else, which is logged once for each class.
     """
     request = REQUESTS.get(head[0])
-    return 0 if request is None else told(request, request.request_length, head)
+    return 0 if request is None else length_by(request, request.request_length, head)
 
 
 def response_length(head: bytes) -> int | None:
@@ -114,4 +114,4 @@ def response_length(head: bytes) -> int | None:
     if head[0] & 0x80:
         return 2
     request = REQUESTS.get(head[0])
-    return 0 if request is None else told(request, request.response_length, head)
+    return 0 if request is None else length_by(request, request.response_length, head)

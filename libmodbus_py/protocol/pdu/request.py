@@ -273,7 +273,7 @@ class Request(Generic[Result]):
 _mistaken: WeakSet[type[Request[Any]]] = WeakSet()
 
 
-def told(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
+def length_by(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
     """Return what a rule returns; `NO_LENGTH` if one of a program raises or returns nonsense."""
     if rule in IN_C:
         return rule(head)
