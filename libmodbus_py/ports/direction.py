@@ -19,7 +19,7 @@ from typing import Any
 
 from ..protocol.checks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
-from ..protocol.extras import what_is_missing
+from ..version import what_is_missing
 from .options import GPIO_LINE, Rs485
 from .waiting import of_system
 

@@ -12,7 +12,7 @@ import reprlib
 import ssl
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ..protocol.extras import how_to_add, what_is_missing
+from ..version import how_to_add, what_is_missing
 
 if TYPE_CHECKING:
     from datetime import datetime

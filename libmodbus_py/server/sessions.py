@@ -12,18 +12,8 @@ from operator import itemgetter
 
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
-from ..protocol.framing import (
-    FUNCTION,
-    TRANSACTION,
-    UNIT,
-    AsciiFramer,
-    Frame,
-    Overheard,
-    cut,
-    is_one_frame,
-    mbap,
-    split,
-)
+from ..protocol.frames import FUNCTION, UNIT, Frame, Overheard, cut, is_one_frame, mbap, split
+from ..protocol.framing import AsciiFramer
 from .faults import Faults, FaultyAnswers
 from .framed import FRAMES_AT_ONCE, Framed, SessionSettings
 from .limits import ServerStatistics
@@ -234,7 +224,7 @@ class Singles:
                         session.channel.write(answer)
             if count == 0:
                 session, request = waiting[first]
-                number = int.from_bytes(request[TRANSACTION], "big")
+                number = int.from_bytes(request[:2], "big")
                 try:
                     session.take_one(Frame(unit, request[FUNCTION:], number))
                 except BaseException as error:  # of a hook; the others are still answered

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py.protocol.extras import how_to_add
+from libmodbus_py.version import how_to_add
 from tests.support.cases import each_case
 from tests.support.commands import PROGRAM
 from tests.support.programs import run_to_end

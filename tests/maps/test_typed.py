@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Point
-from libmodbus_py.maps.typed import typed_register, typed_value
+from libmodbus_py.maps.writing import typed_register, typed_value
 from tests.support.cases import each_case
 
 H = "holding_registers"

@@ -18,8 +18,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py.cli.commands import COMMANDS
-from libmodbus_py.protocol import extras
-from libmodbus_py.protocol.extras import EXTRAS, how_to_add
+from libmodbus_py.version import EXTRAS, how_to_add
 from tests.support.cases import each_case
 
 ROOT = Path(__file__).parents[2]
@@ -180,16 +179,16 @@ def test_the_table_is_that_of_the_project() -> None:
         for name, needed in project["optional-dependencies"].items()
         if name not in NOT_FOR_USERS
     }
-    assert {name: extra.requirement for name, extra in EXTRAS.items()} == wanted
+    assert {name: requirement for name, (requirement, _) in EXTRAS.items()} == wanted
 
 
 def test_debian_suggests_and_the_documents_name_each_package() -> None:
     control = (ROOT / "packaging" / "debian" / "control").read_text()
     page = (ROOT / "docs" / "how-to" / "install.md").read_text()
     rows = dict(re.findall(r"^\| `(\w+)` \|.*\| (?:`([\w-]+)`|-) \|$", page, re.MULTILINE))
-    assert rows == {name: extra.package for name, extra in EXTRAS.items()}
-    for extra in EXTRAS.values():
-        assert extra.package in control
+    assert rows == {name: package for name, (_, package) in EXTRAS.items()}
+    for _, package in EXTRAS.values():
+        assert package in control
 
 
 @pytest.mark.parametrize(
@@ -207,7 +206,7 @@ def test_debian_suggests_and_the_documents_name_each_package() -> None:
 def test_a_hint_fits_the_installation(
     place: str, extra: str, command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(extras, "__file__", f"{place}/libmodbus_py/protocol/extras.py")
+    monkeypatch.setattr("libmodbus_py.version.__file__", f"{place}/libmodbus_py/version.py")
     assert how_to_add(extra) == command
 
 

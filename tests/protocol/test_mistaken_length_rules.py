@@ -18,7 +18,8 @@ from libmodbus_py import (
     Server,
     pdu,
 )
-from libmodbus_py.protocol.framing import Frame, FrameError, RtuFramer
+from libmodbus_py.protocol.errors import FrameError
+from libmodbus_py.protocol.framing import Frame, RtuFramer
 from libmodbus_py.protocol.rtu import may_be
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.cases import each_case

@@ -16,12 +16,15 @@ import pytest
 from libmodbus_py import InvalidResponse, pdu
 from libmodbus_py.client.reconnecting import State
 from libmodbus_py.pdu import ReadHoldingRegisters
-from libmodbus_py.protocol.json_text import COMPACT_JSON, SORTED_JSON, each_once, json_text
 from libmodbus_py.protocol.mistakes import WrongValue
 from libmodbus_py.protocol.plain import (
+    COMPACT_JSON,
+    SORTED_JSON,
     bit_of,
     clock_text,
     decimal_of,
+    each_once,
+    json_text,
     number_of,
     plain,
     text_of,

@@ -16,9 +16,9 @@ from cryptography.x509.oid import NameOID
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.describing import describe
 from libmodbus_py.tools.certificates import make, write
+from libmodbus_py.version import how_to_add
 from tests.support import certificates
 from tests.support.cases import each_case
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzz.checks import check_certificate, check_role_value
-from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.role import ROLE_OID, RoleError, encode_role, role_of
+from libmodbus_py.version import how_to_add
 from tests.support import certificates
 from tests.support.cases import each_case
 

@@ -16,9 +16,9 @@ from types import SimpleNamespace
 import pytest
 
 from libmodbus_py import Access, Device, Mapping, Server
-from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.security.role import encode_role
 from libmodbus_py.tools.certificates import Identity
+from libmodbus_py.version import how_to_add
 from tests.simulation.stage import Stage
 from tests.support import certificates
 from tests.support.attacks import PATIENCE

@@ -18,7 +18,7 @@ import select
 import struct
 from collections.abc import Iterator
 
-from ...protocol.framing import Frame, is_one_frame, mbap
+from ...protocol.frames import Frame, is_one_frame, mbap
 from .packets import (
     BYTE_ORDER,
     INTERFACE,

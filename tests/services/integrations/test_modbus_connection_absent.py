@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from libmodbus_py.protocol.extras import how_to_add
+from libmodbus_py.version import how_to_add
 
 NAME = "libmodbus_py.services.integrations.modbus_connection"
 

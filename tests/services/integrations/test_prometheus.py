@@ -42,11 +42,11 @@ from libmodbus_py import (
     Server,
 )
 from libmodbus_py.client.statistics import TIME_BOUNDS
-from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.services.integrations import prometheus
 from libmodbus_py.services.integrations.metrics import OF_ATTRIBUTES
 from libmodbus_py.services.integrations.prometheus import Collector, collect, exposing
 from libmodbus_py.tools import timed_server
+from libmodbus_py.version import how_to_add
 from tests.services.fleet.fleets import Peer, in_simulated_time, meter
 from tests.services.fleet.fleets import until as until_simulated
 from tests.simulation.network import Network

@@ -12,7 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from libmodbus_py import Client, Device, Point, RegisterMap, Server, load_map
-from libmodbus_py.maps.register_map import attribute_names
+from libmodbus_py.maps.point import attribute_names
 from libmodbus_py.tools.files.map_texts import class_name, class_text
 from tests.support.cases import each_case
 from tests.support.programs import run_to_end
