@@ -1,6 +1,4 @@
-"""
-Polling of many devices: a short path to `services.fleet`.
-"""
+"""Polling of many devices: a short path to `services.fleet`."""
 
 from .services.fleet.config import DeviceConfig
 from .services.fleet.files import FleetFile, FleetFileError, load

@@ -1,6 +1,4 @@
-"""
-Listening to other devices on a line or in a capture file: a short path to `tools.listener`.
-"""
+"""Listening to other devices on a line or in a capture file: a short path to `tools.listener`."""
 
 from .tools.listener.capture import CaptureError
 from .tools.listener.listener import Listener, listen

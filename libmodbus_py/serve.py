@@ -1,6 +1,4 @@
-"""
-Servers, devices, hooks, rules and audits: a short path to `server` and `device`.
-"""
+"""Servers, devices, hooks, rules and audits: a short path to `server` and `device`."""
 
 from .device.access import Access, Caller, ValueChange
 from .device.authorization import Allow, Asked, Rules

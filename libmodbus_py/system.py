@@ -18,21 +18,6 @@ import time
 from collections.abc import Callable
 from typing import BinaryIO, Protocol
 
-__all__ = [
-    "IP_PKTINFO",
-    "KEY_REJECTED",
-    "DescriptorPoller",
-    "Flag",
-    "allow_all_descriptors",
-    "boot_time",
-    "call_in_children",
-    "lock_file",
-    "most_descriptors",
-    "open_file",
-    "peer_credentials",
-    "reserve_descriptors",
-]
-
 # Python has no name for it before 3.14; the number is that of <linux/in.h>.
 IP_PKTINFO: int = getattr(socket, "IP_PKTINFO", 8)
 

@@ -1,5 +1,3 @@
-"""
-The version, for those who need nothing else.
-"""
+"""The version, for those who need nothing else."""
 
 __version__ = "0.1.0"

@@ -1,6 +1,4 @@
-"""
-The only import of the compiled module, and the only reading of its errno.
-"""
+"""The only import of the compiled module, and the only reading of its errno."""
 
 from __future__ import annotations
 

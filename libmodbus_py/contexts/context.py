@@ -1,6 +1,4 @@
-"""
-The base of both contexts: the modbus_t, its lock and state, its errors and settings.
-"""
+"""The base of both contexts: the modbus_t, its lock and state, its errors and settings."""
 
 from __future__ import annotations
 
@@ -26,8 +24,6 @@ from ..protocol.errors import (
 )
 from ..protocol.frames import Frame, Framer
 from ..protocol.pdu.request import Request
-
-__all__ = ["BUSY", "CLOSED", "FOREIGN", "OPEN", "READY", "ContextBase", "too_many_descriptors"]
 
 Result = TypeVar("Result")
 

@@ -1,6 +1,4 @@
-"""
-The functions of Modbus as methods: those of libmodbus, and those that it lacks.
-"""
+"""The functions of Modbus as methods: those of libmodbus, and those that it lacks."""
 
 from __future__ import annotations
 
@@ -17,8 +15,6 @@ from ..protocol.errors import FrameError, InvalidResponse, ModbusError
 from ..protocol.frames import Framer
 from ..protocol.tables import TABLE_SIZE
 from .context import BUSY, READY, ContextBase
-
-__all__ = ["Functions"]
 
 Result = TypeVar("Result")
 

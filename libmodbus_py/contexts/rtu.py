@@ -1,6 +1,4 @@
-"""
-Contexts on serial lines in RTU mode.
-"""
+"""Contexts on serial lines in RTU mode."""
 
 from __future__ import annotations
 
@@ -21,8 +19,6 @@ from ..protocol.pdu.request import Request
 from ..protocol.rtu import has_own_length
 from .context import CLOSED, OPEN, too_many_descriptors
 from .slave import Slave
-
-__all__ = ["RtuContext"]
 
 NOISE = 10
 """Response timeouts for which a line may be noisy after a failure, before that is an error."""

@@ -1,6 +1,4 @@
-"""
-Slaves by hand, as in C: receive a request, answer it from a mapping or with an exception.
-"""
+"""Slaves by hand, as in C: receive a request, answer it from a mapping or with an exception."""
 
 from __future__ import annotations
 
@@ -21,8 +19,6 @@ from ..protocol.framing import is_one_frame
 from ..protocol.scan import is_one_adu
 from .context import BUSY
 from .functions import Functions
-
-__all__ = ["Slave"]
 
 ANSWERED = frozenset((1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23))
 """The functions that modbus_reply answers; all others it refuses, after it has slept."""

@@ -1,6 +1,4 @@
-"""
-Contexts over TCP: connections to a slave, and from a master.
-"""
+"""Contexts over TCP: connections to a slave, and from a master."""
 
 from __future__ import annotations
 
@@ -23,8 +21,6 @@ from ..protocol.framing import TcpFramer
 from ..protocol.pdu.request import Request
 from .context import CLOSED, FOREIGN, READY, closed_meanwhile, too_many_descriptors
 from .slave import Slave
-
-__all__ = ["TcpContext"]
 
 
 class _Opening(TcpPort):

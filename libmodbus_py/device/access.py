@@ -1,6 +1,4 @@
-"""
-What a request reads and writes, and where it came from: for hooks, rules and audits.
-"""
+"""What a request reads and writes, and where it came from: for hooks, rules and audits."""
 
 from __future__ import annotations
 
@@ -18,13 +16,6 @@ from .records import RecordFile
 
 if TYPE_CHECKING:
     from ..security.describing import CertificateHolder
-
-# fmt: off
-__all__ = [
-    "ACCESSES", "READABLE", "WRITABLE", "Access", "Auditor", "Caller", "Executed", "TableOrFile",
-    "Touched", "ValueChange", "Who", "changes_of", "touched", "touched_by", "values_at",
-]
-# fmt: on
 
 
 @dataclass(frozen=True, slots=True)

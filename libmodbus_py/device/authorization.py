@@ -23,12 +23,6 @@ from .access import ACCESSES, READABLE, WRITABLE, Access
 from .hooks import timed
 from .limited_log import LimitedLog
 
-# fmt: off
-__all__ = [
-    "Allow", "Asked", "Authorization", "Authorize", "Rules", "UnauthorizedError", "what_is_asked",
-]
-# fmt: on
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # The highest sub-function and MEI type.

@@ -58,8 +58,6 @@ from .reply import Answered, Watched, answer_in_c, make_tally, replier, reply
 if TYPE_CHECKING:
     from ..maps.register_map import RegisterMap
 
-__all__ = ["Device"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 _RESTART = Diagnostics(SubFunction.RESTART_COMMUNICATIONS).encode()[:3]

@@ -27,8 +27,6 @@ from ..protocol.pdu import (
     SubFunction,
 )
 
-__all__ = ["EventLog"]
-
 # Counters are plain numbers, too: an enumeration would take most of the time of a note.
 COUNTERS = range(SubFunction.BUS_MESSAGE_COUNT, SubFunction.BUS_CHARACTER_OVERRUN_COUNT + 1)
 SERVER_MESSAGES = int(SubFunction.SERVER_MESSAGE_COUNT)

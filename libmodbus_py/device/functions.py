@@ -1,6 +1,4 @@
-"""
-The functions of a device that libmodbus lacks: files, queues, identification and diagnostics.
-"""
+"""The functions of a device that libmodbus lacks: files, queues, identification and diagnostics."""
 
 from __future__ import annotations
 
@@ -33,8 +31,6 @@ from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .event_log import EventLog
 from .hooks import timed
 from .records import FifoQueue, Files, Queues, RecordFile, Records, items_of
-
-__all__ = ["ARGUMENTS_ONLY", "DEFAULT_SERVER_ID", "Handlers", "PythonFunctions"]
 
 DEFAULT_SERVER_ID = ServerId(b"\x01", True, b"libmodbus-py")
 

@@ -16,8 +16,6 @@ from ..protocol.mistakes import named_arguments
 from ..protocol.tables import TABLE_SIZE, checked_ranges, joined, touches
 from .access import READABLE, Access, Touched
 
-__all__ = ["SLOW", "Hook", "HookLike", "Hooks", "timed"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 SLOW = 0.1

@@ -1,6 +1,4 @@
-"""
-Warnings that clients cause, and which must not fill the log.
-"""
+"""Warnings that clients cause, and which must not fill the log."""
 
 from __future__ import annotations
 
@@ -11,8 +9,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from ..protocol.logs import HarmlessLogger
-
-__all__ = ["INTERVAL_S", "LimitedLog", "in_time"]
 
 INTERVAL_S = 60.0
 """Seconds between two lines or events of the same kind."""

@@ -26,8 +26,6 @@ from ..protocol.tables import TABLE_SIZE, checked_ranges, joined, without
 from ..protocol.values import Layout, TypeName, value_type
 from ..system import call_in_children
 
-__all__ = ["TABLE_NUMBERS", "Mapping", "RegisterTable", "Table", "runs"]
-
 TABLE_NUMBERS: dict[str, int] = {
     "coils": lib.COILS,
     "discrete_inputs": lib.DISCRETE_INPUTS,

@@ -24,17 +24,6 @@ if TYPE_CHECKING:
     from ..maps.point import Point
     from ..maps.register_map import RegisterMap
 
-__all__ = [
-    "NamedValues",
-    "PointIndex",
-    "PointRules",
-    "RuledCells",
-    "cells_after",
-    "known_point",
-    "source_after",
-    "zeros_for",
-]
-
 Written = MappingABC[tuple[str, int], Any]
 """Table and address -> the value that is written there."""
 

@@ -1,6 +1,4 @@
-"""
-modbus_reply in memory: requests answered from a mapping, without a network.
-"""
+"""modbus_reply in memory: requests answered from a mapping, without a network."""
 
 from __future__ import annotations
 
@@ -14,8 +12,6 @@ from typing import Any
 from ..binding.library import check, ffi, lib, make
 from ..system import call_in_children
 from .mapping import TABLE_NUMBERS, Mapping, runs
-
-__all__ = ["Answered", "Watched", "answer_in_c", "make_tally", "replier", "reply"]
 
 _HEADER = struct.Struct(">HHHB")
 

@@ -44,13 +44,6 @@ if TYPE_CHECKING:
     from ..maps.point import Point
     from ..maps.register_map import RegisterMap
 
-# fmt: off
-__all__ = [
-    "fingerprint", "load_state", "read_text", "remove_leftovers", "replace_file", "state_text",
-    "unit_text",
-]
-# fmt: on
-
 KIND, VERSION = "state", 1
 
 EVERY = "every"

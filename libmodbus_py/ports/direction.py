@@ -23,8 +23,6 @@ from ..protocol.extras import what_is_missing
 from .options import GPIO_LINE, Rs485
 from .waiting import of_system
 
-__all__ = ["Switch", "switch_of"]
-
 RTS = {"rts-up": True, "rts-down": False}
 """Mode -> whether RTS is set while sending."""
 

@@ -41,8 +41,6 @@ if TYPE_CHECKING:
 
     from ..protocol.framing import Framing
 
-__all__ = ["Endpoint", "parse", "parse_to_listen", "url_of"]
-
 # A password has no use here, but a URL may contain one, which must not be logged.
 PASSWORD = "(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)"
 

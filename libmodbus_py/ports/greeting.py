@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["Greeting", "greeting_of"]
-
 COUNT = re.compile("([0-9]{1,4}) ?bytes?")
 HEADER_LENGTH = 6  # of what a Modbus/TCP frame has before the bytes that its length field counts
 

@@ -17,12 +17,6 @@ from typing import Any, NamedTuple
 
 from ..system import call_in_children
 
-__all__ = [
-    "EVERYWHERE", "Make", "Resolve", "ask", "bind_all", "host_and_port",
-    "host_of_peer", "is_loopback", "is_this_machine", "listen_on", "numeric", "own_address",
-    "reason", "split_host_and_port", "start_thread", "tcp_listener",
-]  # fmt: skip
-
 LOCALHOST = ("localhost", "ip6-localhost")
 
 # Hosts at which a server listens on all addresses of its machine.

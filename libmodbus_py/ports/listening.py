@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .options import ConnectionOptions
 
-__all__ = ["ListeningPort"]
-
 
 class ListeningPort(TcpPort):
     """A TCP connection that the device has made, and the socket at which it makes the next one."""

@@ -1,6 +1,4 @@
-"""
-The port of a client, by the transport of its endpoint.
-"""
+"""The port of a client, by the transport of its endpoint."""
 
 from __future__ import annotations
 
@@ -11,8 +9,6 @@ if TYPE_CHECKING:
     from .options import ConnectionOptions
     from .port import Port
     from .schemes import Transport
-
-__all__ = ["make_port", "port_class"]
 
 
 def port_class(transport: Transport) -> Any:

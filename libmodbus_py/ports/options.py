@@ -17,12 +17,6 @@ from ..protocol.checks import DURATION, checked_callback, duration_of, integer, 
 if TYPE_CHECKING:
     from ..security.security import GivenContext, Security
 
-__all__ = [
-    "ASCII_DEFAULTS", "CLIENT_OPTIONS", "PARITIES", "SECURITY_OPTIONS", "SERIAL_DEFAULTS",
-    "SERIAL_OPTIONS", "ConnectionOptions", "Form", "Option", "SerialSettings", "character_bits",
-    "one_of", "optional", "parity_of", "rows_of",
-]  # fmt: skip
-
 
 class Form(NamedTuple):
     """The form of an option in URLs and on the command line."""

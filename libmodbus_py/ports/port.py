@@ -21,11 +21,6 @@ if TYPE_CHECKING:
 
     from ..protocol.logs import HarmlessLogger
 
-__all__ = [
-    "RECEIVED_BYTES", "REOPEN_AFTER", "Outage", "Port", "Silence",
-    "abandoned_in_children", "lost",
-]  # fmt: skip
-
 RECEIVED_BYTES = 16_384
 """Bytes received at once: the answers to all requests usually in flight, in one turn of a loop."""
 

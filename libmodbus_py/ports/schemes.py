@@ -1,6 +1,4 @@
-"""
-The schemes of URLs of endpoints, and what sets their transports apart.
-"""
+"""The schemes of URLs of endpoints, and what sets their transports apart."""
 
 from __future__ import annotations
 
@@ -12,11 +10,6 @@ from .options import SECURITY_OPTIONS, SERIAL_OPTIONS, Option
 
 if TYPE_CHECKING:
     from ..protocol.framing import Framing
-
-__all__ = [
-    "DEFAULT_PORT", "SCHEMES", "TRANSPORTS", "Scheme", "Transport", "TransportRules", "framing_of",
-    "options_of", "shape_of",
-]  # fmt: skip
 
 DEFAULT_PORT = 502
 """The port of Modbus/TCP."""

@@ -1,6 +1,4 @@
-"""
-Serial ports for clients and servers, opened and configured by libmodbus.
-"""
+"""Serial ports for clients and servers, opened and configured by libmodbus."""
 
 from __future__ import annotations
 
@@ -35,8 +33,6 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .options import ConnectionOptions
     from .serial_devices import OpenDevice
-
-__all__ = ["SerialPort", "users_of"]
 
 # st_rdev of the ports that this process has open: the lock does not show which process has it.
 _open_here: set[int] = set()

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["SerialDevice", "highest_rate", "lacks_hardware", "open_devices", "serial_devices"]
-
 # Types of linux/serial_core.h: PORT_UNKNOWN, of ports that a kernel lists although no hardware
 # stands behind them; and PORT_16550A, which divides its clock by 16 and a whole number.
 NO_HARDWARE = "0"

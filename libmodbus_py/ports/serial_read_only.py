@@ -1,6 +1,4 @@
-"""
-Serial ports to listen at, where nothing is locked, and nothing is ever written.
-"""
+"""Serial ports to listen at, where nothing is locked, and nothing is ever written."""
 
 from __future__ import annotations
 
@@ -12,8 +10,6 @@ from typing import Any
 from ..protocol.checks import log_warning
 from .serial import SerialPort, users_of
 from .serial_settings import set_odd_baudrate
-
-__all__ = ["ReadOnlySerialPort"]
 
 
 class ReadOnlySerialPort(SerialPort):

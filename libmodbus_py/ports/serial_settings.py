@@ -15,8 +15,6 @@ import struct
 import termios
 from typing import Any
 
-__all__ = ["check_settings", "set_odd_baudrate"]
-
 # struct termios2, TCGETS2, TCSETS2, CBAUD and BOTHER of asm-generic/termbits.h; where they differ,
 # the ioctl fails.
 TERMIOS2 = struct.Struct("4IB19B2I")

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .options import ConnectionOptions
 
-__all__ = ["StreamPort", "TcpPort", "UdpPort", "keep_alive", "refuse_own"]
-
 # Value of SO_LINGER: the end of the connection is a reset.
 RESET = struct.pack("ii", 1, 0)
 

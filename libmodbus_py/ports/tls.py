@@ -1,6 +1,4 @@
-"""
-TLS connections: Modbus Security, at the client's end.
-"""
+"""TLS connections: Modbus Security, at the client's end."""
 
 from __future__ import annotations
 
@@ -28,8 +26,6 @@ Given = TypeVar("Given", bound=ClientSecurity)
 
 if TYPE_CHECKING:
     from .options import ConnectionOptions
-
-__all__ = ["TlsPort", "security_of"]
 
 # The ends of OpenSSL's reasons for alerts by which the other side refuses our certificate.
 OF_OUR_CERTIFICATE = (

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .options import ConnectionOptions
 
-__all__ = ["UnixListener", "UnixPort"]
-
 # The bytes of a path in struct sockaddr_un, without the final 0.
 MAX_PATH = 107 if sys.platform == "linux" else 103
 

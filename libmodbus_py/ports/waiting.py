@@ -18,11 +18,6 @@ from typing import Any, NamedTuple, TypeVar
 from ..system import Flag
 from .hosts import Resolve, ask, numeric
 
-__all__ = [
-    "LONGEST", "READ", "WRITE", "Ready", "Steps", "Waker", "Woken", "milliseconds", "of_system",
-    "run", "timed_out",
-]  # fmt: skip
-
 READ, WRITE = select.POLLIN, select.POLLOUT
 
 # Seconds that the system waits at a time. A signal that comes just before it begins to wait does

@@ -13,8 +13,6 @@ from typing import Any, TypeVar
 from .hosts import Resolve, ask, numeric
 from .waiting import READ, Ready, Steps, of_system, timed_out
 
-__all__ = ["Alarm", "look_up", "resolve", "run_async"]
-
 Result = TypeVar("Result")
 
 

@@ -19,11 +19,6 @@ if TYPE_CHECKING:
 
     from cryptography import x509
 
-__all__ = [
-    "CertificateHolder", "describe", "digest_of", "end_of", "holder_of", "in_words", "quoted",
-    "require_cryptography", "time_in",
-]  # fmt: skip
-
 MEANINGS = {
     "WRONG_VERSION_NUMBER": "what answers there is no TLS; is it tcp://?",
     "UNSUPPORTED_PROTOCOL": "it speaks no TLS 1.2 or newer",

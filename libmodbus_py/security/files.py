@@ -18,8 +18,6 @@ from ..system import open_file
 from .describing import digest_of, end_of, in_words, require_cryptography, time_in
 from .tunnel import EXPIRED, Tunnel, keep_presented
 
-__all__ = ["Acceptance", "File", "Loaded", "PemFile", "Revoked", "SecurityFiles"]
-
 File: TypeAlias = str | os.PathLike[str]
 
 # TLS 1.2 with the suites that ask for, and without those that

@@ -1,6 +1,4 @@
-"""
-Values read from files, and read again: certificates, keys and passwords.
-"""
+"""Values read from files, and read again: certificates, keys and passwords."""
 
 from __future__ import annotations
 
@@ -14,8 +12,6 @@ from typing import Generic, Protocol, TypeVar
 from ..protocol.logs import HarmlessLogger
 from ..protocol.mistakes import Problem
 from ..system import open_file
-
-__all__ = ["Renewed", "keep_renewed", "read_secret", "reload_all"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

@@ -9,10 +9,6 @@ from __future__ import annotations
 
 from .describing import quoted, require_cryptography
 
-__all__ = [
-    "ROLE_OID", "RoleError", "check_role", "decode_role", "encode_role", "mentions_role", "role_of",
-]  # fmt: skip
-
 ROLE_OID = "1.3.6.1.4.1.50316.802.1"
 """The extension that holds the role."""
 

@@ -1,6 +1,4 @@
-"""
-The own certificate and key, and the certificates that are trusted.
-"""
+"""The own certificate and key, and the certificates that are trusted."""
 
 from __future__ import annotations
 
@@ -17,8 +15,6 @@ from ..protocol.mistakes import named_arguments
 from .files import Acceptance, File, Loaded, PemFile, SecurityFiles
 from .renewed import keep_renewed
 from .tunnel import Tunnel, expiry, name_of
-
-__all__ = ["GivenContext", "Security"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

@@ -1,6 +1,4 @@
-"""
-One TLS connection without a socket: received bytes in, bytes to send out.
-"""
+"""One TLS connection without a socket: received bytes in, bytes to send out."""
 
 from __future__ import annotations
 
@@ -9,8 +7,6 @@ import ssl
 import time
 from collections.abc import Callable
 from typing import Any
-
-__all__ = ["EXPIRED", "Records", "Tunnel", "expiry", "keep_presented", "name_of"]
 
 # The reason for which a connection ends, in the words of OpenSSL.
 EXPIRED = "certificate has expired"

@@ -32,8 +32,6 @@ from ..protocol.plain import time_text
 from ..security.describing import CertificateHolder
 from ..system import open_file
 
-__all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 REMEMBERED_MAX = 1000

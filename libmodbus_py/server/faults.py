@@ -22,13 +22,6 @@ from ..protocol.framing import Frame, Framer, TcpFramer
 from .limits import ServerStatistics
 from .service import Channel
 
-# fmt: off
-__all__ = [
-    "FaultSwitch", "Faults", "FaultsByUnit", "FaultyAnswers",
-    "Fragment", "ServerFault",
-]
-# fmt: on
-
 MAX_WAITING_BYTES = 1 << 17
 """On a connection, fewer bytes wait: the answers to one read. On a serial line this limits the
 answers to a client that does not wait for them."""

@@ -1,6 +1,4 @@
-"""
-The base of sessions that answer frame by frame: bytes in, frames out, in turns.
-"""
+"""The base of sessions that answer frame by frame: bytes in, frames out, in turns."""
 
 from __future__ import annotations
 
@@ -17,8 +15,6 @@ from ..protocol.logs import HarmlessLogger
 from ..protocol.rtu import may_be
 from .limits import ServerStatistics
 from .service import Channel, SessionState
-
-__all__ = ["FRAMES_AT_ONCE", "Framed", "SessionSettings"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

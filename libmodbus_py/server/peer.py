@@ -29,8 +29,6 @@ from .service import ENDS, TURN_EVENTS, UNREAD, Session, SessionState
 if TYPE_CHECKING:
     from ..security.describing import CertificateHolder
 
-__all__ = ["READ_BYTES", "MakePeerSession", "Peer", "Turns"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 READ_BYTES = 512

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from .audit import Audit
     from .tls import Handshakes
 
-__all__ = ["Peers", "TcpServer", "bound"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Seconds without accepting when the process has no descriptors left.

@@ -1,6 +1,4 @@
-"""
-A serial port of a server.
-"""
+"""A serial port of a server."""
 
 from __future__ import annotations
 
@@ -21,8 +19,6 @@ from .service import ENDS, Service, SessionState
 
 if TYPE_CHECKING:
     from ..security.describing import CertificateHolder
-
-__all__ = ["SerialServer"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

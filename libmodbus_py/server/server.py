@@ -1,6 +1,4 @@
-"""
-The server of a program: the devices of many units, and faults in their responses.
-"""
+"""The server of a program: the devices of many units, and faults in their responses."""
 
 from __future__ import annotations
 
@@ -26,8 +24,6 @@ from .units import SerialUnits, TcpUnits, Units, UnknownUnit
 if TYPE_CHECKING:
     from ..security.security import Security
     from .audit import Audit, OnAudited
-
-__all__ = ["Devices", "Server"]
 
 
 @named_arguments

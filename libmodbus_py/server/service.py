@@ -18,19 +18,6 @@ from .limits import ServerStatistics
 if TYPE_CHECKING:
     from ..security.describing import CertificateHolder
 
-__all__ = [
-    "ENDS",
-    "TURN_EVENTS",
-    "UNREAD",
-    "Channel",
-    "Later",
-    "MakeSession",
-    "Service",
-    "Session",
-    "SessionState",
-    "explained",
-]
-
 # Raised by a hook to end the program; any other exception is an answer, or a defect of ours.
 ENDS = (SystemExit, KeyboardInterrupt)
 

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from .audit import Audit, OnAudited
     from .serial import SerialServer
 
-__all__ = ["Running", "Serving"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 

@@ -30,8 +30,6 @@ from .limits import ServerStatistics
 from .service import Channel, Later, SessionState
 from .units import SerialUnits, TcpUnits
 
-__all__ = ["ByChunk", "ByFrame", "Singles"]
-
 _request = itemgetter(1)
 
 

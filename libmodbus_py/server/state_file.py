@@ -26,8 +26,6 @@ from ..ports.port import abandoned_in_children
 from ..protocol.logs import HarmlessLogger
 from ..system import lock_file
 
-__all__ = ["StateFile"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Seconds between two times of writing. `kill -9` may lose 0.5 s: the rest is for a slow disk. The

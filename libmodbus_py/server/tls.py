@@ -25,8 +25,6 @@ from .limits import Limits, ServerStatistics, host_of
 from .peer import READ_BYTES
 from .service import UNREAD, Channel, MakeSession, Session, SessionState
 
-__all__ = ["Handshakes", "TlsSession"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # The number of unfinished handshakes; each takes about 50 kB. With one more, the oldest is

@@ -44,8 +44,6 @@ if TYPE_CHECKING:
     from ..security.describing import CertificateHolder
     from .audit import Audit
 
-__all__ = ["Sources", "UdpServer"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # An answer may be a valid request, as for function 8; so a forged source lets two servers, or one

@@ -20,8 +20,6 @@ from ..protocol.pdu import Diagnostics
 from .faults import Faults
 from .service import Channel
 
-__all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units", "UnknownUnit"]
-
 # A device, and its notes about a line.
 Station = tuple[Device, EventLog]
 
