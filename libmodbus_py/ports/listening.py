@@ -5,6 +5,12 @@ network has no address that others reach.
 The client listens from its first request on until it is closed, for one device. Waiting for the
 device is connecting to it. A new connection replaces the one before, which is dead then, though the
 network may never tell so.
+
+Such devices send bytes that are no Modbus: a registration packet when one has connected, and
+heartbeats. Makers of modems describe both alike: a fixed text, often the number of the SIM card or
+the modem (ICCID, IMEI), sent once, or before all data; and a fixed text at intervals. Frames are
+passed on whole: a text counts only where a frame may begin or, without a header that tells its end,
+where the received bytes end.
 """
 
 from __future__ import annotations
@@ -15,8 +21,9 @@ import socket
 from typing import TYPE_CHECKING, Any, Self
 
 from ..protocol.errors import ModbusConnectionError
-from .greeting import Greeting, greeting_of
+from ..protocol.framing import UNIT
 from .hosts import own_address, reason, tcp_listener
+from .options import greeting_of
 from .port import Silence
 from .sockets import TcpPort
 from .waiting import READ, Ready, Steps, of_system
@@ -24,6 +31,57 @@ from .waiting import READ, Ready, Steps, of_system
 if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .options import ConnectionOptions
+
+
+class Greeting:
+    """Drops what is no Modbus from the bytes of one device."""
+
+    def __init__(self, count: int, texts: tuple[bytes, ...], *, has_header: bool) -> None:
+        self._texts = texts
+        self._count = count
+        self._has_header = has_header
+        self.begin()
+
+    def begin(self) -> None:
+        """Note a new connection."""
+        self._first = self._count  # how many bytes are still to be dropped
+        self._kept = b""  # what may be the beginning of a text or a header
+        self._frame = 0  # how many bytes of the current frame are still to come
+
+    def expect_frame(self) -> None:
+        """Note that a frame may begin, because what came before was none."""
+        self._frame = 0
+
+    def drop(self, data: bytes) -> bytes:
+        """Return the received bytes that belong to frames."""
+        dropped = min(self._first, len(data))
+        self._first -= dropped
+        data = self._kept + data[dropped:]
+        if not self._texts:
+            return data
+        self._kept = b""
+        frames = b""
+        while data:
+            if self._frame:
+                frames += data[: self._frame]
+                self._frame, data = max(0, self._frame - len(data)), data[self._frame :]
+            elif text := next(filter(data.startswith, self._texts), b""):
+                data = data[len(text) :]
+            elif any(text.startswith(data) for text in self._texts):
+                self._kept, data = data, b""
+            elif not self._has_header:
+                return self._without_end(data)
+            elif len(data) < UNIT:
+                self._kept, data = data, b""
+            else:
+                # The length field, before the unit, counts the bytes from the unit on.
+                self._frame = UNIT + int.from_bytes(data[4:UNIT])
+        return frames
+
+    def _without_end(self, data: bytes) -> bytes:
+        while text := next(filter(data.endswith, self._texts), b""):
+            data = data[: -len(text)]
+        return data
 
 
 class ListeningPort(TcpPort):

@@ -10,16 +10,20 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..protocol.errors import ModbusConnectionError, ModbusError
 from ..system import call_in_children
+from .schemes import TRANSPORTS, Transport
 from .waiting import Steps, Waker, of_system
 
 if TYPE_CHECKING:
     import logging
 
     from ..protocol.logs import HarmlessLogger
+    from .endpoint import Endpoint
+    from .options import ConnectionOptions
 
 RECEIVED_BYTES = 16_384
 """Bytes received at once: the answers to all requests usually in flight, in one turn of a loop."""
@@ -106,6 +110,38 @@ class Port(ABC):
     @abstractmethod
     def abandon(self) -> None:
         """Close the descriptor without an effect on the line, which belongs to a parent process."""
+
+
+def port_class(transport: Transport) -> Any:
+    """
+    Return the class of the ports of a transport.
+
+    Each is imported when it is first needed: ssl alone, which TLS needs, takes longer than the rest
+    of a client, and a serial port needs libmodbus.
+    """
+    module, _, name = TRANSPORTS[transport].port_class.partition(".")
+    return getattr(import_module(f".{module}", __package__), name)
+
+
+def make_port(endpoint: Endpoint, settings: ConnectionOptions) -> Port:
+    """
+    Return the port of a client, closed.
+
+    Args:
+        endpoint: the endpoint to connect to, with the options of its URL.
+        settings: the checked options of the client; a port reads `keepalive` and `security`.
+
+    Raises:
+        TypeError, ValueError: a setting of the endpoint is wrong, or not for its transport.
+    """
+    if settings["security"] is not None and not endpoint.is_secure:
+        raise ValueError(f"security is for tls:// only, not for {endpoint.scheme}://")
+    if settings["source"] is not None and (endpoint.has_path or endpoint.is_listening):
+        raise ValueError(f"source is for hosts, not for {endpoint.scheme}://")
+    if settings["greeting"] is not None and not endpoint.is_listening:
+        raise ValueError(f"greeting is for listen+tcp://, not for {endpoint.scheme}://")
+    port: Port = port_class(endpoint.transport).of(endpoint, settings)
+    return port
 
 
 def lost(error: OSError) -> ModbusConnectionError:

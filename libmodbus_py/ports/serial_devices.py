@@ -132,6 +132,21 @@ def open_devices(base: Path = Path("/")) -> tuple[list[OpenDevice], bool]:
     return found, sees_all
 
 
+def users_of(device: str) -> list[OpenDevice]:
+    """Return the programs that have a port open, as far as this user may know."""
+    path = os.path.realpath(device)
+    return [user for user in open_devices()[0] if user.path == path]
+
+
+def other_user(device: str, descriptor: int) -> str | None:
+    """Return another program that has a port open, or this one with another descriptor."""
+    own = os.getpid()
+    for user in users_of(device):
+        if (user.process, user.descriptor) != (own, descriptor):
+            return "this program" if user.process == own else user.program
+    return None
+
+
 def _state(node: Path, user: OpenDevice | None, sees_all: bool) -> str:
     if user is not None:
         return f"in use by {user.program}"

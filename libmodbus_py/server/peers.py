@@ -19,7 +19,7 @@ from ..device.limited_log import LimitedLog
 from ..ports.endpoint import Endpoint
 from ..ports.hosts import Make, Resolve, bind_all, host_and_port, reason, tcp_listener
 from ..ports.port import abandoned_in_children
-from ..ports.waiting_async import look_up
+from ..ports.waiting import look_up
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
 from ..system import DescriptorPoller, reserve_descriptors

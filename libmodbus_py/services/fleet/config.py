@@ -21,7 +21,7 @@ from ...maps.point_checks import LONGEST_INTERVAL, SHORTEST_INTERVAL
 from ...maps.register_map import RegisterMap
 from ...maps.watched import PartialPlans
 from ...ports.endpoint import Endpoint, parse
-from ...ports.making import make_port
+from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
 from ...protocol.json_text import json_text
 from ...protocol.mistakes import Mistake, WrongType, WrongValue, inside, item, named_arguments
