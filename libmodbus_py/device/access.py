@@ -15,7 +15,7 @@ from .mapping import Mapping
 from .records import RecordFile
 
 if TYPE_CHECKING:
-    from ..security.describing import CertificateHolder
+    from ..security.certificates import CertificateHolder
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
 
+from ..binding.library import Answered, Watched, answer_in_c, make_tally, replier, reply
 from ..protocol.checks import integer
 from ..protocol.errors import (
     ExceptionResponse,
@@ -53,7 +54,6 @@ from .hooks import Hook, HookLike, Hooks
 from .mapping import Mapping, Table
 from .named_values import NamedValues, PointIndex, PointRules, RuledCells, zeros_for
 from .records import Records
-from .reply import Answered, Watched, answer_in_c, make_tally, replier, reply
 
 if TYPE_CHECKING:
     from ..maps.register_map import RegisterMap
@@ -356,7 +356,7 @@ class Device(NamedValues, PythonFunctions):
             return start, b"", 0, 0
         with self._mapping.lock:
             return answer_in_c(
-                replier(), self._mapping, self._watched, self._tally, unit, data, start
+                replier(), self._mapping._struct, self._watched, self._tally, unit, data, start
             )
 
     def refuse(self, pdu: bytes, code: int, caller: Caller = _UNKNOWN) -> bytes:
@@ -468,7 +468,7 @@ class Device(NamedValues, PythonFunctions):
                 if not isinstance(response, bytes) or not 1 <= len(response) <= MAX_PDU:
                     raise ValueError(f"not a response PDU: {reprlib.repr(response)}")
             elif type(request) in ACCESSES:
-                response = reply(pdu, self.mapping)
+                response = reply(pdu, self.mapping._struct)
             else:
                 raise IllegalFunction(function=request.function)
             if touched is not None and touched.writes:

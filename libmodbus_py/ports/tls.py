@@ -11,7 +11,7 @@ import time
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeVar
 
 from ..protocol.errors import ModbusConnectionError
-from ..security.describing import describe, in_words
+from ..security.certificates import describe, in_words
 from ..security.files import Acceptance
 from ..security.security import GivenContext, Security
 from ..security.tunnel import Tunnel

@@ -8,6 +8,5 @@ Modbus Security: TLS with certificates on both sides. No socket.
                   settings made of them; Acceptance: of open connections
     renewed       Renewed: values read from files, and read again
     tunnel        Tunnel: one TLS connection, bytes in and bytes out; Records: where they end
-    role          the role in a certificate
-    describing    certificates and errors of OpenSSL as text
+    certificates  what certificates contain, roles among it, and errors of OpenSSL as text
 """

@@ -15,7 +15,7 @@ from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 from ..system import open_file
-from .describing import digest_of, end_of, in_words, require_cryptography, time_in
+from .certificates import digest_of, end_of, in_words, require_cryptography, time_in
 from .tunnel import EXPIRED, Tunnel, keep_presented
 
 File: TypeAlias = str | os.PathLike[str]

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from select import POLLERR, POLLHUP, POLLIN, POLLOUT
 from typing import TYPE_CHECKING
 
-from ..device.limited_log import LimitedLog
+from ..device.authorization import LimitedLog
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
@@ -27,7 +27,7 @@ from .limits import Address, Limits, ServerStatistics
 from .service import ENDS, TURN_EVENTS, UNREAD, Session, SessionState
 
 if TYPE_CHECKING:
-    from ..security.describing import CertificateHolder
+    from ..security.certificates import CertificateHolder
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

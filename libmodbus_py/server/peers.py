@@ -15,7 +15,7 @@ from dataclasses import replace
 from select import POLLIN
 from typing import TYPE_CHECKING
 
-from ..device.limited_log import LimitedLog
+from ..device.authorization import LimitedLog
 from ..ports.endpoint import Endpoint
 from ..ports.hosts import Make, Resolve, bind_all, host_and_port, reason, tcp_listener
 from ..ports.port import abandoned_in_children

@@ -18,7 +18,7 @@ from .limits import ServerStatistics
 from .service import ENDS, Service, SessionState
 
 if TYPE_CHECKING:
-    from ..security.describing import CertificateHolder
+    from ..security.certificates import CertificateHolder
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

@@ -8,8 +8,8 @@ import os
 from collections.abc import AsyncIterator, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from ..binding.library import replier
 from ..device.device import Device
-from ..device.reply import replier
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
 from ..protocol.mistakes import named_arguments

@@ -16,7 +16,7 @@ from ..protocol.errors import ModbusConnectionError
 from .limits import ServerStatistics
 
 if TYPE_CHECKING:
-    from ..security.describing import CertificateHolder
+    from ..security.certificates import CertificateHolder
 
 # Raised by a hook to end the program; any other exception is an answer, or a defect of ours.
 ENDS = (SystemExit, KeyboardInterrupt)

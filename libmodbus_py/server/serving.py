@@ -19,8 +19,8 @@ from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NoReturn
 
+from ..device.authorization import LimitedLog, in_time
 from ..device.hooks import timed
-from ..device.limited_log import LimitedLog, in_time
 from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.trace import OnTraced, Trace, Traced, is_traced
 from ..protocol.checks import checked_callback

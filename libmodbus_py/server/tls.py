@@ -11,13 +11,19 @@ import asyncio
 import ssl
 from typing import NamedTuple, Protocol
 
-from ..device.limited_log import LimitedLog
+from ..device.authorization import LimitedLog
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
-from ..security.describing import CertificateHolder, describe, holder_of, in_words
+from ..security.certificates import (
+    CertificateHolder,
+    describe,
+    holder_of,
+    in_words,
+    mentions_role,
+    role_of,
+)
 from ..security.files import Acceptance
-from ..security.role import mentions_role, role_of
 from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
 from .audit import Audit

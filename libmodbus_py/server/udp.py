@@ -18,7 +18,7 @@ from functools import lru_cache
 from ipaddress import IPv6Address, ip_address
 from typing import TYPE_CHECKING, Any
 
-from ..device.limited_log import LimitedLog
+from ..device.authorization import LimitedLog
 from ..ports.endpoint import Endpoint
 from ..ports.hosts import host_and_port, is_loopback
 from ..ports.port import abandoned_in_children
@@ -41,7 +41,7 @@ from .peers import bound
 from .service import ENDS, TURN_EVENTS, Service, Session, SessionState
 
 if TYPE_CHECKING:
-    from ..security.describing import CertificateHolder
+    from ..security.certificates import CertificateHolder
     from .audit import Audit
 
 logger: HarmlessLogger = HarmlessLogger(__name__)

@@ -13,7 +13,7 @@ import pytest
 from cryptography import x509
 
 from libmodbus_py.protocol.extras import how_to_add
-from libmodbus_py.security.role import role_of
+from libmodbus_py.security.certificates import role_of
 from libmodbus_py.tools.page.page import TOKEN
 from tests.cli.serving import serving
 from tests.support.cases import each_case

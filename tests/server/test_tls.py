@@ -17,7 +17,7 @@ import pytest
 
 from libmodbus_py import Access, Device, Mapping, Server
 from libmodbus_py.protocol.extras import how_to_add
-from libmodbus_py.security.role import encode_role
+from libmodbus_py.security.certificates import encode_role
 from libmodbus_py.tools.certificates import Identity
 from tests.simulation.stage import Stage
 from tests.support import certificates

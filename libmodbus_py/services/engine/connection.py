@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from ...protocol.extras import what_is_missing
-from ...security.describing import in_words
+from ...security.certificates import in_words
 from ...security.renewed import Renewed, read_secret
 from ..other_servers import server_url
 from ..tasks import finish
