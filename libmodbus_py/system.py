@@ -16,7 +16,7 @@ import stat
 import struct
 import time
 from collections.abc import Callable
-from typing import BinaryIO, Protocol
+from typing import BinaryIO
 
 # Python has no name for it before 3.14; the number is that of <linux/in.h>.
 IP_PKTINFO: int = getattr(socket, "IP_PKTINFO", 8)
@@ -75,32 +75,6 @@ class Flag:
         for end in ends:
             if end >= 0:
                 os.close(end)
-
-
-class DescriptorPoller(Protocol):
-    """
-    Many descriptors that are waited for through one, as `select.epoll`.
-
-    Events are POLLIN and POLLOUT of `select`; errors are reported as POLLERR or POLLHUP, or as the
-    events that were asked for.
-    """
-
-    @property
-    def closed(self) -> bool: ...
-
-    def fileno(self) -> int:
-        """Return a descriptor that is readable while one of the others is ready."""
-        ...
-
-    def register(self, fd: int, eventmask: int = ..., /) -> None: ...
-    def modify(self, fd: int, eventmask: int, /) -> None: ...
-    def unregister(self, fd: int, /) -> None: ...
-
-    def poll(self, timeout: float | None = ..., maxevents: int = ..., /) -> list[tuple[int, int]]:
-        """Return descriptors that are ready, with their events."""
-        ...
-
-    def close(self) -> None: ...
 
 
 def call_in_children(function: Callable[[], None]) -> None:

@@ -13,14 +13,7 @@ from collections.abc import Iterable, Sequence
 from collections.abc import Mapping as MappingABC
 from typing import Any
 
-from ..protocol.errors import (
-    ExceptionResponse,
-    FrameError,
-    InvalidResponse,
-    ModbusConnectionError,
-    ModbusError,
-    ModbusTimeoutError,
-)
+from ..protocol import errors
 from ..protocol.scan import NOT_BUILT
 from ..system import call_in_children
 
@@ -36,14 +29,14 @@ except ImportError as error:
 __all__ = ["ffi", "lib"]  # which all others import from here
 
 
-_LIBRARY_ERRORS: dict[int, type[ModbusError]] = {
-    lib.EMBBADCRC: FrameError,
-    lib.EMBBADDATA: InvalidResponse,
-    lib.EMBBADEXC: InvalidResponse,
-    lib.EMBUNKEXC: InvalidResponse,
-    lib.EMBMDATA: InvalidResponse,
-    lib.EMBBADSLAVE: InvalidResponse,
-    errno.ETIMEDOUT: ModbusTimeoutError,
+_LIBRARY_ERRORS: dict[int, type[errors.ModbusError]] = {
+    lib.EMBBADCRC: errors.FrameError,
+    lib.EMBBADDATA: errors.InvalidResponse,
+    lib.EMBBADEXC: errors.InvalidResponse,
+    lib.EMBUNKEXC: errors.InvalidResponse,
+    lib.EMBMDATA: errors.InvalidResponse,
+    lib.EMBBADSLAVE: errors.InvalidResponse,
+    errno.ETIMEDOUT: errors.ModbusTimeoutError,
 }
 
 
@@ -61,12 +54,12 @@ def check(result: int) -> int:
         return result
     number, ffi.errno = ffi.errno, 0
     if lib.MODBUS_ENOBASE <= number <= lib.EMBXGTAR:
-        raise ExceptionResponse.of(number - lib.MODBUS_ENOBASE)
+        raise errors.ExceptionResponse.of(number - lib.MODBUS_ENOBASE)
     text = ffi.string(lib.modbus_strerror(number)).decode() if number else "libmodbus gave no error"
     kind = _LIBRARY_ERRORS.get(number)
     if kind is not None:
         raise kind(text)
-    raise ModbusConnectionError(text, errno=number) from OSError(number, text)
+    raise errors.ModbusConnectionError(text, errno=number) from OSError(number, text)
 
 
 def make(context: Any) -> Any:

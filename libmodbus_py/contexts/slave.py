@@ -141,7 +141,6 @@ class Slave(Functions):
                 raise
 
     def _parts(self, request: bytes) -> tuple[int, bytes]:
-        """Return the unit and the PDU of a request."""
         if not isinstance(request, bytes):
             raise TypeError(f"request must be bytes, not {type(request).__name__}")
         if not (is_one_adu if self._is_serial else is_one_frame)(request):

@@ -235,7 +235,6 @@ class _Places:
         return not table or table in self._whole or any(table == name for name, _ in self._runs)
 
     def cover(self, access: Access) -> bool:
-        """Return True if the ranges contain the whole access."""
         if access.table in self._whole:
             return True
         ranges = self._runs.get((access.table, access.file), ())

@@ -236,7 +236,6 @@ class Device(NamedValues, PythonFunctions):
         return getattr(self.answer, "__func__", None) is not _ANSWER
 
     def _is_whole(self, table: str, ranges: tuple[range, ...]) -> bool:
-        """Return True if joined ranges contain all addresses that a table has."""
         return bool(ranges) and not without(getattr(self.mapping, table).ranges, ranges)
 
     @classmethod

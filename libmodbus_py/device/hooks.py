@@ -141,7 +141,6 @@ class Hooks:
         _call(self._before_read, touched.reads)
 
     def after(self, touched: Touched) -> None:
-        """Call the hook for writes that were carried out."""
         _call(self._after_write, touched.writes)
 
 

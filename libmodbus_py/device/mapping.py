@@ -137,7 +137,6 @@ class Table(ABC, Generic[Cell]):
             self._cells[place] = memoryview(cells)
 
     def _place(self, key: int | slice) -> slice:
-        """Return the positions of addresses among the cells."""
         first, end = self.addresses.start, self.addresses.stop
         if isinstance(key, slice):
             start = first if key.start is None else self._address(key.start)
@@ -387,7 +386,6 @@ def _values(name: str, contents: MappingABC[Any, Any]) -> dict[int, list[Any]]:
 
 
 def _ranges(name: str, contents: Any) -> tuple[range, ...]:
-    """Return the addresses that an argument stands for."""
     if isinstance(contents, int) and not isinstance(contents, bool):
         if not 0 <= contents <= TABLE_SIZE:
             raise ValueError(f"{name} must be in 0..{TABLE_SIZE}, not {contents}")

@@ -111,7 +111,6 @@ def _with_values(device: Stateful, values: Iterable[Access]) -> Cells:
 
 
 def _differences(present: Cells, others: Cells) -> Iterator[Access]:
-    """Yield the runs of cells that differ from others."""
     for (table, file), (start, cells) in present.items():
         if cells == others[table, file][1]:  # most are, and to compare each cell takes long
             continue

@@ -142,6 +142,5 @@ class GpioSwitch(Switch):
 
 
 def failure(error: Exception, which: str = "") -> ModbusConnectionError:
-    """Return the error for a switch that raised another one."""
     number = getattr(error, "errno", None) or errno.EIO
     return ModbusConnectionError(f"rs485{which}: {error!r}", errno=number)

@@ -134,7 +134,6 @@ class Endpoint:
 
     @property
     def url(self) -> str:
-        """The URL with all options."""
         return self._shown({**self.options, **self.client_options})
 
     def __str__(self) -> str:

@@ -150,7 +150,6 @@ class Question:
                 note()
 
     def result(self) -> list[Any]:
-        """Return the result of getaddrinfo."""
         found = self._found
         if isinstance(found, OSError):
             # A new one for each caller, because a traceback belongs to one.
@@ -236,7 +235,6 @@ def tcp_listener(family: socket.AddressFamily, address: tuple[Any, ...]) -> sock
 
 
 def listen_on(host: str, port: int) -> list[socket.socket]:
-    """Return a TCP socket that listens on each address of a host."""
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except UnicodeError as error:

@@ -43,7 +43,6 @@ class Greeting:
         self.begin()
 
     def begin(self) -> None:
-        """Note a new connection."""
         self._first = self._count  # how many bytes are still to be dropped
         self._kept = b""  # what may be the beginning of a text or a header
         self._frame = 0  # how many bytes of the current frame are still to come
@@ -92,7 +91,6 @@ class ListeningPort(TcpPort):
 
     @classmethod
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         count, texts = greeting_of("greeting", settings["greeting"] or "0 bytes")
         greeting = Greeting(count, texts, has_header=endpoint.framing == "tcp")
         port = cls(endpoint.host, endpoint.port, settings["keepalive"], greeting)

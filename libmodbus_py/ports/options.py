@@ -54,7 +54,6 @@ class Option(NamedTuple):
 
 
 def rows_of(options: type) -> dict[str, Option]:
-    """Return the rows of a TypedDict by name."""
     rows: dict[str, Option] = {}
     for name, kind in options.__annotations__.items():
         *texts, option = kind.__metadata__
@@ -99,22 +98,18 @@ FILE, NAME = _text("FILE"), _text("NAME")
 
 
 def integers(low: int, high: int) -> Check:
-    """Return the check of an integer in a range."""
     return partial(integer, low=low, high=high)
 
 
 def durations(low: float = 0, high: float = 86_400) -> Check:
-    """Return the check of seconds in a range."""
     return partial(seconds, low=low, high=high)
 
 
 def optional(check: Check) -> Check:
-    """Return a check that accepts None, too."""
     return lambda name, value: None if value is None else check(name, value)
 
 
 def one_of(*words: str) -> Check:
-    """Return the check of a word."""
 
     def check(name: str, value: object) -> None:
         if value not in words:

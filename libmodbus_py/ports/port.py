@@ -43,7 +43,6 @@ class Silence:
         self._turned_at = 0.0
 
     def heard(self, now: float) -> None:
-        """Note that a byte came."""
         self.over_at = max(now + self.seconds, self._turned_at)
 
     def sent(self, size: int, now: float) -> None:
@@ -68,7 +67,6 @@ class Port(ABC):
         """Open the port, or raise ModbusConnectionError with errno, as all methods do."""
 
     def waker(self) -> Waker:
-        """Return the waker of a blocking client."""
         return Waker()
 
     @property

@@ -52,7 +52,6 @@ class SerialPort(Port):
 
     @classmethod
     def of(cls, endpoint: Endpoint, _settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         return cls(endpoint.path, **endpoint.serial_settings)
 
     def __init__(self, device: str, **settings: Unpack[SerialSettings]) -> None:

@@ -77,7 +77,6 @@ def _in_order(place: Path) -> tuple[str, int]:
 
 
 def _target(link: Path) -> str:
-    """Return the name of what a symbolic link leads to."""
     try:
         return Path(os.readlink(link)).name
     except OSError:

@@ -66,7 +66,6 @@ class SocketPort(Port):
         self._watch(made.fileno())
 
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
-        """Prepare a connected socket. Raises ModbusConnectionError."""
         yield from ()
 
     def _connected(self, deadline: float) -> Steps[socket.socket]:
@@ -258,7 +257,6 @@ class TcpPort(HostPort, StreamPort):
 
     @classmethod
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         port = cls(endpoint.host, endpoint.port, settings["keepalive"], settings["source"])
         port.silence = Silence(endpoint.options.get("silence") or 0.0)  # of a line behind it
         return port
@@ -292,7 +290,6 @@ class UdpPort(HostPort):
 
     @classmethod
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         return cls(endpoint.host, endpoint.port, settings["source"])
 
     def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:

@@ -76,7 +76,6 @@ class TlsPort(TcpPort):
 
     @classmethod
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         security = security_of(endpoint, settings["security"])
         keepalive, source = settings["keepalive"], settings["source"]
         return cls(endpoint.host, endpoint.port, keepalive, source, security=security)

@@ -126,7 +126,6 @@ class Trace:
 
 
 def _is_logged() -> bool:
-    """Return True if the logger is at DEBUG."""
     # A program that has not imported logging cannot have set it; the import here would take an
     # eighth of the time of importing the whole client.
     global _wire

@@ -41,7 +41,6 @@ class UnixPort(StreamPort):
 
     @classmethod
     def of(cls, endpoint: Endpoint, _settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         return cls(endpoint.path)
 
     def __init__(self, path: str) -> None:

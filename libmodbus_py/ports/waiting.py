@@ -73,13 +73,11 @@ class Waker:
                 self._flag.set()
 
     def clear(self) -> None:
-        """Reset the descriptor after a call of `wake`."""
         with self._lock:
             if self._flag is not None:
                 self._flag.clear()
 
     def close(self) -> None:
-        """Close the descriptor; may be called any number of times."""
         with self._lock:
             flag, self._flag, self.descriptor = self._flag, None, -1
             if flag is not None:

@@ -49,7 +49,6 @@ def quoted(what: object) -> str:
 
 
 def digest_of(certificate: bytes) -> str:
-    """Return the SHA-256 of a certificate in DER, in hexadecimal digits."""
     import hashlib  # 2 ms, which programs without TLS need not wait for
 
     return hashlib.sha256(certificate).hexdigest()

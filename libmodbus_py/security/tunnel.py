@@ -108,7 +108,6 @@ class Tunnel:
             return None
 
     def end(self) -> None:
-        """Prepare the close_notify alert."""
         with contextlib.suppress(ssl.SSLError):  # it was refused before
             self._tls.unwrap()
 
@@ -150,7 +149,6 @@ class Tunnel:
 
     @property
     def session(self) -> ssl.SSLSession | None:
-        """The session that a client can resume."""
         return self._tls.session
 
 

@@ -185,7 +185,6 @@ class Framed(ABC):
         self.end()
 
     def note_damage(self, error: FrameError) -> None:
-        """Count bytes that are not a frame."""
         address = self.channel.address
         logger.debug("%s: %s: %s", address, error, error.received.hex(" "))
         self.statistics.bad_frames += 1
@@ -214,7 +213,6 @@ class Framed(ABC):
             self._frames.append(FrameError("an unfinished frame", received=rest))
 
     def tell_received(self, frames: Iterable[Frame | FrameError]) -> None:
-        """Report the frames and damage that were found to the trace."""
         if self.trace is not None:
             for frame in frames:
                 if isinstance(frame, FrameError):

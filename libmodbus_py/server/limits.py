@@ -213,7 +213,6 @@ class Address(Generic[Each]):
         self._due = -math.inf  # of the last timer that has ended
 
     def is_overspent(self) -> bool:
-        """Return True if the address has sent too many requests for now."""
         now = self._now()
         return self._allowance.until(now) > now
 

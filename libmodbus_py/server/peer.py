@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import select
 import socket
 from abc import ABC, abstractmethod
 from collections import deque
@@ -22,7 +23,6 @@ from ..device.authorization import LimitedLog
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
-from ..system import DescriptorPoller
 from .limits import Address, Limits, ServerStatistics
 from .service import ENDS, TURN_EVENTS, UNREAD, Session, SessionState
 
@@ -47,7 +47,7 @@ class Turns(ABC):
         self,
         limits: Limits,
         statistics: ServerStatistics,
-        poller: DescriptorPoller,
+        poller: select.epoll,
         log: LimitedLog,
     ) -> None:
         self.limits = limits
@@ -83,7 +83,6 @@ class Turns(ABC):
         """Close all endpoints of the server, because a hook ends the program."""
 
     def stop(self) -> None:
-        """End the turns; may be called any number of times."""
         if self._next_turn is not None:
             self._next_turn.cancel()
         if not self._poller.closed:
@@ -97,7 +96,6 @@ class Turns(ABC):
         self._poller.close()
 
     def watch(self, peer: Peer, descriptor: int, events: int) -> None:
-        """Report these events to a peer from now on."""
         if descriptor in self._by_descriptor:
             self._poller.modify(descriptor, events)
         else:
@@ -113,7 +111,6 @@ class Turns(ABC):
         self._calls.append(call)
 
     def send_soon(self, peer: Peer) -> None:
-        """Make a peer send when all have been read."""
         if not self._sending and not self._in_turn:
             self.loop.call_soon(self._send)
         self._sending.append(peer)
@@ -223,7 +220,6 @@ class Peer:
         turns.watch(self, self._descriptor, POLLIN)
 
     def close(self) -> None:
-        """Close the connection at once; may be called any number of times."""
         if self._descriptor < 0:
             return
         self._session.close()

@@ -22,7 +22,7 @@ from ..ports.port import abandoned_in_children
 from ..ports.waiting import look_up
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
-from ..system import DescriptorPoller, reserve_descriptors
+from ..system import reserve_descriptors
 from .limits import SPARE_DESCRIPTORS, Address, Addresses, Limits, ServerStatistics
 from .peer import MakePeerSession, Peer, Turns
 from .service import TURN_EVENTS, MakeSession, Service, SessionState
@@ -47,7 +47,7 @@ class Peers(Turns):
         limits: Limits,
         statistics: ServerStatistics,
         end: Callable[[], None] | None = None,
-        make_poller: Callable[[], DescriptorPoller] = select.epoll,
+        make_poller: Callable[[], select.epoll] = select.epoll,
         auditor: Audit | None = None,
         log: LimitedLog | None = None,
     ) -> None:
@@ -102,7 +102,6 @@ class Peers(Turns):
             self._add(client, name, shared, make)
 
     def close(self) -> None:
-        """Close all connections; may be called any number of times."""
         for peer in list(self._connections):
             peer.close()
         if self._sweeping is not None:
@@ -221,7 +220,6 @@ class TcpServer:
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
-        """Open the sockets, and return the endpoint with its port."""
         endpoint = self._endpoint
         if self._listener is None:
             self._listeners, endpoint = await bound(endpoint, socket.SOCK_STREAM, tcp_listener)
@@ -280,7 +278,6 @@ class TcpServer:
             self._peers.admit(client, host, name, self._make_session)
 
     def _name(self, client: socket.socket, address: tuple[str, int]) -> tuple[str, str]:
-        """Return the host of a client, and its name."""
         if self._listener is not None:
             return self._listener.name(client)
         return address[0], host_and_port(*address[:2])

@@ -52,7 +52,6 @@ class SerialServer:
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
-        """Open the port, and return its endpoint."""
         self._open()
         return self._endpoint
 

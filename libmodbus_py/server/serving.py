@@ -79,7 +79,7 @@ class Serving(ABC):
             _check_security(security)
         self._security = security
         self._secured: weakref.WeakSet[TcpServer] = weakref.WeakSet()
-        self._traces = Traces(None if trace is None else _checked(trace))
+        self._traces = Traces(trace)
         self._log = LimitedLog(logger)
         self._auditor: Audit | None = None
         if audit is not None:
@@ -262,7 +262,7 @@ class Serving(ABC):
         Raises:
             TypeError: the callback is not a function.
         """
-        return self._traces.with_another(_checked(callback))
+        return self._traces.with_another(_harmless(callback))
 
     @abstractmethod
     def _answering(self, endpoints: list[Endpoint]) -> AbstractAsyncContextManager[Service]:
@@ -274,10 +274,6 @@ def _check_security(security: object) -> None:
 
     if not isinstance(security, Security):
         raise TypeError(f"security must be Security, not {type(security).__name__}")
-
-
-def _checked(trace: OnTraced) -> OnTraced:
-    return checked_callback("trace", trace)
 
 
 # --- traces: functions that are called with every ADU --------------------------------------------
@@ -298,13 +294,11 @@ class Traces:
 
     @contextlib.contextmanager
     def with_another(self, callback: OnTraced) -> Iterator[None]:
-        """Call another function, too, while the block runs."""
-        another = _harmless(callback)
-        self._all += (another,)
+        self._all += (callback,)
         try:
             yield
         finally:
-            self._all = tuple(other for other in self._all if other is not another)
+            self._all = tuple(other for other in self._all if other is not callback)
 
 
 class TracedService:

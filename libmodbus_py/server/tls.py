@@ -91,7 +91,6 @@ class Handshakes:
         self._check_certificates()
 
     def close(self) -> None:
-        """Stop checking certificates; may be called any number of times."""
         self.statistics.certificate_ends.pop(self._place, None)
         if self._next_check is not None:
             self._next_check.cancel()
@@ -108,7 +107,6 @@ class Handshakes:
         return self.security.to_client()
 
     def end(self, session: TlsSession) -> None:
-        """Remove a handshake that succeeded or failed; may be called any number of times."""
         self._count -= _removed(self._half_open, session)
         _removed(self._line, session)
 

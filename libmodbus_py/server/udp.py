@@ -76,7 +76,6 @@ class UdpServer:
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
-        """Open the sockets, and return the endpoint with its port."""
         self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, bound_datagrams)
         self._make_session = self._service.sessions(endpoint, self._statistics)
         for listener in self._sockets:
@@ -263,14 +262,12 @@ class AllAddresses(socket.socket):
     """A UDP socket that is bound to all addresses of this machine."""
 
     def recvfrom(self, *arguments: int) -> tuple[bytes, DatagramSource]:
-        """Return a datagram, and the address for `sendto`. Raises OSError."""
         data, control, _, address = self.recvmsg(arguments[0], ROOM)
         source = DatagramSource(address)
         source.control = [_choice(*item) for item in control]
         return data, source
 
     def sendto(self, data: Any, *arguments: Any) -> int:
-        """Send an answer to an address of `recvfrom`. Raises OSError."""
         (source,) = arguments
         return self.sendmsg([data], source.control, 0, source)
 
