@@ -11,19 +11,7 @@ from .services.fleet.readings import Reading
 from .services.fleet.statistics import FleetStatistics, JournalStatistics, OutputStatistics
 
 __all__ = [
-    "DeviceConfig",
-    "Fleet",
-    "FleetFile",
-    "FleetFileError",
-    "FleetStatistics",
-    "HistoricalValue",
-    "Journal",
-    "JournalError",
-    "JournalStatistics",
-    "Output",
-    "OutputError",
-    "OutputStatistics",
-    "Reading",
-    "ReadingsRefused",
-    "load",
-]
+    "DeviceConfig", "Fleet", "FleetFile", "FleetFileError", "FleetStatistics", "HistoricalValue",
+    "Journal", "JournalError", "JournalStatistics", "Output", "OutputError", "OutputStatistics",
+    "Reading", "ReadingsRefused", "load",
+]  # fmt: skip

@@ -6,15 +6,7 @@ from .tools.listener.named import MapDecoder, NamedValue
 from .tools.listener.separator import Separator
 from .tools.listener.transaction import Summary, Transaction
 
-# fmt: off
 __all__ = [
-    "CaptureError",
-    "Listener",
-    "MapDecoder",
-    "NamedValue",
-    "Separator",
-    "Summary",
-    "Transaction",
+    "CaptureError", "Listener", "MapDecoder", "NamedValue", "Separator", "Summary", "Transaction",
     "listen",
-]
-# fmt: on
+]  # fmt: skip

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
 from ..binding.library import check, ffi, lib
+from ..ports.options import CLIENT_OPTIONS
 from ..ports.waiting import READ
 from ..protocol import pdu
 from ..protocol.checks import integer
@@ -17,9 +18,6 @@ from ..protocol.tables import TABLE_SIZE
 from .context import BUSY, READY, ContextBase
 
 Result = TypeVar("Result")
-
-TURNAROUND = 0.1
-"""Seconds in which units carry out a broadcast (serial line, 2.4.1)."""
 
 _unpack = ffi.unpack
 
@@ -242,7 +240,7 @@ class Functions(ContextBase):
         body = bytes([unit]) + encoded
         check(lib.modbus_send_raw_request(self._modbus, body, len(body)))
         if self._is_serial and unit == 0:
-            self._wait(-1, READ, time.monotonic() + TURNAROUND)
+            self._wait(-1, READ, time.monotonic() + CLIENT_OPTIONS["turnaround"].default)
             return None
         if not request.expects_response:
             return None

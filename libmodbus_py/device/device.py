@@ -197,14 +197,15 @@ class Device(NamedValues, PythonFunctions):
 
     def _arrange(self) -> None:
         """Decide which requests rules, hooks and handlers want; C may answer all others."""
-        reads, writes = self._hooks.reads, self._hooks.writes
         rules = PointRules(self._ruled_cells(), lambda: self.points)
         self._rules = rules if rules.reads or rules.writes else None
-        if self._rules is not None:
-            reads = {table: joined([*reads[table], *rules.reads.get(table, ())]) for table in reads}
-            writes = {
-                table: joined([*writes[table], *rules.writes.get(table, ())]) for table in writes
-            }
+        reads, writes = (
+            {table: joined([*hooked[table], *ruled.get(table, ())]) for table in hooked}
+            for hooked, ruled in (
+                (self._hooks.reads, rules.reads),
+                (self._hooks.writes, rules.writes),
+            )
+        )
         # Request class -> the rule that finds the accesses for rules and hooks.
         self._finds = {
             request: kind.find

@@ -69,18 +69,11 @@ class Hook:
         fifos: Addresses | None = None,
     ) -> None:
         checked_callback("call", call)
-        addresses_of = {
-            "coils": coils,
-            "discrete_inputs": discrete_inputs,
-            "holding_registers": holding_registers,
-            "input_registers": input_registers,
-            "file": files,
-            "fifo": fifos,
-        }
         self._call: Callable[[Access], object] = call
+        tables = coils, discrete_inputs, holding_registers, input_registers, fifos, files
         places = {
             table: joined(checked_ranges(NAMES.get(table, table), addresses))
-            for table, addresses in addresses_of.items()
+            for table, addresses in zip(READABLE, tables, strict=True)
             if addresses is not None
         }
         self._places: dict[str, tuple[range, ...]] | None = places or None

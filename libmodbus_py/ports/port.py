@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 RECEIVED_BYTES = 16_384
 """Bytes received at once: the answers to all requests usually in flight, in one turn of a loop."""
 
+MAX_UNASKED_BYTES = 1 << 16
+"""Bytes without an answer after which a connection counts as flooded."""
+
 # Seconds between two attempts to open a port that is gone.
 REOPEN_AFTER = 1.0
 

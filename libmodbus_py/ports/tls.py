@@ -17,7 +17,7 @@ from ..security.security import GivenContext, Security
 from ..security.tunnel import Tunnel
 from ..system import KEY_REJECTED
 from .endpoint import Endpoint
-from .port import RECEIVED_BYTES
+from .port import MAX_UNASKED_BYTES, RECEIVED_BYTES
 from .sockets import TcpPort
 from .waiting import READ, WRITE, Ready, Steps, of_system, timed_out
 
@@ -32,10 +32,6 @@ OF_OUR_CERTIFICATE = (
     "UNKNOWN_CA", "BAD_CERTIFICATE", "UNSUPPORTED_CERTIFICATE", "CERTIFICATE_REVOKED",
     "CERTIFICATE_EXPIRED", "CERTIFICATE_UNKNOWN", "CERTIFICATE_REQUIRED", "ACCESS_DENIED",
 )  # fmt: skip
-
-# The number of bytes behind the last answer that counts as a flood: tickets and changes of
-# keys are rare.
-MAX_CHAFF = 1 << 16
 
 # Seconds between two checks of the certificate of an open connection.
 CERTIFICATE_INTERVAL = 60.0
@@ -103,7 +99,7 @@ class TlsPort(TcpPort):
         self._received: list[bytes] = []  # decrypted
         self._plain = bytearray()  # not encrypted yet
         self._failure: ModbusConnectionError | None = None  # raised behind what was received
-        self._chaff = 0
+        self._unasked = 0  # bytes behind the last answer: tickets and changes of keys are rare
         self._flights = 0  # how often this side has sent during the handshake
         self._has_answered = False
 
@@ -212,11 +208,11 @@ class TlsPort(TcpPort):
         assert tunnel is not None
         try:
             for data in super().receive():
-                self._chaff += len(data)
+                self._unasked += len(data)
                 tunnel.feed(data)
-            while piece := tunnel.receive():
+            while piece := tunnel.receive(RECEIVED_BYTES):
                 self._received.append(piece)
-                self._chaff = 0
+                self._unasked = 0
         except ModbusConnectionError as error:
             self._failure = self._suspecting(error)
         except ssl.SSLError as error:
@@ -228,7 +224,7 @@ class TlsPort(TcpPort):
             # Delayed requests, and records of OpenSSL itself: a change of keys, an alert.
             self._send(tunnel, b"")
         self._has_answered = self._has_answered or bool(self._received)
-        if self._chaff > MAX_CHAFF and self._failure is None:
+        if self._unasked > MAX_UNASKED_BYTES and self._failure is None:
             self._failure = ModbusConnectionError("flooded with bytes that are not a response")
 
     def send(self, adus: list[bytes], now: float) -> None:

@@ -11,9 +11,6 @@ from typing import Any
 # The reason for which a connection ends, in the words of OpenSSL.
 EXPIRED = "certificate has expired"
 
-# The most bytes that a record carries (RFC 8446, 5.1).
-RECORD_BYTES = 16_384
-
 # SSL_OP_NO_RX_CERTIFICATE_COMPRESSION of OpenSSL 3.2, which Python's ssl does not name.
 NO_COMPRESSED_CERTIFICATE = 1 << 33
 
@@ -100,7 +97,7 @@ class Tunnel:
             self._tls.presented = b""  # OpenSSL has it, too
         return True
 
-    def receive(self, most: int = RECORD_BYTES) -> bytes | None:
+    def receive(self, most: int) -> bytes | None:
         """Return received bytes, decrypted; None if there are none, b"" at the end."""
         try:
             return self._tls.read(most)

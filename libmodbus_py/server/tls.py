@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import ssl
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from ..device.authorization import LimitedLog
 from ..ports.trace import Trace
@@ -28,21 +28,14 @@ from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
 from .audit import Audit
 from .limits import Limits, ServerStatistics, host_of
-from .peer import READ_BYTES
-from .service import UNREAD, Channel, MakeSession, Session, SessionState
+from .peer import READ_BYTES, Peer
+from .service import UNREAD, MakeSession, Session, SessionState
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # The number of unfinished handshakes; each takes about 50 kB. With one more, the oldest is
 # given up, of the address that has most.
 HALF_OPEN = 1000
-
-
-class Wire(Channel, Protocol):
-    """The channel of a TCP connection, which can be closed."""
-
-    def end(self) -> None:
-        """Close the connection when all requests are answered, and the answers sent."""
 
 
 class Whose(NamedTuple):
@@ -158,10 +151,7 @@ def _removed(places: dict[str, dict[TlsSession, None]], session: TlsSession) -> 
 
 
 class TlsSession:
-    """
-    A session within TLS: decrypts for the session inside, whose channel it is, and encrypts
-    answers.
-    """
+    """A session within TLS: decrypts for the session inside, whose channel it is, and encrypts."""
 
     # fmt: off
     __slots__ = (
@@ -170,7 +160,7 @@ class TlsSession:
     )
     # fmt: on
 
-    def __init__(self, wire: Wire, handshakes: Handshakes, make: MakeSession) -> None:
+    def __init__(self, wire: Peer, handshakes: Handshakes, make: MakeSession) -> None:
         self.address: str = wire.address
         self.host: str = host_of(wire.address)  # what its handshake counts for
         self.trace: Trace | None = None
@@ -335,9 +325,7 @@ class TlsSession:
     # --- requests -------------------------------------------------------------------------------
 
     def _take(self, tunnel: Tunnel, inner: Session, *, is_one: bool) -> int:
-        """
-        Pass a slice of the received bytes on; `is_one`: it is one record, with nothing behind it.
-        """
+        """Pass a slice of the received bytes on; `is_one`: one record, with nothing behind it."""
         requests, room = 0, READ_BYTES
         self._has_more = False
         try:
