@@ -281,9 +281,8 @@ class ContextBase(ABC):
 
     @response_timeout.setter
     def response_timeout(self, value: float) -> None:
-        self._set_seconds(
-            lib.modbus_set_response_timeout, seconds("response_timeout", value, 0.000001)
-        )
+        number = seconds("response_timeout", value, 0.000001)
+        self._set_seconds(lib.modbus_set_response_timeout, number)
 
     @property
     def byte_timeout(self) -> float:
@@ -304,9 +303,8 @@ class ContextBase(ABC):
 
     @indication_timeout.setter
     def indication_timeout(self, value: float) -> None:
-        self._set_seconds(
-            lib.modbus_set_indication_timeout, seconds("indication_timeout", value, 0)
-        )
+        number = seconds("indication_timeout", value, 0)
+        self._set_seconds(lib.modbus_set_indication_timeout, number)
 
     @property
     def error_recovery(self) -> Literal["none", "protocol"]:

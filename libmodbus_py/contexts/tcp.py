@@ -20,7 +20,7 @@ from ..protocol.errors import ModbusConnectionError, ModbusError
 from ..protocol.framing import TcpFramer
 from ..protocol.pdu.request import Request
 from .context import CLOSED, FOREIGN, READY, closed_meanwhile, too_many_descriptors
-from .slave import Slave
+from .functions import Slave
 
 
 class _Opening(TcpPort):
