@@ -193,9 +193,7 @@ class Functions(ContextBase):
         return self.execute(pdu.EncapsulatedTransport(mei_type, data))
 
     def flush(self) -> int:
-        """
-        Discard what was received and not read (modbus_flush); return how many bytes, 0 on a line.
-        """
+        """Discard unread bytes (modbus_flush); return their number, 0 on a serial line."""
         with self._lock:
             self._ensure_open()
             return self._discard_input()
@@ -258,9 +256,8 @@ class Functions(ContextBase):
         if isinstance(frame, errors.FrameError):
             raise frame
         if frame.unit != unit or frame.transaction:  # libmodbus sends raw requests with id 0
-            raise errors.InvalidResponse(
-                f"answered by unit {frame.unit} with id {frame.transaction}"
-            )
+            text = f"answered by unit {frame.unit} with id {frame.transaction}"
+            raise errors.InvalidResponse(text)
         return request.decode_response(frame.pdu)
 
     @abstractmethod
@@ -278,8 +275,6 @@ HOLDING_REGISTERS, READ_REGISTERS = pdu.ReadHoldingRegisters, lib.modbus_read_re
 
 ANSWERED = frozenset((1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23))
 """The functions that modbus_reply answers; all others it refuses, after it has slept."""
-
-LARGEST = max(lib.MODBUS_TCP_MAX_ADU_LENGTH, lib.MODBUS_RTU_MAX_ADU_LENGTH)
 
 
 class Slave(Functions):
@@ -376,7 +371,7 @@ class Slave(Functions):
 
     def _answer(self, request: bytes, function: Callable[..., int], *arguments: Any) -> int:
         # Zeroed, and as long as the longest: libmodbus looks where a short request has no bytes.
-        buffer = ffi.new("uint8_t[]", LARGEST)
+        buffer = ffi.new("uint8_t[]", lib.MODBUS_TCP_MAX_ADU_LENGTH)
         ffi.memmove(buffer, request, len(request))
         with self._lock, self._errors():
             self._ensure_open()
