@@ -119,10 +119,6 @@ def one_of(*words: str) -> Check:
     return check
 
 
-def _parity(_name: str, value: object) -> None:
-    parity_of(value)
-
-
 def _flag(name: str, value: object) -> None:
     if not isinstance(value, bool):
         raise TypeError(f"{name} must be True or False, not {value!r}")
@@ -348,7 +344,9 @@ class SerialSettings(TypedDict, total=False):
     """The settings of a `SerialPort`."""
 
     baudrate: Annotated[int, Option("bits per second", NUMBER, 19200, integers(1, 4_000_000))]
-    parity: Annotated[Parity, Option("parity: none, even or odd", PARITY, "E", _parity)]
+    parity: Annotated[
+        Parity, Option("parity: none, even or odd", PARITY, "E", lambda _, word: parity_of(word))
+    ]
     data_bits: Annotated[int, Option("data bits of a character, 7 or 8", NUMBER, 8, integers(5, 8))]
     stop_bits: Annotated[int, Option("stop bits, 1 or 2", NUMBER, 1, integers(1, 2))]
     rs485: Annotated[
