@@ -30,12 +30,10 @@ Handlers = MappingABC[type[pdu.Request[Any]], Callable[[Any], Any]]
 
 
 # What would be passed over in silence if it were set: the device does not look there.
-# fmt: off
 ARGUMENTS_ONLY = frozenset((
     "after_write", "authorize", "before_read", "before_write", "canopen", "handlers",
     "identification",
-))
-# fmt: on
+))  # fmt: skip
 
 
 class PythonFunctions:

@@ -42,13 +42,11 @@ class SerialPort(Port):
     """
 
     # libmodbus 3.1.6..3.1.12 know these; any other they silently take for 9600.
-    # fmt: off
     baudrates: ClassVar[frozenset[int]] = frozenset((
         110, 300, 600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400,
         460800, 500000, 576000, 921600, 1000000, 1152000, 1500000, 2500000, 3000000,
         3500000, 4000000,
-    ))
-    # fmt: on
+    ))  # fmt: skip
 
     @classmethod
     def of(cls, endpoint: Endpoint, _settings: ConnectionOptions) -> Self:

@@ -176,7 +176,11 @@ class Framed(ABC):
             if timer is not None:
                 timer.cancel()
         self._release_echo()
-        self.tell_rest(self._unsearched)
+        if self.trace is not None:  # what was received is not answered any more
+            if self.framer.in_step:
+                self.tell_received(self.framer.scan(self._unsearched))
+            if rest := self.framer.end():
+                self.trace.tell("received", rest)
         self._unsearched, self._frames = b"", []
 
     def close(self) -> None:
@@ -213,14 +217,6 @@ class Framed(ABC):
                 else:
                     adu = self.framer.encode(frame)
                     self.trace.tell("received", adu, frame.unit, frame.pdu[0])
-
-    def tell_rest(self, unsearched: bytes) -> None:
-        """Report received bytes that are not answered any more to the trace."""
-        if self.trace is not None:
-            if self.framer.in_step:
-                self.tell_received(self.framer.scan(unsearched))
-            if rest := self.framer.end():
-                self.trace.tell("received", rest)
 
     def _note_silence(self) -> None:
         """Make the channel call `receive` in its turn, so that the requests are counted."""

@@ -184,13 +184,11 @@ class Turns(ABC):
 class Peer:
     """One client. It is read only while it takes its answers and is not throttled."""
 
-    # fmt: off
     __slots__ = (
         "_descriptor", "_is_behind", "_is_closing", "_is_full", "_is_reading", "_is_sending",
         "_is_throttled", "_session", "_socket", "_turns", "_unsent", "address", "has_asked",
         "holder", "idle_since", "role", "shared", "trace",
-    )
-    # fmt: on
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -322,7 +320,11 @@ class Peer:
             self.close()
             return
         if size < len(self._unsent):
-            self._wait_to_send(size)
+            self._unsent = bytearray(self._unsent[size:])
+            if not self._is_sending:
+                self._is_sending = True
+                self._watch()
+            self._pause_if_full()
         else:
             self._unsent = b""
             if self._is_sending:
@@ -331,13 +333,6 @@ class Peer:
                 self.follow()
         if self._is_closing:
             self._close_if_done()
-
-    def _wait_to_send(self, size: int) -> None:
-        self._unsent = bytearray(self._unsent[size:])
-        if not self._is_sending:
-            self._is_sending = True
-            self._watch()
-        self._pause_if_full()
 
     def _pause_if_full(self) -> None:
         if len(self._unsent) > self._turns.limits.max_unsent and not self._is_full:

@@ -226,10 +226,9 @@ class TcpServer:
         else:
             try:
                 self._listeners = [await self._listener.open()]
-            except OSError as error:
-                raise ModbusConnectionError(
-                    f"cannot listen on {endpoint}: {error.strerror or error}", errno=error.errno
-                ) from error
+            except OSError as error:  # which may have a text of its own
+                text = f"cannot listen on {endpoint}: {error.strerror or error}"
+                raise ModbusConnectionError(text, errno=error.errno) from error
         make = self._service.sessions(endpoint, self._peers.statistics, self._peers.later)
         self._make_session = make if self._handshakes is None else _within(self._handshakes, make)
         for listener in self._listeners:
@@ -239,11 +238,8 @@ class TcpServer:
         return endpoint
 
     def use(self, security: Security) -> None:
-        """
-        Use other certificates for new connections; raise ValueError if they cannot be a server's.
-        """
+        """Use other certificates, which `check_server` has accepted, for new connections."""
         assert self._handshakes is not None
-        security.check_server()
         self._handshakes.security = security
 
     def close(self) -> None:
@@ -274,13 +270,11 @@ class TcpServer:
                 return
             self._is_short = False
             client.setblocking(False)
-            host, name = self._name(client, address)
+            if self._listener is not None:
+                host, name = self._listener.name(client)
+            else:
+                host, name = address[0], host_and_port(*address[:2])
             self._peers.admit(client, host, name, self._make_session)
-
-    def _name(self, client: socket.socket, address: tuple[str, int]) -> tuple[str, str]:
-        if self._listener is not None:
-            return self._listener.name(client)
-        return address[0], host_and_port(*address[:2])
 
     def _pause(self, listener: socket.socket, error: OSError) -> None:
         """Stop accepting for a while, because connections not accepted keep waking the loop."""
@@ -305,13 +299,8 @@ async def bound(
     endpoint: Endpoint, kind: socket.SocketKind, make: Make
 ) -> tuple[list[socket.socket], Endpoint]:
     """Return a socket for each address of an endpoint's host, and the endpoint with its port."""
-    try:
-        question = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
-        sockets = bind_all(await look_up(question), endpoint.port, make)
-    except OSError as error:
-        raise ModbusConnectionError(
-            f"cannot listen on {endpoint}: {reason(error)}", errno=error.errno
-        ) from error
+    question = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
+    sockets = bind_all(await look_up(question), endpoint.port, make)
     for listener in sockets:
         listener.setblocking(False)
     return sockets, replace(endpoint, port=sockets[0].getsockname()[1])

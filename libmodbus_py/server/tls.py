@@ -153,12 +153,10 @@ def _removed(places: dict[str, dict[TlsSession, None]], session: TlsSession) -> 
 class TlsSession:
     """A session within TLS: decrypts for the session inside, whose channel it is, and encrypts."""
 
-    # fmt: off
     __slots__ = (
         "_acceptance", "_handshakes", "_has_more", "_inner", "_make", "_records", "_timer",
         "_tunnel", "_wire", "address", "holder", "host", "role", "trace",
-    )
-    # fmt: on
+    )  # fmt: skip
 
     def __init__(self, wire: Peer, handshakes: Handshakes, make: MakeSession) -> None:
         self.address: str = wire.address
