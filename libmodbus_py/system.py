@@ -88,7 +88,7 @@ def boot_time() -> float:
     return time.clock_gettime(CLOCK_BOOTTIME)
 
 
-def peer_credentials(made: socket.socket) -> tuple[int, int]:
+def peer_credentials(connection: socket.socket) -> tuple[int, int]:
     """
     Return the process and the user at the other end of a connected Unix socket.
 
@@ -96,8 +96,8 @@ def peer_credentials(made: socket.socket) -> tuple[int, int]:
     processes have other numbers.
     """
     size = struct.calcsize("3i")
-    found = made.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
-    process, user, _ = struct.unpack("3i", found)
+    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+    process, user, _ = struct.unpack("3i", credentials)
     return process, user
 
 

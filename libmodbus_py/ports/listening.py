@@ -140,10 +140,10 @@ class ListeningPort(TcpPort):
             newest = connection
         return newest
 
-    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
+    def _preparing(self, connection: socket.socket, deadline: float) -> Steps[None]:
         self._greeting.begin()
         self._is_asked = False  # what comes before the first request answers none
-        return super()._preparing(made, deadline)
+        return super()._preparing(connection, deadline)
 
     def _watch(self, descriptor: int) -> None:
         super()._watch(descriptor)
@@ -177,6 +177,6 @@ class ListeningPort(TcpPort):
     def _stop_listening(self) -> None:
         sockets: list[Any] = [self._listener, self._next]
         self._listener = self._next = None
-        for each in sockets:
-            if each is not None:
-                each.close()
+        for connection in sockets:
+            if connection is not None:
+                connection.close()

@@ -147,9 +147,9 @@ def make_port(endpoint: Endpoint, settings: ConnectionOptions) -> Port:
 
 def lost(error: OSError) -> ModbusConnectionError:
     """Return the error for a port that is gone, with the words of the system."""
-    made = ModbusConnectionError(of_system(error).strerror or str(error), errno=error.errno)
-    made.__cause__ = error
-    return made
+    failure = ModbusConnectionError(of_system(error).strerror or str(error), errno=error.errno)
+    failure.__cause__ = error
+    return failure
 
 
 class Outage:

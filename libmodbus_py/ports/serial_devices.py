@@ -33,16 +33,16 @@ def serial_devices(root: str = "/") -> list[SerialDevice]:
     """Return the serial ports of this machine, sorted by path."""
     base = Path(root)
     opened, sees_all = open_devices(base)
-    users = {each.path: each for each in opened}
+    users = {user.path: user for user in opened}
     links = sorted((base / "dev/serial/by-id").glob("*"))
     stable = {_target(link): f"/dev/serial/by-id/{link.name}" for link in links}
-    found = []
+    devices = []
     for place in sorted((base / "sys/class/tty").glob("*"), key=_in_order):
         if not (place / "device").exists() or lacks_hardware(place.name, root):
             continue
         path = f"/dev/{place.name}"
         node = base / "dev" / place.name
-        found.append(
+        devices.append(
             SerialDevice(
                 path,
                 stable.get(place.name, ""),
@@ -51,7 +51,7 @@ def serial_devices(root: str = "/") -> list[SerialDevice]:
                 state=_state(node, users.get(path), sees_all),
             )
         )
-    return found
+    return devices
 
 
 def lacks_hardware(path: str, root: str = "/") -> bool:
@@ -115,7 +115,7 @@ class OpenDevice(NamedTuple):
 
 def open_devices(base: Path = Path("/")) -> tuple[list[OpenDevice], bool]:
     """Return the files in /dev that programs have open, and True if all programs were seen."""
-    found: list[OpenDevice] = []
+    files: list[OpenDevice] = []
     sees_all = True
     for process in base.glob("proc/[0-9]*"):
         program = f"{_text(process / 'comm') or 'a program'} ({process.name})"
@@ -123,12 +123,12 @@ def open_devices(base: Path = Path("/")) -> tuple[list[OpenDevice], bool]:
             for link in (process / "fd").iterdir():
                 with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
                     if (path := os.readlink(link)).startswith("/dev/"):
-                        found.append(OpenDevice(path, int(process.name), int(link.name), program))
+                        files.append(OpenDevice(path, int(process.name), int(link.name), program))
         except PermissionError:
             sees_all = False
         except OSError:  # it has ended meanwhile
             continue
-    return found, sees_all
+    return files, sees_all
 
 
 def users_of(device: str) -> list[OpenDevice]:

@@ -136,14 +136,14 @@ def run(steps: Steps[Result], waker: Waker) -> Result:
         while True:
             try:
                 if isinstance(wanted, Resolve):
-                    found: Any = _look_up(wanted, waker)
+                    answer: Any = _look_up(wanted, waker)
                 else:
-                    found = waker.wait(*wanted)
+                    answer = waker.wait(*wanted)
             except OSError as error:
                 of_system(error)
                 wanted = steps.throw(error)
             else:
-                wanted = steps.send(found)
+                wanted = steps.send(answer)
     except StopIteration as done:
         result: Result = done.value
         return result
@@ -152,8 +152,8 @@ def run(steps: Steps[Result], waker: Waker) -> Result:
 
 
 def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
-    if found := numeric(wanted):
-        return found
+    if answer := numeric(wanted):
+        return answer
     done = Waker()
     try:
         question = ask(wanted, done.wake)
@@ -185,16 +185,16 @@ async def run_async(steps: Steps[Result]) -> Result:
         wanted = next(steps)
         while True:
             try:
-                found: Any
+                answer: Any
                 if isinstance(wanted, Resolve):
-                    found = await look_up(wanted)
+                    answer = await look_up(wanted)
                 else:
-                    found = await _ready(wanted)
+                    answer = await _ready(wanted)
             except OSError as error:
                 of_system(error)
                 wanted = steps.throw(error)
             else:
-                wanted = steps.send(found)
+                wanted = steps.send(answer)
     except StopIteration as done:
         result: Result = done.value
         return result
@@ -204,8 +204,8 @@ async def run_async(steps: Steps[Result]) -> Result:
 
 async def look_up(wanted: Resolve) -> list[Any]:
     """Return what getaddrinfo finds, or raise its OSError, or TimeoutError."""
-    if found := numeric(wanted):
-        return found
+    if answer := numeric(wanted):
+        return answer
     import asyncio
 
     loop = asyncio.get_running_loop()

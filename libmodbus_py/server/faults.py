@@ -193,8 +193,8 @@ class FaultSwitch:
         """Replace the faults given to the server if the block applies all that are on then."""
         with self._changing:
             states = [state for state in self._states if not state.is_given]
-            for unit, given in faults.items():
-                states += [FaultState(unit, fault, is_given=True) for fault in given]
+            for unit, unit_faults in faults.items():
+                states += [FaultState(unit, fault, is_given=True) for fault in unit_faults]
             yield _that_are_on(states)
             self._states = states
 

@@ -131,7 +131,7 @@ class Server(Serving):
         if faults is not None and not isinstance(faults, Mapping):
             given_type = type(faults).__name__
             raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {given_type}")
-        lists = {unit: _listed(unit, each) for unit, each in (faults or {}).items()}
+        lists = {unit: _listed(unit, unit_faults) for unit, unit_faults in (faults or {}).items()}
         with self.fault_switch.giving(lists) as faults_on:
             self._serve(devices, faults_on)
         self._fault_lists = lists
