@@ -69,7 +69,6 @@ class SerialPort(Port):
         self.baudrate: int = index(usual["baudrate"])
         self.data_bits: int = index(usual["data_bits"])
         self.stop_bits: int = index(usual["stop_bits"])
-        self.echo: bool | None = usual["echo"]
         bits = character_bits({**usual, "parity": self.parity})
         wait, silence = usual["rts_delay"], usual["silence"]
         self.character: float = bits / self.baudrate

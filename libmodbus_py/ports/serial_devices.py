@@ -59,9 +59,9 @@ def lacks_hardware(path: str, root: str = "/") -> bool:
     return _text(_class(path, root) / "type") == NO_HARDWARE
 
 
-def highest_rate(path: str, root: str = "/") -> int:
+def highest_rate(path: str) -> int:
     """Return the highest baud rate of a 16550A; 0 for other hardware, of which it is not known."""
-    place = _class(path, root)
+    place = _class(path, "/")
     clock = _text(place / "uartclk")
     return int(clock) // 16 if clock.isdigit() and _text(place / "type") == PLAIN_UART else 0
 
