@@ -191,11 +191,9 @@ class SerialPort(Port):
         _open_here.add(self._number)
 
     def _in_use(self) -> OSError:
-        from .serial_devices import users_of  # which clients do not need otherwise
+        from .serial_devices import other_programs  # which clients do not need otherwise
 
-        users = [user.program for user in users_of(self.device) if user.process != os.getpid()]
-        names = ", ".join(dict.fromkeys(users)) or "another program"
-        return OSError(errno.EBUSY, f"in use by {names}")
+        return OSError(errno.EBUSY, f"in use by {other_programs(self.device)}")
 
     def _open_guard(self, mode: int) -> int:
         """Return a descriptor of the port that the program waits for nothing to get."""

@@ -137,6 +137,12 @@ def users_of(device: str) -> list[OpenDevice]:
     return [user for user in open_devices()[0] if user.path == path]
 
 
+def other_programs(device: str) -> str:
+    """Return the names of the other programs that have a port open."""
+    names = [user.program for user in users_of(device) if user.process != os.getpid()]
+    return ", ".join(dict.fromkeys(names)) or "another program"
+
+
 def other_user(device: str, descriptor: int) -> str | None:
     """Return another program that has a port open, or this one with another descriptor."""
     own = os.getpid()
