@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...protocol.extras import what_is_missing
 from ...security.certificates import in_words
-from ...security.renewed import Renewed, read_secret
+from ...security.security import Renewed, read_secret
 from ..other_servers import server_url
 from ..tasks import finish
 
