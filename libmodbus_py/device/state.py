@@ -44,13 +44,6 @@ if TYPE_CHECKING:
     from ..maps.point import Point
     from ..maps.register_map import RegisterMap
 
-# fmt: off
-__all__ = [
-    "fingerprint", "load_state", "read_text", "remove_leftovers", "replace_file", "state_text",
-    "unit_text",
-]
-# fmt: on
-
 KIND, VERSION = "state", 1
 
 EVERY = "every"
@@ -118,7 +111,6 @@ def _with_values(device: Stateful, values: Iterable[Access]) -> Cells:
 
 
 def _differences(present: Cells, others: Cells) -> Iterator[Access]:
-    """Yield the runs of cells that differ from others."""
     for (table, file), (start, cells) in present.items():
         if cells == others[table, file][1]:  # most are, and to compare each cell takes long
             continue

@@ -18,7 +18,7 @@ from itertools import chain
 from pathlib import Path
 
 from ..device.state import replace_file
-from ..security.role import ROLE_OID, encode_role
+from ..security.certificates import ROLE_OID, encode_role
 from ..version import what_is_missing
 
 try:

@@ -10,7 +10,8 @@ from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.cli.arguments import endpoint_of
 from libmodbus_py.cli.commands import parsed
 from libmodbus_py.cli.foreign import OPTIONS
-from libmodbus_py.ports.options import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
+from libmodbus_py.ports.options import CLIENT_OPTIONS, SERIAL_OPTIONS
+from libmodbus_py.ports.schemes import SECURITY_OPTIONS
 from tests.cli.serving import serving
 from tests.docs.test_other_tools import rows
 from tests.support.cases import each_case

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from cryptography import x509
 
-from libmodbus_py.security.role import role_of
+from libmodbus_py.security.certificates import role_of
 from libmodbus_py.tools.page.page import TOKEN
 from libmodbus_py.version import how_to_add
 from tests.cli.serving import serving

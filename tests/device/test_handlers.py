@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Access, Device, Mapping, pdu
-from libmodbus_py.device import reply
-from libmodbus_py.device.reply import replier
+from libmodbus_py.binding import library
+from libmodbus_py.binding.library import replier
 from libmodbus_py.protocol import errors
 from libmodbus_py.serve import RecordFile
 from tests.device.devices import new_device, words
@@ -138,7 +138,7 @@ class TestFailures:
             raise OSError("no descriptor left")
 
         with monkeypatch.context() as patch:
-            patch.setattr(reply, "replier", fail)
+            patch.setattr(library, "replier", fail)
             assert device.answer(b"\x03" + words(100, 1)) == b"\x83\4"
             assert device.answer(b"\x03" + words(0, 1, 1)) == b"\x83\3"
         assert device.answer(b"\x03" + words(100, 1)) == b"\x03\2\0\0"

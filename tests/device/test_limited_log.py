@@ -7,7 +7,7 @@ import logging
 
 import pytest
 
-from libmodbus_py.device.limited_log import MAX_REASONS, LimitedLog, in_time
+from libmodbus_py.device.authorization import MAX_REASONS, LimitedLog, in_time
 from libmodbus_py.protocol.logs import HarmlessLogger
 from tests.simulation.stage import Stage
 

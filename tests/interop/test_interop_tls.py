@@ -16,7 +16,7 @@ import pytest
 from pymodbus.client import AsyncModbusTlsClient, ModbusTlsClient
 
 from libmodbus_py import Access, Device, Mapping, ModbusConnectionError
-from libmodbus_py.security.role import ROLE_OID, role_of
+from libmodbus_py.security.certificates import ROLE_OID, role_of
 from libmodbus_py.tools.certificates import make
 from tests.support import certificates
 from tests.support.attacks import adu

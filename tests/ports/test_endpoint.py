@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from libmodbus_py import AsyncClient, Client, Device, Mapping, Point, RegisterMap, Server
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.ports.endpoint import Endpoint, parse
-from libmodbus_py.ports.options import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
-from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS, options_of
+from libmodbus_py.ports.options import CLIENT_OPTIONS, SERIAL_OPTIONS
+from libmodbus_py.ports.schemes import SCHEMES, SECURITY_OPTIONS, TRANSPORTS, options_of
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.scan import scan
 from libmodbus_py.services.gateway.routes import Route

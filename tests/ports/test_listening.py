@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.listen import listen
 from libmodbus_py.page import live_page
-from libmodbus_py.ports.greeting import Greeting, greeting_of
 from libmodbus_py.ports.hosts import listen_on
+from libmodbus_py.ports.listening import Greeting
+from libmodbus_py.ports.options import greeting_of
 from tests.support.cases import each_case
 from tests.support.names import resolve
 from tests.support.talk import rtu

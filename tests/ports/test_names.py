@@ -15,8 +15,7 @@ import pytest
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.ports.hosts import Resolve, ask
 from libmodbus_py.ports.sockets import TcpPort
-from libmodbus_py.ports.waiting import Steps, Waker, Woken, run
-from libmodbus_py.ports.waiting_async import look_up, run_async
+from libmodbus_py.ports.waiting import Steps, Waker, Woken, look_up, run, run_async
 from tests.support.peers import until
 
 FOUND = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("192.0.2.1", 502))]

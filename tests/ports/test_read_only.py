@@ -11,8 +11,8 @@ import termios
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from libmodbus_py.ports import serial_settings
-from libmodbus_py.ports.serial_read_only import ReadOnlySerialPort
+from libmodbus_py.ports import serial
+from libmodbus_py.ports.serial import ReadOnlySerialPort
 
 
 def test_settings_are_made_and_put_back() -> None:
@@ -97,10 +97,10 @@ def test_a_setting_that_the_driver_keeps_otherwise_is_refused(
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     os.close(slave)
-    monkeypatch.setattr(serial_settings, "PSEUDO_TERMINALS", ())
+    monkeypatch.setattr(serial, "PSEUDO_TERMINALS", ())
     with pytest.raises(ModbusConnectionError, match="parity E refused: the port has N"):
         ReadOnlySerialPort(path, parity="E").open()
-    monkeypatch.setattr(serial_settings, "_baudrate_of", lambda descriptor: 9600)
+    monkeypatch.setattr(serial, "_baudrate_of", lambda descriptor: 9600)
     with pytest.raises(ModbusConnectionError, match="baudrate 230400 refused: the port does 9600"):
         ReadOnlySerialPort(path, parity="N", baudrate=230_400).open()
     os.close(master)

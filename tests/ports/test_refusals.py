@@ -19,9 +19,8 @@ import pytest
 
 from libmodbus_py import Client, Gateway, ModbusConnectionError, ModbusError, Route
 from libmodbus_py.listen import listen
-from libmodbus_py.ports import serial, serial_devices, serial_read_only, serial_settings
-from libmodbus_py.ports.serial import SerialPort
-from libmodbus_py.ports.serial_read_only import ReadOnlySerialPort
+from libmodbus_py.ports import serial, serial_devices
+from libmodbus_py.ports.serial import ReadOnlySerialPort, SerialPort
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support import certificates
@@ -207,7 +206,7 @@ class TestSettingsOfTheDriver:
         self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """As on processors whose termios2 differs."""
-        monkeypatch.setattr(serial_settings, "_baudrate_of", lambda descriptor: None)
+        monkeypatch.setattr(serial, "_baudrate_of", lambda descriptor: None)
         made = SerialPort(wire.client, baudrate=230_400)
         made.open()
         assert made.descriptor >= 0
@@ -228,7 +227,7 @@ class TestSettingsOfTheDriver:
         made = SerialPort(wire.client, **settings)
         made.open()
         made.close()
-        monkeypatch.setattr(serial_settings, "PSEUDO_TERMINALS", ())
+        monkeypatch.setattr(serial, "PSEUDO_TERMINALS", ())
         with failing(errno.EINVAL, text):
             made.open()
 
@@ -236,7 +235,7 @@ class TestSettingsOfTheDriver:
         self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         made = SerialPort(wire.client, parity="N", stop_bits=2)
-        monkeypatch.setattr(serial_settings, "PSEUDO_TERMINALS", ())
+        monkeypatch.setattr(serial, "PSEUDO_TERMINALS", ())
         made.open()
         made.close()
         monkeypatch.setattr(termios, "CSTOPB", 0)
@@ -338,7 +337,7 @@ class TestReadOnly:
         made = ReadOnlySerialPort(wire.client)
         with monkeypatch.context() as patch:
             # The other end of the wire is held open by this process itself.
-            patch.setattr(serial_read_only, "_other_user", lambda *_: None)
+            patch.setattr(serial_devices, "other_user", lambda *_: None)
             patch.setattr(termios, "tcsetattr", refuse)
             with pytest.raises(ModbusConnectionError) as caught:
                 made.open()

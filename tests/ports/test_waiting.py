@@ -22,14 +22,15 @@ from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.ports.waiting import (
     READ,
     WRITE,
+    Alarm,
     Ready,
     Steps,
     Waker,
     Woken,
     milliseconds,
     run,
+    run_async,
 )
-from libmodbus_py.ports.waiting_async import Alarm, run_async
 from tests.simulation.loop import VirtualLoop
 from tests.simulation.network import Network
 from tests.support.cases import each_case

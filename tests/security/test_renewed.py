@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py.security.renewed import Renewed, reload_all
+from libmodbus_py.security.security import Renewed, reload_all
 from libmodbus_py.services.engine.connection import EngineError, FileText, _identity, _trust
 from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt

@@ -14,7 +14,7 @@ import pytest
 from libmodbus_py import Security
 from libmodbus_py.security import security as security_module
 from libmodbus_py.security.files import PemFile, Revoked
-from libmodbus_py.security.renewed import reload_all
+from libmodbus_py.security.security import reload_all
 from tests.support import certificates
 from tests.support.cases import each_case
 from tests.support.certificates import Files, Pki

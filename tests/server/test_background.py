@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Access, Device, Mapping, Server
-from libmodbus_py.device.reply import replier
+from libmodbus_py.binding.library import replier
 from libmodbus_py.serve import Running
 from tests.support.attacks import PATIENCE, READ_ONE, adu, ask, connect, receive
 

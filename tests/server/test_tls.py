@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import pytest
 
 from libmodbus_py import Access, Device, Mapping, Server
-from libmodbus_py.security.role import encode_role
+from libmodbus_py.security.certificates import encode_role
 from libmodbus_py.tools.certificates import Identity
 from libmodbus_py.version import how_to_add
 from tests.simulation.stage import Stage

@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from libmodbus_py import Security, Server
-from libmodbus_py.security.role import ROLE_OID, encode_role
+from libmodbus_py.security.certificates import ROLE_OID, encode_role
 from libmodbus_py.tools.certificates import Identity, make
 
 HOSTS = ("localhost", "127.0.0.1", "::1")

@@ -14,7 +14,7 @@ from libmodbus_py import Device, Mapping, pdu
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.trace import Trace
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.security.describing import CertificateHolder
+from libmodbus_py.security.certificates import CertificateHolder
 from libmodbus_py.server.framed import SessionSettings
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.service import SessionState

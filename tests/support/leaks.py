@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import pytest
 from _pytest.logging import caplog_records_key
 
-from libmodbus_py.device.reply import replier
+from libmodbus_py.binding.library import replier
 
 # Threads and processes that are about to end may take so long, in seconds. Only what is left
 # behind for good waits for all of it.

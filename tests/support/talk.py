@@ -18,7 +18,7 @@ from libmodbus_py.client.connection import Transactions
 from libmodbus_py.client.history import forget_lines
 from libmodbus_py.client.options import checked_options
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.ports.making import make_port
+from libmodbus_py.ports.port import make_port
 
 TCP = "tcp://192.0.2.1"
 LINE = "rtu:///dev/nowhere?silence=0"

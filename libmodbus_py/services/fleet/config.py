@@ -21,7 +21,7 @@ from ...maps.point_checks import checked_interval
 from ...maps.register_map import RegisterMap
 from ...maps.watched import PartialPlans
 from ...ports.endpoint import Endpoint, parse
-from ...ports.making import make_port
+from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
 from ...protocol.mistakes import Mistake, WrongType, WrongValue, inside, item, named_arguments
 from ...protocol.plain import json_text

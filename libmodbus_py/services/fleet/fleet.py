@@ -16,7 +16,7 @@ from os import PathLike
 from typing import Any, Self
 
 from ...maps.writing import json_value
-from ...ports.waiting_async import Alarm
+from ...ports.waiting import Alarm
 from ...protocol.checks import checked_callback
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import inside, named_arguments

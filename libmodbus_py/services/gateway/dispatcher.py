@@ -15,11 +15,11 @@ from ...device.authorization import (
     Asked,
     Authorization,
     Authorize,
+    LimitedLog,
     UnauthorizedError,
     what_is_asked,
 )
 from ...device.device import Device
-from ...device.limited_log import LimitedLog
 from ...ports.endpoint import Endpoint
 from ...ports.hosts import host_of_peer, is_loopback
 from ...protocol.errors import (

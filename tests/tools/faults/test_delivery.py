@@ -11,12 +11,8 @@ import pytest
 
 from libmodbus_py import Client, ModbusConnectionError, Server
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
-from libmodbus_py.server.faults import (
-    MAX_WAITING_BYTES,
-    Faults,
-    FaultyAnswers,
-    Fragment,
-)
+from libmodbus_py.server.faults import Faults, Fragment
+from libmodbus_py.server.sessions import MAX_WAITING_BYTES, FaultyAnswers
 from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage, Talker
 from tests.support.certificates import Pki, secured
