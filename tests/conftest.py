@@ -1,6 +1,4 @@
-"""
-What the tests share: a device with known contents, and a server for it on every transport.
-"""
+"""What the tests share: a device with known contents, and a server for it on every transport."""
 
 import gc
 import os

@@ -1,6 +1,4 @@
-"""
-The explorer of connections finds nothing, and finds each rule that is broken on purpose.
-"""
+"""The explorer of connections finds nothing, and finds each rule that is broken on purpose."""
 
 from __future__ import annotations
 

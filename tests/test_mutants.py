@@ -1,6 +1,4 @@
-"""
-The tool that changes the package in single places finds what a test notices, and what none does.
-"""
+"""The tool that changes the package in single places finds what no test notices."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-The package as a whole: what an import brings, what is public, and that all of libmodbus is there.
-"""
+"""The package as a whole: what an import brings, what is public, all of libmodbus."""
 
 import ast
 import copy

@@ -1,6 +1,4 @@
-"""
-Calls of Linux, and names that are imported when they are first used.
-"""
+"""Calls of Linux, and names that are imported when they are first used."""
 
 import importlib
 import os

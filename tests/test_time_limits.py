@@ -1,6 +1,4 @@
-"""
-A test that hangs fails, wherever it hangs and whatever it swallows, and the next one runs.
-"""
+"""A test that hangs fails, wherever it hangs and whatever it swallows, and the next one runs."""
 
 import re
 from pathlib import Path

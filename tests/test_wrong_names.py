@@ -1,6 +1,4 @@
-"""
-Names of arguments, tables, types and orders that are wrong: the error names the one that was meant.
-"""
+"""Wrong names of arguments, tables, types and orders: the error names the one meant."""
 
 import copy
 import inspect

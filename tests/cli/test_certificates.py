@@ -1,6 +1,4 @@
-"""
-The command certificates: what lies in the directory afterwards.
-"""
+"""The command certificates: what lies in the directory afterwards."""
 
 import shlex
 import ssl

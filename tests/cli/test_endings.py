@@ -1,6 +1,4 @@
-"""
-How commands end: by a signal, by a pipe that is closed, and by an error that nobody expected.
-"""
+"""How commands end: by a signal, by a pipe that is closed, and by an error that nobody expected."""
 
 import re
 import signal

@@ -1,6 +1,4 @@
-"""
---log and --log-format: what commands that run for long log, and how.
-"""
+"""--log and --log-format: what commands that run for long log, and how."""
 
 import json
 import logging

@@ -1,6 +1,4 @@
-"""
-What a command imports before it starts, and the demonstration.
-"""
+"""What a command imports before it starts, and the demonstration."""
 
 import os
 import socket

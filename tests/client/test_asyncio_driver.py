@@ -1,6 +1,4 @@
-"""
-The asyncio client at the edges of its port: sends that fail or take a while, and its clock.
-"""
+"""The asyncio client at the edges of its port: sends that fail or take a while, and its clock."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,4 @@
-"""
-Answers that are none: the right error, at the right time, and the next request succeeds.
-"""
+"""Answers that are none: the right error, at the right time, and the next request succeeds."""
 
 from collections.abc import Callable
 from typing import Any

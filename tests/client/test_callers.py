@@ -1,6 +1,4 @@
-"""
-Callers in bytes and times: who is told what, who leaves, who is interrupted.
-"""
+"""Callers in bytes and times: who is told what, who leaves, who is interrupted."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Callers that leave: at any step of the loop, while they wait for anything. Nobody else notices.
-"""
+"""Callers that leave, at any step of the loop, while they wait. Nobody else notices."""
 
 from __future__ import annotations
 

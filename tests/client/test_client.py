@@ -1,6 +1,4 @@
-"""
-AsyncClient: the vocabulary over every transport, and many requests at once.
-"""
+"""AsyncClient: the vocabulary over every transport, and many requests at once."""
 
 import asyncio
 from collections.abc import Callable

@@ -1,6 +1,4 @@
-"""
-Timeouts, pauses, broadcasts, and connections that die, end and are made again, in bytes and times.
-"""
+"""Timeouts, pauses, broadcasts, and connections that die and are made again, in bytes and times."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Connections that cannot be made, that die, that end, and those that are made in their place.
-"""
+"""Connections that cannot be made, that die, that end, and those that are made in their place."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,4 @@
-"""
-Answers that come twice on lines without transaction ids: no later value is the one before.
-"""
+"""Answers that come twice on lines without transaction ids: no later value is the one before."""
 
 from __future__ import annotations
 

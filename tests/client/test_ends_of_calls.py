@@ -1,6 +1,4 @@
-"""
-Calls that end early, by an exception at any moment: nothing of them is sent later.
-"""
+"""Calls that end early, by an exception at any moment: nothing of them is sent later."""
 
 from __future__ import annotations
 

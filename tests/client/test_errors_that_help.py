@@ -1,6 +1,4 @@
-"""
-The usual mistakes, each said in the one line of the error that it leads to.
-"""
+"""The usual mistakes, each said in the one line of the error that it leads to."""
 
 import errno
 import re

@@ -1,6 +1,4 @@
-"""
-Many requests in flight on one connection: order, limits, and all that may go wrong.
-"""
+"""Many requests in flight on one connection: order, limits, and all that may go wrong."""
 
 import errno
 import os

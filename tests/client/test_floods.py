@@ -1,6 +1,4 @@
-"""
-Peers that send without end: the wait ends when it must, and little is kept of what they sent.
-"""
+"""Peers that send without end: the wait ends when it must, and little is kept of what they sent."""
 
 import contextlib
 import random

@@ -1,6 +1,4 @@
-"""
-Every method of both clients, with the server of this package on every transport.
-"""
+"""Every method of both clients, with the server of this package on every transport."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

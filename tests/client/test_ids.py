@@ -1,6 +1,4 @@
-"""
-Which answer is whose where frames carry transaction ids, told in bytes and times.
-"""
+"""Which answer is whose where frames carry transaction ids, told in bytes and times."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Requests that are interrupted: by signals, finalizers, another thread, whatever a call raises.
-"""
+"""Requests that are interrupted: by signals, finalizers, another thread, whatever a call raises."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,4 @@
-"""
-One request at a time on lines without ids: what is sent when, and what is an answer.
-"""
+"""One request at a time on lines without ids: what is sent when, and what is an answer."""
 
 import pytest
 

@@ -1,6 +1,4 @@
-"""
-What is known of a line outlives its client; and a line of which nothing is known.
-"""
+"""What is known of a line outlives its client; and a line of which nothing is known."""
 
 from __future__ import annotations
 

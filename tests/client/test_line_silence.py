@@ -1,6 +1,4 @@
-"""
-How long a line is left alone after a failure, and what is kept of what comes meanwhile.
-"""
+"""How long a line is left alone after a failure, and what is kept of what comes meanwhile."""
 
 import math
 

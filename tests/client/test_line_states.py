@@ -1,6 +1,4 @@
-"""
-Each row of the table at the head of `line.py`, by bytes and times, and where rows meet.
-"""
+"""Each row of the table at the head of `line.py`, by bytes and times, and where rows meet."""
 
 from __future__ import annotations
 

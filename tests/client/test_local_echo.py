@@ -1,6 +1,4 @@
-"""
-Lines that return each request (local echo), at a client: an echo is no answer, and never a value.
-"""
+"""Lines that return each request (local echo), at a client: an echo is never a value."""
 
 from __future__ import annotations
 

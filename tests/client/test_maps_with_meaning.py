@@ -1,6 +1,4 @@
-"""
-Maps whose points have scales of the device, or are parts of registers: what clients ask.
-"""
+"""Maps whose points have scales of the device, or are parts of registers: what clients ask."""
 
 import asyncio
 import contextlib

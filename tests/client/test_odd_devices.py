@@ -1,6 +1,4 @@
-"""
-Devices that do what the specification does not say, each with the option that it needs.
-"""
+"""Devices that do what the specification does not say, each with the option that it needs."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""
-The options of a client, and how those of other packages are called here.
-"""
+"""The options of a client, and how those of other packages are called here."""
 
 from contextlib import closing
 from functools import partial

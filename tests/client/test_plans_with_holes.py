@@ -1,6 +1,4 @@
-"""
-Maps and plans of devices that lack some registers, on both clients: requests are counted.
-"""
+"""Maps and plans of devices that lack some registers, on both clients: requests are counted."""
 
 import logging
 from typing import Any

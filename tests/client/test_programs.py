@@ -1,6 +1,4 @@
-"""
-Programs with clients: that fork, that have no descriptor left, that end or are killed.
-"""
+"""Programs with clients: that fork, that have no descriptor left, that end or are killed."""
 
 import subprocess
 import sys

@@ -1,6 +1,4 @@
-"""
-Requests that are sent again, in bytes and times: when, and what becomes of those beside them.
-"""
+"""Requests that are sent again, in bytes and times: when, and what becomes of those beside them."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Whatever happens to a connection: no wrong value, nobody who waits for ever, no slot that is lost.
-"""
+"""Whatever happens to a connection: no wrong value, no endless wait, no lost slot."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-What is particular to serial lines: silence, echo, direction control, settings.
-"""
+"""What is particular to serial lines: silence, echo, direction control, settings."""
 
 import fcntl
 import re

@@ -1,6 +1,4 @@
-"""
-Devices that do not answer, and connections that are made again.
-"""
+"""Devices that do not answer, and connections that are made again."""
 
 from collections.abc import Callable
 from itertools import pairwise

@@ -1,6 +1,4 @@
-"""
-What a connection counts: what became of each request, and how long answers took.
-"""
+"""What a connection counts: what became of each request, and how long answers took."""
 
 import asyncio
 import os

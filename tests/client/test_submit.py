@@ -1,6 +1,4 @@
-"""
-Requests that are submitted, and hooks that decide whether one is sent.
-"""
+"""Requests that are submitted, and hooks that decide whether one is sent."""
 
 import asyncio
 import errno

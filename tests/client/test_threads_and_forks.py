@@ -1,6 +1,4 @@
-"""
-Clients among threads and forks, and what is left of those that nobody closed.
-"""
+"""Clients among threads and forks, and what is left of those that nobody closed."""
 
 import asyncio
 import contextlib

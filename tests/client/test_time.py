@@ -1,6 +1,4 @@
-"""
-How long things take: time-outs, pauses, repetitions, broadcasts.
-"""
+"""How long things take: time-outs, pauses, repetitions, broadcasts."""
 
 import asyncio
 import threading

@@ -1,6 +1,4 @@
-"""
-The methods of both clients: written once as coroutines, and made blocking by a generator.
-"""
+"""The methods of both clients: written once as coroutines, and made blocking by a generator."""
 
 import asyncio
 import importlib

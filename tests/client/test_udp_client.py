@@ -1,6 +1,4 @@
-"""
-Clients over UDP: datagrams that are lost, late, doubled, damaged, empty or another's.
-"""
+"""Clients over UDP: datagrams that are lost, late, doubled, damaged, empty or another's."""
 
 import contextlib
 import errno

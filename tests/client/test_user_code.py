@@ -1,6 +1,4 @@
-"""
-Request classes and callbacks of users that raise, on both clients: their caller meets it, alone.
-"""
+"""Request classes and callbacks that raise, on both clients: only their caller meets it."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,4 @@
-"""
-`watch` of both clients: exact times without drift, failures in place of values, and its ends.
-"""
+"""`watch` of both clients: exact times without drift, failures in place of values, and its ends."""
 
 import asyncio
 import threading

@@ -1,6 +1,4 @@
-"""
-Which function writes values, and layouts of a program's own.
-"""
+"""Which function writes values, and layouts of a program's own."""
 
 from typing import Any, ClassVar
 

@@ -1,6 +1,4 @@
-"""
-The functions of contexts, and the examples of their page.
-"""
+"""The functions of contexts, and the examples of their page."""
 
 import contextlib
 import signal

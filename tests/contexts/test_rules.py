@@ -1,6 +1,4 @@
-"""
-The rules of contexts: what follows a failure, late answers, threads, signals, forks, descriptors.
-"""
+"""Contexts: what follows a failure, late answers, threads, signals, forks, descriptors."""
 
 import contextlib
 import errno

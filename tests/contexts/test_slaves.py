@@ -1,6 +1,4 @@
-"""
-Slaves by hand: what they answer to masters of libmodbus, mbpoll and pymodbus, and what they refuse.
-"""
+"""Slaves by hand: what they answer to libmodbus, mbpoll and pymodbus, and what they refuse."""
 
 import contextlib
 import itertools

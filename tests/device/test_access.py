@@ -1,6 +1,4 @@
-"""
-What each request touches, as hooks are told of it, and what hooks may refuse or change.
-"""
+"""What each request touches, as hooks are told of it, and what hooks may refuse or change."""
 
 import threading
 from collections.abc import Callable

@@ -1,6 +1,4 @@
-"""
-What a device has is checked when it is set: by its arguments, and by assignments later.
-"""
+"""What a device has is checked when it is set: by its arguments, and by assignments later."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""
-Authorisation of every request: MB-TCP-Security-v36, R-24 to R-31.
-"""
+"""Authorisation of every request: MB-TCP-Security-v36, R-24 to R-31."""
 
 import logging
 from typing import Any

@@ -1,6 +1,4 @@
-"""
-Counters, event log, listen-only mode and delimiter, on serial lines (sections 6.8-6.10).
-"""
+"""Counters, event log, listen-only mode and delimiter, on serial lines (sections 6.8-6.10)."""
 
 from collections.abc import Iterator
 from typing import ClassVar

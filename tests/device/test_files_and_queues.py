@@ -1,6 +1,4 @@
-"""
-Files of records: holes, limits, writes that are all or nothing; and queues, function 24.
-"""
+"""Files of records: holes, limits, writes that are all or nothing; and queues, function 24."""
 
 from typing import Any
 

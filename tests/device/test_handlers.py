@@ -1,6 +1,4 @@
-"""
-Functions that a program answers, and what fails in them.
-"""
+"""Functions that a program answers, and what fails in them."""
 
 import logging
 import threading

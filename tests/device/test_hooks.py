@@ -1,6 +1,4 @@
-"""
-Hooks and handlers that do what they should not: raise what is not an Exception, take long.
-"""
+"""Hooks and handlers that do what they should not: raise what is not an Exception, take long."""
 
 import asyncio
 import logging

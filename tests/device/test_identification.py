@@ -1,6 +1,4 @@
-"""
-The identification of a device, and CANopen references: function 43.
-"""
+"""The identification of a device, and CANopen references: function 43."""
 
 from typing import Any
 

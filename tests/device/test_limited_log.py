@@ -1,6 +1,4 @@
-"""
-Warnings that clients cause: one at once, then a line a minute, whatever the clients do.
-"""
+"""Warnings that clients cause: one at once, then a line a minute, whatever the clients do."""
 
 import asyncio
 import logging

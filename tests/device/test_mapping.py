@@ -1,6 +1,4 @@
-"""
-The four tables: what goes in and comes out, who may hold on to them, and what they cost.
-"""
+"""The four tables: what goes in and comes out, who may hold on to them, and what they cost."""
 
 import gc
 import subprocess

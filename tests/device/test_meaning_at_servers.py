@@ -1,6 +1,4 @@
-"""
-What points mean at servers: scales of other registers, values that are set together, no value.
-"""
+"""What points mean at servers: scales of other registers, values set together, no value."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""
-Names of points on a device: values read and set by name, all of them or none.
-"""
+"""Names of points on a device: values read and set by name, all of them or none."""
 
 import threading
 from pathlib import Path

@@ -1,6 +1,4 @@
-"""
-Rules for roles: what they allow, held against a model that counts items one by one.
-"""
+"""Rules for roles: what they allow, held against a model that counts items one by one."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""
-Values of devices in files: saved, loaded again, and refused with the key that is wrong.
-"""
+"""Values of devices in files: saved, loaded again, and refused with the key that is wrong."""
 
 import errno
 import json

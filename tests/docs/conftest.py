@@ -1,6 +1,4 @@
-"""
-What a document has when it runs.
-"""
+"""What a document has when it runs."""
 
 from __future__ import annotations
 

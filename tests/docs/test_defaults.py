@@ -1,6 +1,4 @@
-"""
-The default values that docstrings and pages name are those of the code.
-"""
+"""The default values that docstrings and pages name are those of the code."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-What README.md and docs say runs, and gives what it says it does.
-"""
+"""What README.md and docs say runs, and gives what it says it does."""
 
 from __future__ import annotations
 

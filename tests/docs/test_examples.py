@@ -1,6 +1,4 @@
-"""
-The runner of documents: what it takes, and what it does not let pass.
-"""
+"""The runner of documents: what it takes, and what it does not let pass."""
 
 from __future__ import annotations
 

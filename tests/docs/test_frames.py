@@ -1,6 +1,4 @@
-"""
-The frames that pages show are worked examples, and those this package makes.
-"""
+"""The frames that pages show are worked examples, and those this package makes."""
 
 from __future__ import annotations
 

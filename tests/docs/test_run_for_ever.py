@@ -1,6 +1,4 @@
-"""
-The loops of the page about programs that run for ever go on while a device is down, also at first.
-"""
+"""Loops of the page about programs that run for ever go on while a device is down."""
 
 from __future__ import annotations
 

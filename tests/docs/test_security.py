@@ -1,6 +1,4 @@
-"""
-The tables of requirements: whole, and what is met is shown by a test.
-"""
+"""The tables of requirements: whole, and what is met is shown by a test."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-The messages that the page on troubleshooting explains are those a client makes of such lines.
-"""
+"""The messages that the page on troubleshooting explains are those a client makes of such lines."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Against mbpoll, a command line client: what it prints, and what it leaves behind.
-"""
+"""Against mbpoll, a command line client: what it prints, and what it leaves behind."""
 
 import re
 import shutil

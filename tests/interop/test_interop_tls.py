@@ -1,6 +1,4 @@
-"""
-TLS with other programs: openssl, and clients and servers of other packages.
-"""
+"""TLS with other programs: openssl, and clients and servers of other packages."""
 
 import asyncio
 import re

@@ -1,6 +1,4 @@
-"""
-Register maps bound to clients: values as attributes, read and written with both clients.
-"""
+"""Register maps bound to clients: values as attributes, read and written with both clients."""
 
 import asyncio
 import copy

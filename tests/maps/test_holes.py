@@ -1,6 +1,4 @@
-"""
-Plans of devices that cannot read everything: which holes are found, and what it costs.
-"""
+"""Plans of devices that cannot read everything: which holes are found, and what it costs."""
 
 import random
 from collections.abc import Iterable

@@ -1,6 +1,4 @@
-"""
-What raw values mean: no value, states, named bits, parts of registers, and scales of the device.
-"""
+"""What raw values mean: no value, states, bits, parts of registers, scales of the device."""
 
 import math
 import struct

@@ -1,6 +1,4 @@
-"""
-Poll plans: against a table of cells, against the fewest requests there can be, on every transport.
-"""
+"""Poll plans: against a table of cells, against the fewest requests, on every transport."""
 
 from __future__ import annotations
 

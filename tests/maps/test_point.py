@@ -1,6 +1,4 @@
-"""
-Points: what their cells mean, computed by hand or with exact fractions, and what they refuse.
-"""
+"""Points: what their cells mean, computed by hand or with exact fractions, and what they refuse."""
 
 import math
 import re

@@ -1,6 +1,4 @@
-"""
-Plans of devices that fail in other ways, or change: no hole is made up, and no value is wrong.
-"""
+"""Plans of devices that fail in other ways, or change: no hole is made up, no value is wrong."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Values as people type them: exact, whatever floats make of them.
-"""
+"""Values as people type them: exact, whatever floats make of them."""
 
 import math
 from typing import Any

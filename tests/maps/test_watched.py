@@ -1,6 +1,4 @@
-"""
-Points from poll to poll: which are due, totals that fall, and what a poll of a map reads.
-"""
+"""Points from poll to poll: which are due, totals that fall, and what a poll of a map reads."""
 
 from itertools import pairwise
 from typing import Any

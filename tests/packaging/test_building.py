@@ -1,6 +1,4 @@
-"""
-What is built, what the extras install, and the library that another build shares.
-"""
+"""What is built, what the extras install, and the library that another build shares."""
 
 import importlib.util
 import os

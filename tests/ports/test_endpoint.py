@@ -1,6 +1,4 @@
-"""
-URLs: what they stand for, what is wrong with them, and how they are shown.
-"""
+"""URLs: what they stand for, what is wrong with them, and how they are shown."""
 
 import os
 import re

@@ -1,6 +1,4 @@
-"""
-Names and addresses of hosts, and the address that a client comes from.
-"""
+"""Names and addresses of hosts, and the address that a client comes from."""
 
 import errno
 import logging

@@ -1,6 +1,4 @@
-"""
-Where servers listen, and what a client says first.
-"""
+"""Where servers listen, and what a client says first."""
 
 import errno
 import socket

@@ -1,6 +1,4 @@
-"""
-Devices that connect to the client, as modems behind a mobile network do.
-"""
+"""Devices that connect to the client, as modems behind a mobile network do."""
 
 import asyncio
 import gc

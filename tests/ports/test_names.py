@@ -1,6 +1,4 @@
-"""
-Look-ups of names that get no answer: they cost a few threads, and nobody waits for them.
-"""
+"""Look-ups of names that get no answer: they cost a few threads, and nobody waits for them."""
 
 import asyncio
 import os

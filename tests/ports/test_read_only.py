@@ -1,6 +1,4 @@
-"""
-Serial ports that are only read: whose settings they take, and that nothing is written.
-"""
+"""Serial ports that are only read: whose settings they take, and that nothing is written."""
 
 import os
 import pty

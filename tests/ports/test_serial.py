@@ -1,6 +1,4 @@
-"""
-Serial ports: silence, settings, who may have them, and what a read of nothing means.
-"""
+"""Serial ports: silence, settings, who may have them, and what a read of nothing means."""
 
 import errno
 import fcntl

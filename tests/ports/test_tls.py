@@ -1,6 +1,4 @@
-"""
-Who one is at a tls:// endpoint: in its URL or as given, and what is wrong with it.
-"""
+"""Who one is at a tls:// endpoint: in its URL or as given, and what is wrong with it."""
 
 import re
 from typing import Any

@@ -1,6 +1,4 @@
-"""
-Unix sockets: who may listen and connect, what becomes of the file, and how clients are named.
-"""
+"""Unix sockets: who may listen and connect, what becomes of the file, and how clients are named."""
 
 import asyncio
 import contextlib

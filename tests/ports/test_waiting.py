@@ -1,6 +1,4 @@
-"""
-The same steps, run by polling and by an event loop.
-"""
+"""The same steps, run by polling and by an event loop."""
 
 import asyncio
 import contextlib

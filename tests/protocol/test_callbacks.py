@@ -1,6 +1,4 @@
-"""
-Functions of users that would not run when they are called: refused by all that take functions.
-"""
+"""Functions of users that would not run when called: refused by all that take functions."""
 
 import logging
 from collections.abc import AsyncIterator, Callable, Iterator

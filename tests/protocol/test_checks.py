@@ -1,6 +1,4 @@
-"""
-Numbers that callers pass are checked, and errors name the argument and its range.
-"""
+"""Numbers that callers pass are checked, and errors name the argument and its range."""
 
 import math
 import pickle

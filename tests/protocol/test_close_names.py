@@ -1,6 +1,4 @@
-"""
-Names that are nearly right, and what values are likely to mean.
-"""
+"""Names that are nearly right, and what values are likely to mean."""
 
 import struct
 

@@ -1,6 +1,4 @@
-"""
-The echo of what was sent is taken out of what is received; whether there is one is found out.
-"""
+"""The echo of what was sent is taken out of what is received; whether there is one is found out."""
 
 from typing import Any
 

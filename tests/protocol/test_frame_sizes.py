@@ -1,6 +1,4 @@
-"""
-The sizes of frames, and ranges of numbers.
-"""
+"""The sizes of frames, and ranges of numbers."""
 
 from itertools import pairwise
 

@@ -1,6 +1,4 @@
-"""
-Values as JSON can contain them.
-"""
+"""Values as JSON can contain them."""
 
 import json
 import math

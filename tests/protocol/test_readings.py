@@ -1,6 +1,4 @@
-"""
-All values that some registers may mean, and references, the 1-based notation of manuals.
-"""
+"""All values that some registers may mean, and references, the 1-based notation of manuals."""
 
 from typing import Any
 

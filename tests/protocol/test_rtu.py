@@ -1,6 +1,4 @@
-"""
-RTU frames in a stream where requests and responses follow one another, as a listener hears it.
-"""
+"""RTU frames in a stream of requests and responses, as a listener hears it."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""
-Times in registers, by the published layouts, and back.
-"""
+"""Times in registers, by the published layouts, and back."""
 
 from datetime import UTC, datetime, timedelta, timezone
 from typing import Any, get_args

@@ -1,6 +1,4 @@
-"""
-Values as devices have them: registers and values of published manuals, and what their types hold.
-"""
+"""Registers and values of published manuals, and what their types hold."""
 
 from datetime import UTC, datetime
 from typing import Any

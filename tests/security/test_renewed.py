@@ -1,6 +1,4 @@
-"""
-What is read from files again: at SIGHUP, and for each connection to a broker.
-"""
+"""What is read from files again: at SIGHUP, and for each connection to a broker."""
 
 import asyncio
 import gc

@@ -1,6 +1,4 @@
-"""
-Certificates that are revoked, and files that are read again.
-"""
+"""Certificates that are revoked, and files that are read again."""
 
 import logging
 import os

@@ -1,6 +1,4 @@
-"""
-Own files and those of others: what is wrong with them is said at once, by name.
-"""
+"""Own files and those of others: what is wrong with them is said at once, by name."""
 
 import hashlib
 import os

@@ -1,6 +1,4 @@
-"""
-Servers on a line with other units: what these ask and answer is neither carried out nor damage.
-"""
+"""Servers on a line with other units, whose frames are neither carried out nor damage."""
 
 import itertools
 from collections.abc import Callable, Iterator

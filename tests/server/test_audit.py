@@ -1,6 +1,4 @@
-"""
-The audit trail: each write and each refusal, by whom, with the values before and after.
-"""
+"""The audit trail: each write and each refusal, by whom, with the values before and after."""
 
 import errno
 import json

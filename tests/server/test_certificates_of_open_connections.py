@@ -1,6 +1,4 @@
-"""
-Certificates that expire, are revoked, or are renewed while connections are open, at either end.
-"""
+"""Certificates that expire, are revoked or renewed while connections are open."""
 
 import asyncio
 import time

@@ -1,6 +1,4 @@
-"""
-Requests that are answered by the chunk, in C, against the same requests one by one.
-"""
+"""Requests that are answered by the chunk, in C, against the same requests one by one."""
 
 import struct
 import subprocess

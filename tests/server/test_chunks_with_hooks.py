@@ -1,6 +1,4 @@
-"""
-Hooks and handlers: what they want is answered in Python, all else by the chunk, in C.
-"""
+"""Hooks and handlers: what they want is answered in Python, all else by the chunk, in C."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,6 +1,4 @@
-"""
-What counts as one address: in limits, rates and handshakes, and in the turns of a gateway.
-"""
+"""What counts as one address: in limits, rates and handshakes, and in the turns of a gateway."""
 
 from __future__ import annotations
 

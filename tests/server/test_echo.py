@@ -1,6 +1,4 @@
-"""
-Servers on a line that returns all that is sent: their answers are not carried out as requests.
-"""
+"""Servers on a line that returns all that is sent: no answer is carried out as a request."""
 
 import logging
 import time

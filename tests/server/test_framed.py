@@ -1,6 +1,4 @@
-"""
-The base of sessions: what is found in received bytes, what is written and traced, and its state.
-"""
+"""The base of sessions: frames of received bytes, what is written and traced, and its state."""
 
 import struct
 

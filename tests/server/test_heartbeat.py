@@ -1,6 +1,4 @@
-"""
-Masters that write the same again and again, as a heartbeat: no echo, each is carried out.
-"""
+"""Masters that write the same again and again, as a heartbeat: no echo, each is carried out."""
 
 from typing import Any
 

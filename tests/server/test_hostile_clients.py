@@ -1,6 +1,4 @@
-"""
-Hostile clients: what they send, and what others see of their attacks.
-"""
+"""Hostile clients: what they send, and what others see of their attacks."""
 
 import random
 from dataclasses import replace

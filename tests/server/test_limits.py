@@ -1,6 +1,4 @@
-"""
-What clients may cost a server, limit by limit, and what it counts of them.
-"""
+"""What clients may cost a server, limit by limit, and what it counts of them."""
 
 import dataclasses
 import errno

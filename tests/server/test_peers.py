@@ -1,6 +1,4 @@
-"""
-The connections of a server and their turns, with sessions that do what a test says.
-"""
+"""The connections of a server and their turns, with sessions that do what a test says."""
 
 from __future__ import annotations
 

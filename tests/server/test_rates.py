@@ -1,6 +1,4 @@
-"""
-How many requests of an address are answered in a second: `requests_per_second`, in simulated time.
-"""
+"""How many requests of an address are answered in a second: `requests_per_second`."""
 
 import gc
 from contextlib import ExitStack

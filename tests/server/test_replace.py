@@ -1,6 +1,4 @@
-"""
-Other devices and faults while a server serves: who is connected stays, and sees the new ones.
-"""
+"""Other devices and faults while a server serves: who is connected stays, and sees the new ones."""
 
 import asyncio
 import gc

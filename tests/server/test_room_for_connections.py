@@ -1,6 +1,4 @@
-"""
-How many connections a server has, of all clients and of one address, and who goes for others.
-"""
+"""How many connections a server has, of all clients and of one address, and who goes for others."""
 
 import pytest
 

@@ -1,6 +1,4 @@
-"""
-A server on a serial line: noise, requests to others, and a port that is unplugged.
-"""
+"""A server on a serial line: noise, requests to others, and a port that is unplugged."""
 
 import asyncio
 import itertools

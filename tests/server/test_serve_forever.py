@@ -1,6 +1,4 @@
-"""
-Programs that do nothing but serve, as processes of their own, and the signals that end them.
-"""
+"""Programs that do nothing but serve, as processes of their own, and the signals that end them."""
 
 import asyncio
 import logging

@@ -1,6 +1,4 @@
-"""
-A server begins, ends, and can be entered once at a time.
-"""
+"""A server begins, ends, and can be entered once at a time."""
 
 import asyncio
 import errno

@@ -1,6 +1,4 @@
-"""
-The file that keeps the values of served devices: what it has, who may use it, and what fails.
-"""
+"""The file that keeps the values of served devices: what it has, who may use it, and what fails."""
 
 import errno
 import json

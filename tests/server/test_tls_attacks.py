@@ -1,6 +1,4 @@
-"""
-TLS of the hostile, the slow and the lost: nothing crashes, nothing is left, others are served.
-"""
+"""TLS of the hostile, the slow and the lost: nothing is left, others are served."""
 
 import array
 import contextlib

@@ -1,6 +1,4 @@
-"""
-Handshakes that are slow, many, or never end: others are served, and wait for none of them.
-"""
+"""Handshakes that are slow, many, or never end: others are served, and wait for none of them."""
 
 import contextlib
 import ssl

@@ -1,6 +1,4 @@
-"""
-The server on UDP: one request in a datagram, its answer in another to whoever asked.
-"""
+"""The server on UDP: one request in a datagram, its answer in another to whoever asked."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,4 @@
-"""
-What a role may not do, over every transport: exception 1, counted, and nothing done.
-"""
+"""What a role may not do, over every transport: exception 1, counted, and nothing done."""
 
 import contextlib
 import threading

@@ -1,6 +1,4 @@
-"""
-URLs of brokers, databases and NATS servers, and the files with their secrets: one rule for all.
-"""
+"""URLs of brokers, databases and NATS servers, and the files with their secrets."""
 
 from collections.abc import Callable
 from pathlib import Path

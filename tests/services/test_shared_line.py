@@ -1,6 +1,4 @@
-"""
-Who may ask next on a connection that many share, in simulated time, with a client that is a list.
-"""
+"""Who may ask next on a connection that many share, with a client that is a list."""
 
 import asyncio
 from collections.abc import Callable

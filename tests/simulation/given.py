@@ -1,6 +1,4 @@
-"""
-Tests that are coroutines: each is given first what was made for it, and then its fixtures.
-"""
+"""Tests that are coroutines: each is given first what was made for it, and then its fixtures."""
 
 import functools
 import inspect

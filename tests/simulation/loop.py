@@ -1,6 +1,4 @@
-"""
-An event loop on simulated time: when all wait, the clock moves to whatever is next.
-"""
+"""An event loop on simulated time: when all wait, the clock moves to whatever is next."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,4 @@
-"""
-The clock, the loop and the network of the simulated world.
-"""
+"""The clock, the loop and the network of the simulated world."""
 
 import asyncio
 import math

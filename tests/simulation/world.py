@@ -1,6 +1,4 @@
-"""
-A simulated world: a network, a witness, units that misbehave, and how clients ask them.
-"""
+"""A simulated world: a network, a witness, units that misbehave, and how clients ask them."""
 
 import asyncio
 import random

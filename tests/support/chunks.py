@@ -1,6 +1,4 @@
-"""
-A server's end of a connection, without the connection, and random requests for it.
-"""
+"""A server's end of a connection, without the connection, and random requests for it."""
 
 from __future__ import annotations
 

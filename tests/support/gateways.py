@@ -1,6 +1,4 @@
-"""
-What the tests of gateways share: devices behind a line of any kind, and a gateway before it.
-"""
+"""What the tests of gateways share: devices behind a line of any kind, and a gateway before it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

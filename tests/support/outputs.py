@@ -1,6 +1,4 @@
-"""
-Outputs that a pump writes to, or a test directly, and one that takes what it likes.
-"""
+"""Outputs that a pump writes to, or a test directly, and one that takes what it likes."""
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence

@@ -1,6 +1,4 @@
-"""
-Programs that tests, fuzzers and benchmarks start, found also where a user's PATH does not lead.
-"""
+"""Programs that tests, fuzzers and benchmarks start, also those outside a user's PATH."""
 
 import os
 import shutil

@@ -1,6 +1,4 @@
-"""
-Clients and servers of pymodbus, on each transport that it has.
-"""
+"""Clients and servers of pymodbus, on each transport that it has."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,4 @@
-"""
-What answers the requests of a `Talk`, whatever their framing.
-"""
+"""What answers the requests of a `Talk`, whatever their framing."""
 
 import pytest
 

@@ -1,6 +1,4 @@
-"""
-The server's side of TLS for peers that tests write, without a socket: bytes in, bytes out.
-"""
+"""The server's side of TLS for peers that tests write, without a socket: bytes in, bytes out."""
 
 import contextlib
 import ssl

@@ -1,6 +1,4 @@
-"""
-A server on a stage, and the requests that tests of its limits send there.
-"""
+"""A server on a stage, and the requests that tests of its limits send there."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,6 +1,4 @@
-"""
-SunSpec devices for tests: chains of models as registers, and servers of them.
-"""
+"""SunSpec devices for tests: chains of models as registers, and servers of them."""
 
 import json
 import struct

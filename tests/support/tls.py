@@ -1,6 +1,4 @@
-"""
-A TLS client that is none of ours: Python's ssl, with a hand on each record.
-"""
+"""A TLS client that is none of ours: Python's ssl, with a hand on each record."""
 
 import contextlib
 import logging

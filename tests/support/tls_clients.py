@@ -1,6 +1,4 @@
-"""
-What tests of clients over TLS share.
-"""
+"""What tests of clients over TLS share."""
 
 import os
 from collections.abc import Callable

@@ -1,6 +1,4 @@
-"""
-URLs of every scheme, made from the table of transports.
-"""
+"""URLs of every scheme, made from the table of transports."""
 
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS, TransportRules
 

@@ -1,6 +1,4 @@
-"""
-TCP connections that are closed after a time, however their clients behave.
-"""
+"""TCP connections that are closed after a time, however their clients behave."""
 
 import socket
 import socketserver

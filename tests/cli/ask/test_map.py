@@ -1,6 +1,4 @@
-"""
-The command map: what it says of files and makes of devices; and what sunspec prints of one.
-"""
+"""The command map: what it says of files and makes of devices; and what sunspec prints of one."""
 
 import os
 import signal

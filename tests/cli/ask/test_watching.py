@@ -1,6 +1,4 @@
-"""
-read --watch: on terminals and in pipes, whatever the server, the reader and the user do.
-"""
+"""read --watch: on terminals and in pipes, whatever the server, the reader and the user do."""
 
 import json
 import re

@@ -1,6 +1,4 @@
-"""
-The command write: items, ranges and names, and what is sent for them.
-"""
+"""The command write: items, ranges and names, and what is sent for them."""
 
 from datetime import UTC, datetime
 from pathlib import Path

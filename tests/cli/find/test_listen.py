@@ -1,6 +1,4 @@
-"""
-The command listen: lines, JSON, colours, captures, and how it ends.
-"""
+"""The command listen: lines, JSON, colours, captures, and how it ends."""
 
 import json
 import re

@@ -1,6 +1,4 @@
-"""
-The command scan: what it prints, where, and its exit codes.
-"""
+"""The command scan: what it prints, where, and its exit codes."""
 
 import json
 import os

@@ -1,6 +1,4 @@
-"""
-scan of ranges of hosts, quick scans, what a scan does not know, and how its options may be typed.
-"""
+"""scan of ranges of hosts, quick scans, what a scan does not know, and spellings of its options."""
 
 import io
 import json

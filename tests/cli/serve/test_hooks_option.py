@@ -1,6 +1,4 @@
-"""
-The option --hooks of serve: functions of a file of Python, read again on SIGHUP.
-"""
+"""The option --hooks of serve: functions of a file of Python, read again on SIGHUP."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-The command poll: what it prints, writes and exposes, and how it ends.
-"""
+"""The command poll: what it prints, writes and exposes, and how it ends."""
 
 import asyncio
 import json

@@ -1,6 +1,4 @@
-"""
-poll on a terminal and on a page: values and what is down, within the size of the terminal.
-"""
+"""poll on a terminal and on a page: values and what is down, within the size of the terminal."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-A capture on the command line: serve --replay answers as it did, listen --compare-with asks again.
-"""
+"""Captures on the command line: serve --replay answers as it did, listen --compare-with asks."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-The commands serve and gateway: what they serve, and what they say when they start.
-"""
+"""The commands serve and gateway: what they serve, and what they say when they start."""
 
 import contextlib
 import io

@@ -1,6 +1,4 @@
-"""
-Options of serve: the audit file, the token of the page, certificates that are renewed.
-"""
+"""Options of serve: the audit file, the token of the page, certificates that are renewed."""
 
 import json
 import re

@@ -1,6 +1,4 @@
-"""
-The option --state of serve: written values survive a restart, however the server ended.
-"""
+"""The option --state of serve: written values survive a restart, however the server ended."""
 
 from __future__ import annotations
 

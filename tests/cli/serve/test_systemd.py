@@ -1,6 +1,4 @@
-"""
-Commands under systemd, and in other locales and with other umasks.
-"""
+"""Commands under systemd, and in other locales and with other umasks."""
 
 import configparser
 import csv

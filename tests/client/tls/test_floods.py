@@ -1,6 +1,4 @@
-"""
-Servers of TLS that send without end, or nonsense, or do not read.
-"""
+"""Servers of TLS that send without end, or nonsense, or do not read."""
 
 import contextlib
 import random

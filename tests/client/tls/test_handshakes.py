@@ -1,6 +1,4 @@
-"""
-Handshakes that take too long, are closed, interrupted or forked; connections that a fork leaves.
-"""
+"""Handshakes that take too long, are closed, interrupted or forked."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,4 @@
-"""
-What goes over a connection of TLS, in whatever records, and how it ends.
-"""
+"""What goes over a connection of TLS, in whatever records, and how it ends."""
 
 import socket
 import threading

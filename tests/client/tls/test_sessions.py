@@ -1,6 +1,4 @@
-"""
-Contexts and sessions of TLS that several connections use.
-"""
+"""Contexts and sessions of TLS that several connections use."""
 
 import contextlib
 import ssl

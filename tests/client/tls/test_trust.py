@@ -1,6 +1,4 @@
-"""
-Whom a client over TLS trusts, who refuses it, and what is no TLS at all: each error says which.
-"""
+"""Whom a client over TLS trusts, who refuses it, and what is no TLS: each error says which."""
 
 import contextlib
 import hashlib

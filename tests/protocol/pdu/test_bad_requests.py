@@ -1,6 +1,4 @@
-"""
-What a server must answer to bad requests.
-"""
+"""What a server must answer to bad requests."""
 
 import struct
 from typing import Any

@@ -1,6 +1,4 @@
-"""
-What a client must make of bad responses.
-"""
+"""What a client must make of bad responses."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""
-Function codes, the lengths of requests and responses, and which requests change something.
-"""
+"""Function codes, the lengths of requests and responses, and which requests change something."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,6 +1,4 @@
-"""
-What the constructors of requests refuse, and how they name it.
-"""
+"""What the constructors of requests refuse, and how they name it."""
 
 import itertools
 from collections.abc import Callable

@@ -1,6 +1,4 @@
-"""
-The identifier of a server (function 17), and device identification (function 43/14).
-"""
+"""The identifier of a server (function 17), and device identification (function 43/14)."""
 
 from typing import Any
 

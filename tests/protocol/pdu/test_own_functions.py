@@ -1,6 +1,4 @@
-"""
-Functions of one's own, registered with the package; raw requests; and reads of one's own.
-"""
+"""Functions of one's own, registered with the package; raw requests; and reads of one's own."""
 
 from __future__ import annotations
 

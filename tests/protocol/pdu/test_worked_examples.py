@@ -1,6 +1,4 @@
-"""
-The worked examples of the specification, encoded and decoded.
-"""
+"""The worked examples of the specification, encoded and decoded."""
 
 from typing import Any
 

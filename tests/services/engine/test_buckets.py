@@ -1,6 +1,4 @@
-"""
-Buckets on a simulated server of NATS.
-"""
+"""Buckets on a simulated server of NATS."""
 
 import asyncio
 from types import SimpleNamespace

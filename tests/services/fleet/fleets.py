@@ -1,6 +1,4 @@
-"""
-What tests of fleets share: devices, maps, and waiting for what must happen.
-"""
+"""What tests of fleets share: devices, maps, and waiting for what must happen."""
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine

@@ -1,6 +1,4 @@
-"""
-Fleets under attack: devices that flood, trickle, double and answer late; clocks, forks, cancels.
-"""
+"""Devices that flood, trickle, double and answer late; clocks, forks, cancellations."""
 
 import asyncio
 import os

@@ -1,6 +1,4 @@
-"""
-Devices of a fleet: bounds that are promised, names, addresses, and the table [engine].
-"""
+"""Devices of a fleet: bounds that are promised, names, addresses, and the table [engine]."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""
-Fleet files: what they say, and what is wrong with them: file, line, key, what is allowed.
-"""
+"""Fleet files: what they say, and what is wrong with them: file, line, key, what is allowed."""
 
 import importlib
 import json

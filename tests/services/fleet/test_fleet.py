@@ -1,6 +1,4 @@
-"""
-Fleets that poll: who shares a connection, who is down, what is skipped, what changes.
-"""
+"""Fleets that poll: who shares a connection, who is down, what is skipped, what changes."""
 
 import asyncio
 import gc

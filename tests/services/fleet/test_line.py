@@ -1,6 +1,4 @@
-"""
-Devices that share a line, in simulated time: whose poll is next, and what a silent one costs.
-"""
+"""Devices that share a line, in simulated time: whose poll is next, and what a silent one costs."""
 
 import asyncio
 from itertools import pairwise

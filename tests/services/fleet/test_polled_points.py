@@ -1,6 +1,4 @@
-"""
-Intervals of points, and points that devices refuse or are silent about, in simulated time.
-"""
+"""Intervals of points, and points that devices refuse or are silent about, in simulated time."""
 
 import asyncio
 import logging

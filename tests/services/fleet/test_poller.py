@@ -1,6 +1,4 @@
-"""
-The polls of one device, answer by answer: what is asked first, what it is taken for, how it rests.
-"""
+"""The polls of one device, answer by answer."""
 
 import weakref
 from typing import Any

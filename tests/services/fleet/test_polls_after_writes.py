@@ -1,6 +1,4 @@
-"""
-Polls that follow writes, and the function that writes.
-"""
+"""Polls that follow writes, and the function that writes."""
 
 import asyncio
 import struct

@@ -1,6 +1,4 @@
-"""
-Readings: what the registers of a point mean, which values are told, and how they are written.
-"""
+"""Readings: what the registers of a point mean, which values are told, and how they are written."""
 
 import json
 import math

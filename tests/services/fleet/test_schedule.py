@@ -1,6 +1,4 @@
-"""
-When devices are polled: phases, skipping, how late polls begin, and that each counts once.
-"""
+"""When devices are polled: phases, skipping, how late polls begin, and that each counts once."""
 
 import asyncio
 from dataclasses import fields

@@ -1,6 +1,4 @@
-"""
-The checks before a fleet runs: what is told of each device, and of lines that cannot carry polls.
-"""
+"""The checks before a fleet runs: of each device, and of lines that cannot carry polls."""
 
 import asyncio
 

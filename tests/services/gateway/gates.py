@@ -1,6 +1,4 @@
-"""
-Gateways between clients and devices, and lines of a gateway without one.
-"""
+"""Gateways between clients and devices, and lines of a gateway without one."""
 
 from __future__ import annotations
 

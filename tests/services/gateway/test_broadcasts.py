@@ -1,6 +1,4 @@
-"""
-Broadcasts through a gateway: to every line, and done when all lines have sent them.
-"""
+"""Broadcasts through a gateway: to every line, and done when all lines have sent them."""
 
 import contextlib
 from collections.abc import Iterator

@@ -1,6 +1,4 @@
-"""
-Gateway files and routes: what they describe, and every mistake with its line and key.
-"""
+"""Gateway files and routes: what they describe, and every mistake with its line and key."""
 
 from pathlib import Path
 from typing import Any

@@ -1,6 +1,4 @@
-"""
-Every counter of a gateway: what happens counts once, and nothing else does.
-"""
+"""Every counter of a gateway: what happens counts once, and nothing else does."""
 
 import logging
 from dataclasses import fields

@@ -1,6 +1,4 @@
-"""
-Which line a request goes to, and under which unit.
-"""
+"""Which line a request goes to, and under which unit."""
 
 import pytest
 

@@ -1,6 +1,4 @@
-"""
-A gateway over time: connections that come and go, routes that change, and its end.
-"""
+"""A gateway over time: connections that come and go, routes that change, and its end."""
 
 import asyncio
 import gc

@@ -1,6 +1,4 @@
-"""
-Gateways with the programs of others at their ends: pymodbus, libmodbus and mbpoll.
-"""
+"""Gateways with the programs of others at their ends: pymodbus, libmodbus and mbpoll."""
 
 import contextlib
 from collections.abc import Callable, Iterator

@@ -1,6 +1,4 @@
-"""
-A line of a gateway in simulated time: who is asked when, and who is told what.
-"""
+"""A line of a gateway in simulated time: who is asked when, and who is told what."""
 
 import asyncio
 import logging

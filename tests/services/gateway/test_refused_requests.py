@@ -1,6 +1,4 @@
-"""
-Requests that a gateway refuses, and those that it forwards as bytes.
-"""
+"""Requests that a gateway refuses, and those that it forwards as bytes."""
 
 import pytest
 

@@ -1,6 +1,4 @@
-"""
-Which units go where, and what a route lets through.
-"""
+"""Which units go where, and what a route lets through."""
 
 import socket
 from pathlib import Path

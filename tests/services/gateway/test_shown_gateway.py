@@ -1,6 +1,4 @@
-"""
-A gateway as a page shows it: its lines and their queues, units that are silent, and who asks what.
-"""
+"""A gateway on a page: its lines and their queues, silent units, and who asks what."""
 
 from __future__ import annotations
 

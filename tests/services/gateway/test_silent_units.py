@@ -1,6 +1,4 @@
-"""
-Units that are silent or late behind a gateway, and what waits for them.
-"""
+"""Units that are silent or late behind a gateway, and what waits for them."""
 
 import asyncio
 import random

@@ -1,6 +1,4 @@
-"""
-What nobody waits for any more is not sent, on any kind of line; and what a silent function costs.
-"""
+"""What nobody waits for any more is not sent; and what a silent function costs."""
 
 import asyncio
 

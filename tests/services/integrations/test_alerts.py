@@ -1,6 +1,4 @@
-"""
-The alerts for Prometheus in deploy/, as promtool of Prometheus itself judges them.
-"""
+"""The alerts for Prometheus in deploy/, as promtool of Prometheus itself judges them."""
 
 import re
 import shutil

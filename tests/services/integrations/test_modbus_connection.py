@@ -1,6 +1,4 @@
-"""
-The backend of modbus-connection: its operations over everything, its errors, what it counts.
-"""
+"""The backend of modbus-connection: its operations over everything, its errors, what it counts."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Metrics, as Prometheus's own parser reads them, beside what really happened.
-"""
+"""Metrics, as Prometheus's own parser reads them, beside what really happened."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,4 @@
-"""
-What a worker decides, one look at its clock after the other: what it writes, what it polls, when.
-"""
+"""What a worker decides at each look at its clock: what it writes, what it polls, when."""
 
 import math
 from typing import Any

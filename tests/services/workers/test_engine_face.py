@@ -1,6 +1,4 @@
-"""
-What people meet of the engine: errors in one line, changes, results over MQTT, commands, status.
-"""
+"""What people meet of the engine: errors, changes, results over MQTT, commands, status."""
 
 import contextlib
 import json

@@ -1,6 +1,4 @@
-"""
-A fleet file that is pushed into a bucket: what is written, what is counted, what is refused.
-"""
+"""A fleet file that is pushed into a bucket: what is written, what is counted, what is refused."""
 
 import asyncio
 from typing import Any

@@ -1,6 +1,4 @@
-"""
-What stands in the bucket and in the stream of workers.
-"""
+"""What stands in the bucket and in the stream of workers."""
 
 import json
 import re

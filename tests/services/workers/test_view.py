@@ -1,6 +1,4 @@
-"""
-What a worker knows of the bucket, change by change: times and revisions from a list.
-"""
+"""What a worker knows of the bucket, change by change: times and revisions from a list."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""
-A fleet on a simulated network: devices that note who asks them, an engine, and whole workers.
-"""
+"""A fleet on a simulated network: devices that note who asks them, an engine, and whole workers."""
 
 from __future__ import annotations
 

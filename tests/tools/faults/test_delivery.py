@@ -1,6 +1,4 @@
-"""
-The bytes of each fault, when they are sent, and the order of answers around them.
-"""
+"""The bytes of each fault, when they are sent, and the order of answers around them."""
 
 import asyncio
 from pathlib import Path

@@ -1,6 +1,4 @@
-"""
-What a client sees of each fault.
-"""
+"""What a client sees of each fault."""
 
 from dataclasses import replace
 

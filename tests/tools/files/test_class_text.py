@@ -1,6 +1,4 @@
-"""
-Python classes for register maps: what they have, and that no text of a map becomes a program.
-"""
+"""Python classes for register maps: what they have, and that no text of a map becomes a program."""
 
 import ast
 import sys

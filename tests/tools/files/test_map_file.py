@@ -1,6 +1,4 @@
-"""
-Register maps from files: as people write them in TOML, as vendors give them in CSV, and as neither.
-"""
+"""Register maps from files: TOML as people write it, CSV of vendors, and what is neither."""
 
 from pathlib import Path
 

@@ -1,6 +1,4 @@
-"""
-The keys of files, each with an example in every format.
-"""
+"""The keys of files, each with an example in every format."""
 
 import runpy
 from collections.abc import Callable

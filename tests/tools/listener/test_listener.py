@@ -1,6 +1,4 @@
-"""
-Listening for real: a line of pseudo-terminals, others' programs on it, and a tap between.
-"""
+"""Listening for real: a line of pseudo-terminals, others' programs on it, and a tap between."""
 
 import asyncio
 import importlib

@@ -1,6 +1,4 @@
-"""
-Transactions that a listener hears, with the names of their values.
-"""
+"""Transactions that a listener hears, with the names of their values."""
 
 from typing import Any
 

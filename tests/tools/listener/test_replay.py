@@ -1,6 +1,4 @@
-"""
-A capture replayed as a device, and as a master: what pymodbus and a device said at a tap.
-"""
+"""A capture replayed as a device, and as a master: what pymodbus and a device said at a tap."""
 
 from __future__ import annotations
 

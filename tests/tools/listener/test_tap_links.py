@@ -1,6 +1,4 @@
-"""
-The connections through a tap: all of them end, whoever falls silent, and none keeps others out.
-"""
+"""Connections through a tap: all end, whoever falls silent; none keeps others out."""
 
 import contextlib
 import os

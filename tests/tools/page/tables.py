@@ -1,6 +1,4 @@
-"""
-A page of tables with values that a test puts.
-"""
+"""A page of tables with values that a test puts."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Values that are typed on a page: set, or refused with the reason; values that are held; and faults.
-"""
+"""Values typed on a page: set, or refused with the reason; held values; and faults."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-A page as a whole: what it shows first, what changes on it, pages beside each other, and its end.
-"""
+"""A page as a whole: what it shows first, what changes on it, other pages, and its end."""
 
 from __future__ import annotations
 

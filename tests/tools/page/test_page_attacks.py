@@ -1,6 +1,4 @@
-"""
-Attacks on the page: who may not ask, requests that are none, and visitors who never end.
-"""
+"""Attacks on the page: who may not ask, requests that are none, and visitors who never end."""
 
 import json
 import os

@@ -1,6 +1,4 @@
-"""
-Pages with a table: rows that are looked at, searches, problems, history, names that are attacks.
-"""
+"""Pages with a table: rows that are looked at, searches, problems, history, hostile names."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Who answers where: real pseudo-terminals and sockets, and peers of every kind.
-"""
+"""Who answers where: real pseudo-terminals and sockets, and peers of every kind."""
 
 import signal
 import subprocess

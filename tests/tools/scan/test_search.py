@@ -1,6 +1,4 @@
-"""
-What a unit has, over sockets and pseudo-terminals: devices that refuse in their own ways.
-"""
+"""What a unit has, over sockets and pseudo-terminals: devices that refuse in their own ways."""
 
 from collections.abc import Callable
 from pathlib import Path

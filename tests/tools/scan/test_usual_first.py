@@ -1,6 +1,4 @@
-"""
-The order of a full scan of a line: usual settings and units first.
-"""
+"""The order of a full scan of a line: usual settings and units first."""
 
 import pytest
 

@@ -1,6 +1,4 @@
-"""
-Values that move by themselves.
-"""
+"""Values that move by themselves."""
 
 import math
 import resource

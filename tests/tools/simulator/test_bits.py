@@ -1,6 +1,4 @@
-"""
-Bits in device files: by number, by range, and by name.
-"""
+"""Bits in device files: by number, by range, and by name."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Device files: values lie where the file says, with the types that it says; units and their faults.
-"""
+"""Device files: addresses and types of values, units and their faults."""
 
 from pathlib import Path
 from typing import Any

@@ -1,6 +1,4 @@
-"""
-Hooks in a file of Python: what devices call, and what is said of a file with a mistake.
-"""
+"""Hooks in a file of Python: what devices call, and what is said of a file with a mistake."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Device files with names, scales, defaults and register maps: what clients, programs and pages find.
-"""
+"""Device files with names, scales, defaults and maps: what clients, programs and pages see."""
 
 import re
 from collections.abc import Callable

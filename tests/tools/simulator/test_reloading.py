@@ -1,6 +1,4 @@
-"""
-A device file that is read again while its devices are served: what stays, and what is told.
-"""
+"""A device file that is read again while its devices are served: what stays, and what is told."""
 
 import asyncio
 import gc

@@ -1,6 +1,4 @@
-"""
-Discovery over TCP, beside pysunspec2's client: the same models, registers and values.
-"""
+"""Discovery over TCP, beside pysunspec2's client: the same models, registers and values."""
 
 import asyncio
 import importlib.util

@@ -1,6 +1,4 @@
-"""
-Tables of cases, and the ends of lines in memory.
-"""
+"""Tables of cases, and the ends of lines in memory."""
 
 import inspect
 import os

@@ -1,6 +1,4 @@
-"""
-The pytest plugin in suites of others: what reports show, and what it leaves behind.
-"""
+"""The pytest plugin in suites of others: what reports show, and what it leaves behind."""
 
 import re
 import runpy

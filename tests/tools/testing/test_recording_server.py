@@ -1,6 +1,4 @@
-"""
-The fixtures of the pytest plugin, as tests get them: these are tests that do.
-"""
+"""The fixtures of the pytest plugin, as tests get them: these are tests that do."""
 
 import logging
 from collections.abc import Iterator

@@ -1,6 +1,4 @@
-"""
-Journals under attack: programs that are killed, disks that fail, clocks, defects, and floods.
-"""
+"""Journals under attack: programs that are killed, disks that fail, clocks, defects, and floods."""
 
 import asyncio
 import contextlib

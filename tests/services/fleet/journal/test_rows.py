@@ -1,6 +1,4 @@
-"""
-Polls as rows of a journal, places of outputs, and histories of values.
-"""
+"""Polls as rows of a journal, places of outputs, and histories of values."""
 
 import asyncio
 from collections.abc import Sequence

@@ -1,6 +1,4 @@
-"""
-mosquitto for tests, its subscribers, and fleets that it commands.
-"""
+"""mosquitto for tests, its subscribers, and fleets that it commands."""
 
 import asyncio
 import json

@@ -1,6 +1,4 @@
-"""
-Outputs under attack: servers that answer badly, disks that are full, reloads while readings wait.
-"""
+"""Outputs under attack: bad answers, full disks, reloads while readings wait."""
 
 import asyncio
 import errno

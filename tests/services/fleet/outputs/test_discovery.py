@@ -1,6 +1,4 @@
-"""
-Discovery by Home Assistant, over a real broker, as a subscriber sees it that knows only its schema.
-"""
+"""Discovery by Home Assistant, over a real broker, as a subscriber sees it."""
 
 import asyncio
 import signal

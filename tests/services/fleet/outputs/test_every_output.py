@@ -1,6 +1,4 @@
-"""
-What each output promises of readings: their labels, which are those of their time, and their ids.
-"""
+"""What each output promises of readings: their labels, those of their time, and their ids."""
 
 import asyncio
 import csv

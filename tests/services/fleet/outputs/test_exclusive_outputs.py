@@ -1,6 +1,4 @@
-"""
-Outputs that would write to one place, or to a file the fleet is read from; several of a kind.
-"""
+"""Outputs that would write to one place, or to a file the fleet is read from; several of a kind."""
 
 import os
 from collections.abc import Callable

@@ -1,6 +1,4 @@
-"""
-MQTT with a real broker: TLS, the last will, commands, and a message for each poll of a device.
-"""
+"""MQTT with a real broker: TLS, the last will, commands, and a message for each poll."""
 
 import asyncio
 import logging

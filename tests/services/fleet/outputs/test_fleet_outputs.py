@@ -1,6 +1,4 @@
-"""
-Outputs that are slow, full, gone or wrong: polling goes on, and what was lost is counted.
-"""
+"""Outputs that are slow, full, gone or wrong: polling goes on, and what was lost is counted."""
 
 import asyncio
 import errno

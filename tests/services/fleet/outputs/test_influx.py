@@ -1,6 +1,4 @@
-"""
-The output `influx`: the line protocol of InfluxDB, and servers that may refuse or lie.
-"""
+"""The output `influx`: the line protocol of InfluxDB, and servers that may refuse or lie."""
 
 import asyncio
 import base64

@@ -1,6 +1,4 @@
-"""
-Names as levels of topics and subjects, and topics with names and labels.
-"""
+"""Names as levels of topics and subjects, and topics with names and labels."""
 
 from pathlib import Path
 
