@@ -61,8 +61,6 @@ def test_public_modules_do_not_hand_out_private_names() -> None:
         assert [each for each in exported if each.startswith("_")] == []
 
 
-# --- the map -------------------------------------------------------------------------------
-
 FOLDERS = sorted({name.split(".")[0] for name in MODULES if "." in name})
 
 
@@ -104,9 +102,6 @@ class TestMap:
         if folder == "server":  # a table names the files of transports
             files -= {*TRANSPORTS}
         assert sorted(each for each in files if not re.search(rf"\b{each}\b", text)) == []
-
-
-# --- public names --------------------------------------------------------------------------
 
 
 SHORT_PATHS = {
@@ -252,8 +247,6 @@ class TestPublicNames:
             assert str(inspect.Signature(bare)) == text, name
 
 
-# --- what an import brings ------------------------------------------------------------------
-
 SLOW = {"asyncio", "ssl", "logging", "random", "argparse", "subprocess", "hashlib"}
 """Modules of Python that take longer than what they would be imported for."""
 
@@ -362,8 +355,6 @@ class TestLateImports:
         assert "ssl" in imported_by("from libmodbus_py import Security")
 
 
-# --- libmodbus -------------------------------------------------------------------------------
-
 HEADERS = [
     Path("/usr/include/modbus") / name for name in ("modbus.h", "modbus-tcp.h", "modbus-rtu.h")
 ]
@@ -469,9 +460,6 @@ class TestLowLevel:
         assert low_level.__all__ == ["ffi", "lib", "loaded_version"]
 
 
-# --- a package that cannot be loaded ------------------------------------------------------------
-
-
 def import_from(directory: Path) -> subprocess.CompletedProcess[str]:
     """Without site, so that no editable installation lends its compiled module."""
     backend = importlib.import_module("_cffi_backend").__file__ or ""
@@ -538,8 +526,6 @@ class TestImportErrors:
         run = import_from(tmp_path)
         assert (run.returncode, run.stderr) == (0, "")
 
-
-# --- errors --------------------------------------------------------------------------------------
 
 TRANSACTION: dict[str, Any] = {
     "unit": 17,

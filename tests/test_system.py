@@ -15,8 +15,6 @@ from libmodbus_py.system import (
 )
 from tests.support.cases import each_case
 
-# --- flags --------------------------------------------------------------------------------------
-
 
 @pytest.fixture(params=["eventfd", "pipe"])
 def flag(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Flag]:
@@ -62,9 +60,6 @@ def test_a_closed_flag_does_nothing_and_leaves_no_descriptor(flag: Flag) -> None
 
 def test_programs_that_are_started_do_not_inherit_a_flag(flag: Flag) -> None:
     assert not os.get_inheritable(flag.descriptor)
-
-
-# --- locks --------------------------------------------------------------------------------------
 
 
 def test_a_file_is_locked(tmp_path: Path) -> None:

@@ -45,9 +45,6 @@ def test_a_gateway_has_options_for_its_devices_and_prints_frames(device: str) ->
     assert answered.endswith("07 06 00 00 02 2b\n")
 
 
-# --- endpoints -----------------------------------------------------------------------
-
-
 @each_case(
     ("query", "options", "unit"),
     [("?unit=7&timeout=5", [], 7), ("?unit=7", ["--unit", "9"], 9), ("", [], 1)],
@@ -68,9 +65,6 @@ def test_the_unit_is_that_of_the_url_unless_it_is_told(
 def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) -> None:
     options = parsed(["read", "rtu+tcp://h:4001", "coils", "0", flag])
     assert endpoint_of(options).options == {"echo": echo}
-
-
-# --- options of other programs: one line says what is typed in their place --------------
 
 
 @each_case(
@@ -134,9 +128,6 @@ def test_every_option_of_the_page_about_other_programs_has_one(tool: str) -> Non
     theirs = {text.split()[0].strip("`,") for text, _ in rows(tool)}
     ours = {"-b", "-u", "-v", "-m"}  # which mean something here, too
     assert {each for each in theirs if each.startswith("-")} - ours <= set(OPTIONS)
-
-
-# --- a device in place of a command ---------------------------------------------------------
 
 
 def test_a_command_that_is_left_out_reads() -> None:

@@ -89,8 +89,6 @@ def test_the_commands_it_prints_work(tmp_path: Path) -> None:
     assert (done.out, done.err) == ("    0  0\n", "")
 
 
-# --- of machines ----------------------------------------------------------------------------
-
 LONG = "a-machine-whose-name-is-longer-than-a-common-name-may-be-in-a-plant.example"
 
 
@@ -156,9 +154,6 @@ def test_what_cannot_be_written_leaves_no_half(
     assert made(tmp_path, "n1").code == 1
     assert made(tmp_path).code == 1
     assert [each for each in tmp_path.rglob("*") if each.is_file()] == []
-
-
-# --- what becomes of them ---------------------------------------------------------------------
 
 
 def names_of(done: Done) -> dict[str, list[str]]:
@@ -278,9 +273,6 @@ def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
     made(tmp_path / "others", "--crl")
     (tmp_path / "crl.pem").write_bytes((tmp_path / "others" / "crl.pem").read_bytes())
     assert "is not signed by" in made(tmp_path, "--list").err
-
-
-# --- tokens -----------------------------------------------------------------------------------
 
 
 def test_a_token_is_new_and_its_file_is_of_its_owner(tmp_path: Path) -> None:

@@ -156,9 +156,6 @@ def test_tls_at_a_server_without(tmp_path: Path) -> None:
         assert "is it tcp://?" in done.err
 
 
-# --- colour on terminals ----------------------------------------------------------
-
-
 def shown_on_terminal(*words: str, **environment: str) -> str:
     with on_terminal(*words, environment={"NO_COLOR": "", **environment}) as terminal:
         return terminal.read_to_end().replace("\r\n", "\n")

@@ -198,8 +198,6 @@ def test_connection_closed_in_mid_answer(world: World) -> None:
         assert peer.connections == 2
 
 
-# --- serial lines --------------------------------------------------------------------
-
 BAD_SERIAL: dict[str, tuple[str, int, type[ModbusError]]] = {
     # unit and PDU, what the check bytes are spoilt with, and the error
     "wrong check": (GOOD_SERIAL, 1, FrameError),
@@ -264,9 +262,6 @@ def test_serial_resynchronises_after_trouble(world: World, trouble: str, scheme:
             assert values(context) == VALUES
 
 
-# --- on lines ------------------------------------------------------------------------------------
-
-
 STRAYS: dict[str, Callable[[bytes], bytes]] = {
     "00": lambda request: b"\x00",
     "FF": lambda request: b"\xff",
@@ -294,9 +289,6 @@ def test_what_stands_before_each_answer_on_a_line_harms_none(
 
     with world.client_of("rtu", strayed) as client:
         assert [read(client, address) for address in range(40)] == list(range(40))
-
-
-# --- over TCP ------------------------------------------------------------------------------------
 
 
 def test_a_late_answer_during_a_request_does_not_fail_it(world: World) -> None:
@@ -339,9 +331,6 @@ def test_a_device_that_is_unit_255_to_everybody_is_reached_with_an_option(world:
     for options, query in (({"accept_unit": "any"}, ""), ({}, "?accept_unit=any")):
         with world.connect(peer.url + query, unit=3, **options) as client:
             assert [read(client, address) for address in range(5)] == list(range(5))
-
-
-# --- before a request goes out -------------------------------------------------------------------
 
 
 def test_what_came_meanwhile_is_no_answer_to_the_next_request(world: World) -> None:

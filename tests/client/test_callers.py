@@ -133,9 +133,6 @@ def test_an_outcome_that_cannot_be_compared_harms_nobody() -> None:
     assert batch.is_done
 
 
-# --- who leaves ------------------------------------------------------------------------------
-
-
 @BOTH
 def test_they_are_told_nothing_any_more(url: str) -> None:
     talk = Talk(url, timeout=1)
@@ -183,8 +180,6 @@ def test_a_batch_that_failed_while_it_waited_can_be_left() -> None:
     talk.cancel(batch)
     assert talk.is_at_rest
 
-
-# --- who is interrupted ----------------------------------------------------------------------
 
 LATE = ModbusConnectionError("no connection in time", errno=errno.ETIMEDOUT)
 
@@ -271,9 +266,6 @@ def test_a_connection_that_was_lost_begins_with_nothing_in_flight() -> None:
     talk.wait_for(2)
     assert talk.now < 5
     assert talk.connection.in_flight == 1
-
-
-# --- batches ----------------------------------------------------------------------------------
 
 
 NO_ANSWER = ModbusTimeoutError("late")

@@ -22,9 +22,6 @@ from tests.support.talk import LINE, TCP, Talk
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
 
-# --- what it waits for ----------------------------------------------------------------------------
-
-
 def test_an_answer() -> None:
     async def use(plc: AsyncClient, peer: Scripted) -> None:
         for _ in range(3):
@@ -124,9 +121,6 @@ def test_many_that_wait_cost_few_steps_each(
     talk.come(answer(talk))
     assert (present.outcomes, last.outcomes) == ([[1]], [[2]])
     assert talk.is_at_rest
-
-
-# --- at any step of the loop ----------------------------------------------------------------------
 
 
 def test_a_batch_among_others() -> None:

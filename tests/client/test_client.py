@@ -27,8 +27,6 @@ from tests.support.reads import echoes, reads
 from tests.support.scripted import run
 from tests.support.transports import serving
 
-# --- one vocabulary -------------------------------------------------------------------
-
 
 def test_wrong_arguments_are_told_where_the_call_is_awaited() -> None:
     async def main() -> None:
@@ -49,9 +47,6 @@ def test_many_tasks_each_get_their_own_answer(transport: str, mapping: Mapping) 
 
     with serving(transport, Server(Device(mapping))) as url:
         run(main(url))
-
-
-# --- many in flight -------------------------------------------------------------------
 
 
 class Counting:
@@ -103,9 +98,6 @@ def test_a_single_request_need_not_wait_for_a_long_batch() -> None:
         assert await batch == echoes(200)
 
     run_client(Counting(4), use, max_in_flight=4)
-
-
-# --- peers ----------------------------------------------------------------------------------
 
 
 Ask = Callable[[Any], object]

@@ -10,8 +10,6 @@ from tests.support.cases import each_case
 from tests.support.replies import BOTH, addresses, answer, refusal, unanswered
 from tests.support.talk import LINE, LOST, TCP, Talk, kinds, tcp, value
 
-# --- timeouts --------------------------------------------------------------------------
-
 
 @BOTH
 def test_a_request_has_its_time_and_no_more(url: str) -> None:
@@ -77,9 +75,6 @@ def test_who_has_waited_for_a_connection_for_too_long_is_told_so() -> None:
     assert joining.is_done
     assert "within 1 s" in str(joining.outcome)
     assert talk.is_at_rest
-
-
-# --- dead connections ------------------------------------------------------------------
 
 
 def test_after_three_timeouts_in_a_row_the_next_request_goes_over_a_new_connection() -> None:
@@ -167,9 +162,6 @@ def test_a_serial_port_never_counts_as_dead() -> None:
         talk.ask(1)
         talk.wait(0.3)
     assert len(talk.sent) == 10
-
-
-# --- connections that end --------------------------------------------------------------
 
 
 @BOTH
@@ -270,9 +262,6 @@ def test_who_asks_only_for_the_connection_is_done_when_it_stands() -> None:
     assert talk.join().is_done
 
 
-# --- pacing ----------------------------------------------------------------------------
-
-
 @BOTH
 def test_a_device_gets_its_time_after_connecting_which_is_not_the_requests(url: str) -> None:
     talk = Talk(url, connect_delay=0.5, timeout=0.3)
@@ -283,9 +272,6 @@ def test_a_device_gets_its_time_after_connecting_which_is_not_the_requests(url: 
     talk.wait(0.29)
     talk.come(answer(talk))
     assert batch.outcomes == [[1]]
-
-
-# --- requests that nobody answers ------------------------------------------------------
 
 
 def test_a_broadcast_takes_the_turnaround_and_the_whole_line() -> None:
@@ -330,9 +316,6 @@ def test_a_batch_without_requests_is_over_at_once_on_a_connection_that_stands() 
     talk.connection.submit(batch, talk.now)
     assert batch.is_done
     assert talk.is_at_rest
-
-
-# --- halves -------------------------------------------------------------------------------
 
 
 @each_case(

@@ -42,9 +42,6 @@ REQUEST = pdu.ReadHoldingRegisters(5, 1)
 NOBODY = "tcp://10.0.0.9:502"
 
 
-# --- that cannot be made --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("host", "number"),
     [
@@ -91,9 +88,6 @@ def test_request_waits_for_the_next_attempt_if_it_has_time(world: World, max_pau
     assert 0.08 <= waited <= 0.122 if max_pause else waited <= 0.002
     assert (plc.statistics.failed_connects, plc.statistics.connects) == (1, 1)
     plc.close()
-
-
-# --- that end -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("retries", [0, 3])
@@ -151,9 +145,6 @@ def test_options_of_the_socket_are_set(connect: Connect, keepalive: int | None) 
                 assert idle == keepalive
 
 
-# --- ports ----------------------------------------------------------------------------------------
-
-
 def test_an_unplugged_port_is_a_connection_error_and_is_opened_again(world: World) -> None:
     unit = world.peer("rtu", lambda request, write: write(answer(request, "rtu")))
     line = world.network.line("/dev/line")
@@ -195,9 +186,6 @@ def test_a_port_that_is_unplugged_on_the_real_system(kind: str, tmp_path: Path) 
             assert plc.for_unit(2).execute(REQUEST) == [0]
 
 
-# --- what is told of them -------------------------------------------------------------------------
-
-
 def test_handles_of_several_units_share_the_connection(world: World) -> None:
     """Unit 0 over TCP is a unit like others."""
     peer = world.peer("tcp", good)
@@ -209,9 +197,6 @@ def test_handles_of_several_units_share_the_connection(world: World) -> None:
         assert handles[1].statistics is plc.statistics
         handles[1].close()
         assert plc.closed
-
-
-# --- that are closed for good ----------------------------------------------------------------
 
 
 def test_close_is_idempotent_and_final(world: World) -> None:
@@ -255,9 +240,6 @@ def test_close_ends_what_others_wait_for(somebody_waits: Any) -> None:
         for each in waiting:
             with pytest.raises(ModbusConnectionError):
                 each.result()
-
-
-# --- how long connecting may take -------------------------------------------------------------
 
 
 HOST = "10.0.0.9"

@@ -136,9 +136,6 @@ def test_polls_of_values_that_flip_take_no_longer_than_others() -> None:
     assert max(seconds.values()) < 1.02 * min(seconds.values())
 
 
-# --- a unit that stood still -----------------------------------------------------------------
-
-
 @pytest.mark.parametrize("pause", [0.02, 0.5])
 def test_values_are_right_again_after_a_pause(pause: float) -> None:
     """Longer than a response takes, which is 10 ms."""

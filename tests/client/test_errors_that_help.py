@@ -76,8 +76,6 @@ def test_a_client_and_its_errors_say_where_they_lead() -> None:
     assert repr(client) == "<AsyncClient tcp://192.0.2.1:502, unit 7, disconnected>"
 
 
-# --- TLS at one end only ---------------------------------------------------------------------
-
 ALERT = bytes.fromhex("15 0303 0002 0246")  # RFC 8446, 5.1 and 6: protocol_version, fatal
 
 
@@ -99,9 +97,6 @@ def test_a_server_that_wants_tls_is_recognised(
         pytest.raises(error, match=said),
     ):
         plc.read_coils(0, 1)
-
-
-# --- hints ------------------------------------------------------------------------------------
 
 
 ANSWER = "03 06 022B 0000 0064"
@@ -167,8 +162,6 @@ def test_tls_is_named_where_a_request_was_answered_by_the_end_of_a_new_connectio
     talk.lose(error, by_itself=by_itself)
     assert ("does it want tls://?" in str(error)) is is_told
 
-
-# --- up to the bounds of each protocol -------------------------------------------------------
 
 PLAIN = ("tcp", "rtu+tcp", "ascii+tcp")
 

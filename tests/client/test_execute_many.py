@@ -72,9 +72,6 @@ def failed(found: list[Any], kind: type[ModbusError] = ModbusError) -> list[int]
     return [at for at, each in enumerate(found) if isinstance(each, kind)]
 
 
-# --- what is asked for comes back ----------------------------------------------------------
-
-
 @pytest.mark.parametrize("most", [1, 16])
 def test_results_have_the_order_of_requests_on_every_transport(
     connect: Connect, url: str, mapping: Mapping, most: int
@@ -126,9 +123,6 @@ def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
     assert context.read_many({}) == {}
 
 
-# --- arguments -----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("requests", "options", "kind", "named"),
     [
@@ -154,9 +148,6 @@ def test_broadcast_of_a_read_is_refused_before_the_writes_go_out(world: World) -
         with pytest.raises(ValueError, match=r"requests\[1\]: unit 0 is a broadcast"):
             everyone.execute_many([pdu.WriteRegister(1, 2), pdu.ReadCoils(0, 1)])
         assert unit.requests == []
-
-
-# --- no answer, and answers that come late ---------------------------------------------------
 
 
 def test_request_without_an_answer_times_out_alone(world: World) -> None:
@@ -214,9 +205,6 @@ def test_requests_left_behind_by_a_failure_poison_nothing(world: World, again: s
         assert (context.statistics.late_answers, peer.connections) == (15, 1)
 
 
-# --- bad answers ---------------------------------------------------------------------------
-
-
 def test_first_failure_in_the_order_of_requests_is_raised_at_once(world: World) -> None:
     """As soon as all before it are answered, whatever is not answered behind it."""
 
@@ -268,9 +256,6 @@ def test_wrong_answers_spoil_their_own_requests_only(world: World, scheme: str) 
         assert (context.statistics.late_answers, peer.connections) == (12, 1)
 
 
-# --- connections that end --------------------------------------------------------------------
-
-
 def closing_after(connections: Callable[[], int], *counts: int) -> OnRequest:
     """Answer so many requests on each connection, and close it when no more come."""
     asked: Counter[int] = Counter()
@@ -316,9 +301,6 @@ def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on(world: Wo
             assert found[at].asked == f"ReadHoldingRegisters(address={at}, count=1)"
             assert (found[at].errno, found[at].unit) == (errno.ECONNRESET, 1)
         assert peer.connections == 3
-
-
-# --- threads, signals, closing ---------------------------------------------------------------
 
 
 def test_threads_share_a_context_and_batches(connect: Connect) -> None:

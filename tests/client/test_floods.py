@@ -123,9 +123,6 @@ def test_a_line_that_is_never_quiet_ends_the_wait(pause: float, scheme: str, wor
             assert len(str(error)) < 300
 
 
-# --- while nobody asks ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("scheme", "data", "pause"),
     [

@@ -66,9 +66,6 @@ def test_callers_take_turns() -> None:
     assert [int.from_bytes(each[8:10], "big") for each in talk.sent] == [0, 1, 2, 100, 200, 3]
 
 
-# --- answers that nobody waits for -----------------------------------------------------
-
-
 def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
     talk = Talk(timeout=1)
     batch = talk.ask(1)
@@ -80,9 +77,6 @@ def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
     assert "id 999, not 1" in str(batch.outcomes[0])
     assert batch.outcomes[0].received == stranger
     assert talk.statistics.late_answers == 1
-
-
-# --- answers that do not fit -----------------------------------------------------------
 
 
 def test_any_unit_is_taken_where_that_is_wanted() -> None:
@@ -117,9 +111,6 @@ def test_a_datagram_that_is_no_frame_does_not_end_the_wait() -> None:
     assert talk.statistics.invalid == 4
 
 
-# --- floods ----------------------------------------------------------------------------
-
-
 def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
     talk = Talk()
     frame = bytes.fromhex("7777 0000 00FE 01 03 FA") + bytes(251)
@@ -133,9 +124,6 @@ def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
     assert not talk.connection.is_flooded
     talk.ask(1)
     assert len(talk.sent) == 1
-
-
-# --- requests that nobody answers ------------------------------------------------------
 
 
 def test_a_request_that_nobody_answers_takes_the_turnaround_before_the_next_one() -> None:

@@ -21,8 +21,6 @@ from tests.support.peers import TcpPeer, dead, ignore, peer_at, until
 from tests.support.reads import good, good_at
 from tests.support.signals import on_alarm
 
-# --- connections that died, and are being made -----------------------------------------------
-
 
 class Interruption(BaseException):
     """What a signal handler may raise."""
@@ -102,9 +100,6 @@ def test_close_does_not_wait_for_the_look_up_of_a_name() -> None:
         context.close()
         with pytest.raises(ModbusConnectionError):
             waiting.result()
-
-
-# --- close and requests from where they hurt --------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -235,9 +230,6 @@ def test_ctrl_c_at_any_moment_fails_no_later_request(place: str) -> None:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
         assert interrupted > 5
-
-
-# --- ends that are themselves interrupted ----------------------------------------------------
 
 
 class Interrupted:

@@ -9,9 +9,6 @@ from tests.support.talk import LINE, Talk, kinds, rtu, value
 WRITE = pdu.WriteRegister(1, 2)
 
 
-# --- one after the other ---------------------------------------------------------------
-
-
 def test_a_request_is_the_frame_of_the_specification() -> None:
     talk = Talk(LINE)
     talk.ask(pdu.ReadHoldingRegisters(0x6B, 3), unit=0x11)
@@ -62,9 +59,6 @@ def test_turning_the_line_counts_as_sending() -> None:
     talk.come(value(1))
     talk.wait(1)
     assert talk.times[1] == pytest.approx(88 / 9600 + 0.2)
-
-
-# --- what does not end the wait --------------------------------------------------------
 
 
 def test_noise_alone_is_a_frame_error_at_the_end_that_says_so() -> None:
@@ -139,9 +133,6 @@ def test_an_answer_between_noise_is_taken_as_soon_as_the_line_is_quiet(
     # Only where another answer may have begun before it, the end of the time is waited for.
     talk.wait(1 if before.startswith("55") else 0.05)
     assert kinds(batch) == [[0x6D60] if frame[1] == 3 else IllegalDataAddress]
-
-
-# --- what does -------------------------------------------------------------------------
 
 
 def test_a_damaged_answer_is_a_frame_error_as_soon_as_the_line_is_quiet() -> None:

@@ -31,9 +31,6 @@ def asked_twice(url: str = LINE) -> Talk:
     return closed(talk)
 
 
-# --- a client for each poll --------------------------------------------------------------------
-
-
 def test_a_late_answer_is_no_value_of_the_next_client() -> None:
     former = asked_twice()
     talk = Talk(LINE, after=former, is_new=True, timeout=1)
@@ -95,9 +92,6 @@ def test_a_client_for_each_poll_has_no_value_of_another_request(url: str) -> Non
     assert count > 1900
 
 
-# --- a line of which nothing is known ----------------------------------------------------------
-
-
 def test_the_first_answer_is_held_until_the_line_has_been_open_for_60_ms() -> None:
     talk = Talk(LINE, is_new=True, timeout=1)
     batch = talk.ask(1)
@@ -148,9 +142,6 @@ def test_an_answer_to_another_program_is_no_value(late: float, is_polled: bool) 
         failures += batch.outcomes != [[address]]
         assert kinds(batch) in ([[address]], [InvalidResponse])
     assert failures <= 1
-
-
-# --- which line it is --------------------------------------------------------------------------
 
 
 def test_a_line_is_known_by_its_device_or_converter(tmp_path: Path) -> None:

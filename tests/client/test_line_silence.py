@@ -213,9 +213,6 @@ def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(left: str)
     exchange(talk, 2, after=1)
 
 
-# --- floods ----------------------------------------------------------------------------------
-
-
 def test_the_first_600_bytes_of_a_flood_are_kept() -> None:
     """Of what comes in place of an answer."""
     pieces = [bytes([0x80 + number]) * 250 for number in range(8)]

@@ -20,9 +20,6 @@ from tests.support.talk import LINE, TCP, Talk, kinds, rtu, value
 WRITE = pdu.WriteRegister(1, 2)
 
 
-# --- the table -------------------------------------------------------------------------
-
-
 # A unit in DOUBT is silent for twice its slowest answer.
 SILENCE = 0.02
 
@@ -386,9 +383,6 @@ def test_an_answer_is_held_once_in_ten_timeouts() -> None:
         talk.wait(0 if batch.is_done else 0.02)
         assert batch.outcomes == [[number]]
     assert held == 2
-
-
-# --- where events fall together --------------------------------------------------------
 
 
 @each_case(("frame", "is_first"), [

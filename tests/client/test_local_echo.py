@@ -57,9 +57,6 @@ def with_setting(url: str, setting: str) -> str:
     return f"{url}{'&' if '?' in url else '?'}{setting}" if setting else url
 
 
-# --- found out ---------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("stray", STRAYS[:2])
 def test_an_echo_is_told_once_and_harms_no_read(
@@ -227,9 +224,6 @@ def test_half_an_echo_is_not_taken_over_to_a_new_connection() -> None:
     assert batch.outcomes == [[7]]
 
 
-# --- found out, or set: the same ----------------------------------------------------------
-
-
 def known(is_set: bool) -> Talk:
     return Talk(f"{LINE}&echo=1", timeout=1) if is_set else echoing()
 
@@ -295,9 +289,6 @@ def test_an_answer_behind_the_echo_of_a_request_that_is_a_possible_answer(is_set
         batch = talk.ask(COILS)
         talk.come(talk.sent[-1], rtu("01 01 03 010000"))
         assert batch.outcomes == [expected]
-
-
-# --- set ----------------------------------------------------------------------------------
 
 
 def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:

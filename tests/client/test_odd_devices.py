@@ -19,9 +19,6 @@ from tests.support.talk import rtu
 LINES = ["rtu", "rtu+tcp", "ascii", "ascii+tcp"]
 
 
-# --- unit 0 that answers ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scheme", LINES)
 def test_unit_0_answers_reads_and_writes_if_it_is_no_broadcast(world: World, scheme: str) -> None:
     """pymodbus#2378: the only device of a line answers as unit 0, to tell its address."""
@@ -42,9 +39,6 @@ def test_a_raw_request_to_unit_0_waits_for_its_answer(world: World, scheme: str)
             read(plc, 7)
         with world.lasting(0.1, 0.01):
             plc.write_register(0, 1)
-
-
-# --- other units, other ids -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scheme", [*LINES, "tcp", "udp"])
@@ -92,9 +86,6 @@ def test_no_late_answer_is_taken_with_ids_ignore(world: World, scheme: str) -> N
             except ModbusTimeoutError:
                 values.append(None)
     assert values == [None, True, True] * 4
-
-
-# --- connections that end ---------------------------------------------------------------------
 
 
 def closing(after: float) -> Any:
@@ -196,9 +187,6 @@ def test_an_answer_that_takes_longer_than_idle_close_is_awaited(world: World) ->
     assert peer.connections == 1
 
 
-# --- bytes between frames -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])
 @pytest.mark.parametrize("heartbeat", [b"\xff", b"\xff\xff"])
 def test_heartbeats_between_answers_are_dropped(
@@ -226,9 +214,6 @@ def test_heartbeats_between_answers_are_dropped(
         assert peer.connections == 2
 
 
-# --- times on lines behind converters -----------------------------------------------------------
-
-
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp"])
 def test_silence_lasts_from_an_answer_to_the_next_request(world: World, scheme: str) -> None:
     peer = world.peer(scheme, good_at(scheme, 0.3))
@@ -238,9 +223,6 @@ def test_silence_lasts_from_an_answer_to_the_next_request(world: World, scheme: 
     pauses = [later - sooner for sooner, later in zip(peer.times, peer.times[1:], strict=False)]
     # The first answers on a line are held for longer.
     assert min(pauses) == pytest.approx(0.5, abs=0.01)
-
-
-# --- lengths --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scheme", ["rtu", "rtu+tcp"])

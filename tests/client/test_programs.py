@@ -198,8 +198,6 @@ print("good")
 """)
 
 
-# --- without descriptors ---------------------------------------------------------------------
-
 # Every import opens a file, so a module that is first needed now cannot be had.
 PROGRAM = """
 import asyncio, errno, resource, sys
@@ -259,8 +257,6 @@ def test_no_descriptor_left_is_a_connection_error_that_passes(scheme: str, kind:
         done = ended("-c", PROGRAM, peer.url, kind)
     assert done.stdout == "ok\n", done.stderr
 
-
-# --- at their end ----------------------------------------------------------------------------
 
 LEFT_OPEN = """
 import asyncio, sys

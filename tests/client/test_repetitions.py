@@ -121,9 +121,6 @@ def test_what_waits_behind_a_repetition_fails_with_it_when_no_connection_is_made
         assert batch.is_done
 
 
-# --- again, and to the end -------------------------------------------------------------------
-
-
 @BOTH
 def test_a_request_without_an_answer_is_asked_again(url: str) -> None:
     talk = Talk(url, timeout=1, retries=2)

@@ -122,9 +122,6 @@ def test_settings_in_the_url_reach_the_port(device: Device, query: str) -> None:
             assert context.read_holding_registers(100, 1) == [1000]
 
 
-# --- delimiters and noise -----------------------------------------------------------------------
-
-
 @ALL
 @pytest.mark.parametrize("scheme", ["ascii+tcp", "ascii"])
 def test_an_accepted_delimiter_is_followed_and_a_restart_ends_it(scheme: str, kind: str) -> None:
@@ -186,9 +183,6 @@ def test_a_byte_right_behind_a_flush_does_not_reopen_the_port(
         assert len(locks) == 1
         assert client.state is State.CONNECTED
         assert client.statistics.lost == 0
-
-
-# --- delimiters, in bytes and times -----------------------------------------------------------
 
 
 def test_an_accepted_delimiter_is_used_from_then_on_and_given_back_at_a_restart() -> None:

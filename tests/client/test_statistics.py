@@ -164,9 +164,6 @@ def test_all_results_are_explained() -> None:
         assert f'"{result}"' in (Statistics.__doc__ or "")
 
 
-# --- the counters themselves -----------------------------------------------------------------
-
-
 def test_bounds_of_times_are_those_of_the_documentation() -> None:
     """Dashboards have them: 100 us to 10 s, each about twice the one before."""
     milliseconds = [0.1, 0.25, 0.5, 1, 2.5, 5, 10, 25, 50, 100, 250, 500, 1000, 2500, 5000, 10_000]

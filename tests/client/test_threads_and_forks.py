@@ -24,8 +24,6 @@ from tests.support.reads import good, good_at
 from tests.support.scripted import run as run_watched
 from tests.support.signals import in_child
 
-# --- forks ------------------------------------------------------------------------------------
-
 
 def assert_read(client: Any, address: int) -> None:
     """Check that a register gives its address."""
@@ -114,9 +112,6 @@ def test_a_child_that_asks_and_closes_leaves_its_parent_alone() -> None:
         assert (context.statistics.connects, line.statistics.connects) == (1, 1)
 
 
-# --- threads and tasks --------------------------------------------------------------------------
-
-
 def test_a_hundred_threads_and_a_close() -> None:
     """Each gets its own values until it is told that the client is closed."""
 
@@ -133,9 +128,6 @@ def test_a_hundred_threads_and_a_close() -> None:
             context.close()
             for each in asked:
                 each.result(5)
-
-
-# --- the process ----------------------------------------------------------------------------------
 
 
 @ALL
@@ -187,9 +179,6 @@ def test_clients_can_be_neither_pickled_nor_copied_deeply(kind: str) -> None:
             with pytest.raises(TypeError):
                 spoil(getattr(client, "_plc", client))
         assert read(client, 5) == 5
-
-
-# --- clients that nobody closed --------------------------------------------------------------
 
 
 def forget(url: str) -> None:

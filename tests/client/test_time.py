@@ -87,12 +87,6 @@ def test_spacing_and_delay_are_kept(world: World) -> None:
     assert min(gaps) >= 0.03 - 1e-6
 
 
-# --- once more ------------------------------------------------------------------------------------
-
-
-# --- nobody answers -------------------------------------------------------------------------------
-
-
 def test_broadcast_waits_for_no_answer_and_reads_are_refused(world: World) -> None:
     unit = world.peer("rtu", ignore)
     url = f"{unit.url}&timeout=10&turnaround=0.05&unit=0"
@@ -103,9 +97,6 @@ def test_broadcast_waits_for_no_answer_and_reads_are_refused(world: World) -> No
         with pytest.raises(ValueError, match="broadcast"):
             everyone.read_coils(0, 1)
     assert unit.requests[0][:6] == bytes.fromhex("000600010002")
-
-
-# --- checks of both clients -------------------------------------------------------------------
 
 
 UNITS = [

@@ -122,9 +122,6 @@ def test_help_lists_all_methods_and_options(client: type) -> None:
     assert "read_coils(self,address:int,count:int)->list[bool]" in text
 
 
-# --- wrong names ----------------------------------------------------------------------------
-
-
 def called(plc: Any, name: str, *arguments: Any, **named: Any) -> str:
     """Return the message of the TypeError with which a method refuses its arguments."""
 

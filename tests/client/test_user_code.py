@@ -242,9 +242,6 @@ def test_a_class_may_use_the_client_while_it_decodes() -> None:
     run_client(good, use)
 
 
-# --- hooks, and classes of requests, on the real system --------------------------------------
-
-
 def tcp(request: bytes) -> list[bytes]:
     return [answer(request[at : at + 12], "tcp") for at in range(0, len(request), 12)]
 

@@ -265,9 +265,6 @@ def test_ctrl_c_leaves_and_a_signal_handler_may_close(url: str) -> None:
             assert list(watching) == []
 
 
-# --- points with intervals of their own, and totals that fall ---------------------------------
-
-
 def test_points_are_asked_at_their_intervals_and_keep_their_values(wall: Wall) -> None:
     found = values_of(wall.watch(8, what=TOTALS, every=1))
     assert found == [{"v": 7, "energy": 7, "sf": 7}] * 8

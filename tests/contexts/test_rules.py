@@ -36,9 +36,6 @@ each_transport = pytest.mark.parametrize("transport", ["tcp", "rtu"])
 FORKS = pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 
 
-# --- late answers ------------------------------------------------------------------------------
-
-
 def late_sometimes(transport: str, seconds: float) -> OnRequest:
     """Answer each fortieth request late."""
     count = 0
@@ -149,9 +146,6 @@ def test_bad_answers_are_errors_and_the_next_answer_is_right(name: str) -> None:
         assert context.read_holding_registers(2, 1) == [2]
 
 
-# --- connections -------------------------------------------------------------------------------
-
-
 def test_a_connection_that_the_other_side_closes_is_made_again() -> None:
     with TcpPeer(good) as peer, context_at(peer.url) as context:
         for _ in range(2):
@@ -249,9 +243,6 @@ def test_garbage_is_closed() -> None:
         until(lambda: not peer._peers)
 
 
-# --- threads and signals -----------------------------------------------------------------------
-
-
 @each_transport
 def test_threads_wait_for_each_other(transport: str) -> None:
     with peer_at(transport, good_at(transport)) as peer, context_at(peer.url) as context:
@@ -345,9 +336,6 @@ def test_a_signal_handler_cannot_ask_during_a_call_of_its_thread() -> None:
     assert "signal handler" in str(error)
 
 
-# --- forks and descriptors ---------------------------------------------------------------------
-
-
 @FORKS
 @each_transport
 def test_a_child_can_neither_use_a_context_nor_harm_its_parent(transport: str) -> None:
@@ -414,9 +402,6 @@ def test_descriptors_of_which_libmodbus_would_die_are_refused(transport: str) ->
     for line in refusals:
         assert line.startswith(f"{errno.EMFILE} ")
         assert "libmodbus takes those below 1024; Client takes all" in line
-
-
-# --- arguments ---------------------------------------------------------------------------------
 
 
 def test_the_settings_of_a_line_are_set() -> None:

@@ -71,9 +71,6 @@ def adapted(name: str, folder: Path, changes: dict[str, str]) -> Path:
     return compile_c(copy, folder / name, f"-I{EXAMPLES}", "-w")
 
 
-# --- its client -------------------------------------------------------------------------------
-
-
 LONGER_WAITS = {
     "modbus_set_response_timeout(ctx, 0, 600000)": "modbus_set_response_timeout(ctx, 0, 950000)",
     "modbus_set_byte_timeout(ctx, 0, 7000)": "modbus_set_byte_timeout(ctx, 0, 500000)",
@@ -193,8 +190,6 @@ def test_the_client_passes(kind: str, peer: str, tmp_path: Path) -> None:
     assert "ALL TESTS PASS WITH SUCCESS." in lines, "\n".join(lines[-12:])
     assert passed(lines) >= 100
 
-
-# --- its server -------------------------------------------------------------------------------
 
 SHOW_PORT = """
     s = modbus_tcp_listen(ctx, 1);

@@ -58,9 +58,6 @@ class Unusual(BaseException):
     """As some frameworks end a task with."""
 
 
-# --- what they raise ---------------------------------------------------------------------------
-
-
 @each_case("kind", KINDS)
 @each_case(
     "make",
@@ -136,9 +133,6 @@ def test_nobody_loses_a_request_of_the_same_turn(
     assert len(caplog.records) == 1
 
 
-# --- how long they take ------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_slow_one_is_told_of_once_for_each_device(
     kind: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
@@ -159,9 +153,6 @@ def test_a_slow_one_is_told_of_once_for_each_device(
     assert "dawdle" in message
     assert "clients" in message
     assert any(0.02 <= float(word) < 60 for word in message.split() if word[0].isdigit())
-
-
-# --- hooks for some accesses -------------------------------------------------------------------
 
 
 @each_case(

@@ -145,8 +145,6 @@ def test_a_moving_scale_is_computed_before_it_is_used() -> None:
     assert device["setpoint"] == 20
 
 
-# --- states, bits, and no value ----------------------------------------------------------------
-
 POINTS = RegisterMap(
     [
         Point("state", H, 0, states={0: "off", 1: "on"}),

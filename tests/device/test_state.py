@@ -224,9 +224,6 @@ def test_every_cut_and_every_changed_byte_is_refused(tmp_path: Path) -> None:
             device.load(path)
 
 
-# --- files --------------------------------------------------------------------------------
-
-
 def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):

@@ -27,8 +27,6 @@ def loaded(name: str) -> Any:
         sys.path.remove(str(SCRIPTS))
 
 
-# --- links ----------------------------------------------------------------------------------------
-
 TEXT_FILES = (".md", ".py", ".toml", ".in", ".service", ".yml", ".cfg", ".sh")
 
 
@@ -88,8 +86,6 @@ def test_the_address_is_that_of_the_project(tmp_path: Path) -> None:
     assert loaded("links").repository(tmp_path) == ADDRESS
 
 
-# --- copy buttons ---------------------------------------------------------------------------------
-
 SESSION = """$ libmodbus-py serve tcp://127.0.0.1:1502 &
 listening on tcp://127.0.0.1:1502
 $ libmodbus-py read 'a "b"' \\
@@ -117,9 +113,6 @@ def test_copy_buttons_find_the_commands() -> None:
     (found,) = re.findall(r'<div class="language-console highlight" data-copy="([^"]*)">', made)
     assert unescape(found).splitlines() == loaded("copying").commands_of(SESSION)
     assert made.endswith(other)
-
-
-# --- the search -----------------------------------------------------------------------------------
 
 
 def item(location: str, title: str) -> dict[str, Any]:
@@ -177,9 +170,6 @@ def test_what_people_ask_leads_to_pages_that_exist() -> None:
         assert (ROOT / "docs" / f"{page}.md").exists() or (ROOT / "docs" / page).is_dir(), location
 
 
-# --- installing -----------------------------------------------------------------------------------
-
-
 def install_blocks(path: Path) -> list[str]:
     return re.findall(
         r"```sh\n(sudo apt update && sudo apt install lib.*?)```", path.read_text(), re.DOTALL
@@ -192,8 +182,6 @@ def test_there_is_one_block_that_installs() -> None:
     assert blocks == [blocks[0]] * 2
     assert len(blocks[0]) == 1
 
-
-# --- pictures -------------------------------------------------------------------------------------
 
 SHOWN = "\x1b[1mtop\x1b[0m\r\nlow\r\n\x1b[2A\x1b[Jnew & \x1b[31mred\x1b[0m\r\nnext\x1b[K"
 

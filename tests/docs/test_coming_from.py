@@ -133,9 +133,6 @@ def blocks_that_readers_do_not_see(page: str) -> Iterator[str]:
             yield region.lexemes["source"]
 
 
-# --- errors ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.md")), ids=lambda path: path.stem)
 def test_each_page_names_the_kinds_of_errors(path: Path) -> None:
     direct = [name for name in errors.__all__ if ModbusError in getattr(errors, name).__bases__]
@@ -266,9 +263,6 @@ def test_errors_of_minimalmodbus_are_those_of_the_table(monkeypatch: pytest.Monk
     assert issubclass(minimalmodbus.ModbusException, OSError)
 
 
-# --- options --------------------------------------------------------------------------------------
-
-
 def parameters(*callables: Any) -> dict[str, Any]:
     """Return the defaults of all arguments, by name; of several with one name, the last."""
     found = [inspect.signature(each).parameters for each in callables]
@@ -338,9 +332,6 @@ def test_bits_of_pymodbus_are_bits16_with_the_order_badc() -> None:
     assert ours.encode(switches) == ModbusClientMixin.convert_to_registers(
         switches, ModbusClientMixin.DATATYPE.BITS
     )
-
-
-# --- the names of pymodbus ------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -170,9 +170,6 @@ def _wrapped(made: Counting, real: Callable[..., Any]) -> Callable[..., Any]:
     return staticmethod(wrapped) if isinstance(real, type) else wrapped
 
 
-# --- what must not happen ----------------------------------------------------------------
-
-
 class Complaints(logging.Handler):
     """What event loops, threads and the garbage collector complain of."""
 
@@ -207,9 +204,6 @@ def complaints() -> Iterator[Complaints]:
             yield made
         finally:
             logger.removeHandler(made)
-
-
-# --- trials ------------------------------------------------------------------------------
 
 
 @dataclass

@@ -127,9 +127,6 @@ CLIENTS: dict[str, Ask] = {
 }
 
 
-# --- writes, and reads between them ---------------------------------------------------------------
-
-
 @pytest.mark.parametrize("client", CLIENTS)
 def test_writes_are_carried_out_once_and_in_order(served: Served, client: str) -> None:
     results, statistics = CLIENTS[client](served.url, WRITES)
@@ -161,9 +158,6 @@ def test_writes_of_four_clients_of_a_gateway_are_carried_out(served: Served) -> 
         assert [
             value for address, value in served.written if address == REGISTER + client
         ] == VALUES
-
-
-# --- reads -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("client", CLIENTS)

@@ -270,9 +270,6 @@ class TestWherePymodbusServerErrs:
             assert context.read_holding_registers(100, 2) == [8, 1101]
 
 
-# --- a map of which it lacks registers -----------------------------------------------------------
-
-
 def test_registers_behind_the_end_are_left_out() -> None:
     """Of twenty points the last three lie where pymodbus has no registers."""
     end = HOLDING_REGISTERS.stop

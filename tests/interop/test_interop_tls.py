@@ -36,9 +36,6 @@ from tests.support.tls import VERSIONS, context
 LONG = 20.0
 
 
-# --- openssl s_server -----------------------------------------------------------------------
-
-
 class SServer:
     """
     A server that is told what to send on its standard input, and prints what it receives.
@@ -141,9 +138,6 @@ def test_s_server_with_nothing_in_common(connect: Connect, pki: Pki, options: li
         with pytest.raises(ModbusConnectionError, match="no TLS with 127"):
             plc.connect()
         plc.close()
-
-
-# --- pymodbus -------------------------------------------------------------------------------
 
 
 def test_pymodbus_refuses_a_certificate_of_others(connect: Connect, pki: Pki) -> None:

@@ -36,8 +36,6 @@ tmodbus = pytest.importorskip("tmodbus", reason="tmodbus needs Python 3.12")
 VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
 
 
-# --- its client, our server ---------------------------------------------------------------------
-
 # Function -> what is asked, and the answer; None where there is none to look at.
 ASKED: dict[int, tuple[Any, Any]] = {
     1: (lambda c: c.read_coils(12, 3), cells(coil, 12, 3)),
@@ -83,9 +81,6 @@ def test_its_client_and_our_server_agree(pki: Pki, function: int, version: ssl.T
     asked, expected = ASKED[function]
     with our_tls_server(pki, {UNIT: make_device()}) as wire:
         assert ask(pki, wire.port, asked, version) == expected
-
-
-# --- our clients, its server --------------------------------------------------------------------
 
 
 @contextlib.contextmanager

@@ -15,8 +15,6 @@ from libmodbus_py.maps.plan import Plan, unreadable_of
 from tests.maps.refusing import H, Polls, Registers, lost, singles
 from tests.support.cases import each_case
 
-# --- one hole ------------------------------------------------------------------------------------
-
 
 def test_both_halves_are_read_until_single_registers_are_known() -> None:
     polls = Polls(singles(8), Registers([2]))
@@ -75,9 +73,6 @@ def test_plans_of_one_unit_share_what_is_known() -> None:
     polls.plan = Plan([(H, at) for at in (4, 5, 6)])
     count, values = polls.poll()
     assert (count, lost(values)) == (2, [1])
-
-
-# --- many holes, or nothing else -----------------------------------------------------------------
 
 
 @each_case(
@@ -150,9 +145,6 @@ def test_holes_side_by_side_are_told_together() -> None:
         "3, 4, holding_registers 3..4",
         "9, holding_registers 9",
     ]
-
-
-# --- again ---------------------------------------------------------------------------------------
 
 
 def test_a_hole_is_tried_again_every_ten_minutes() -> None:

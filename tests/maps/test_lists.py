@@ -301,8 +301,6 @@ def test_a_column_of_initial_values(tmp_path: Path) -> None:
     assert [device[name] for name in "abcd"] == [21.5, "007", True, False]
 
 
-# --- what has two meanings ------------------------------------------------------------------
-
 HEAD = "name,table,address,type"
 TWO_MEANINGS = [
     (f"{HEAD},Factor\na,holding,0,u16,10\n", "line 1", "--column divisor=Factor"),
@@ -473,8 +471,6 @@ def test_names_that_repeat_are_told(tmp_path: Path) -> None:
     assert "names that occur twice have their address behind: 8, 9" in contents.notes
 
 
-# --- types ------------------------------------------------------------------------------------
-
 WORDS = {
     "int16": "INT16 SINT16 S16 short Signed16 INT_16 int16_t S_WORD INT16S s16",
     "uint16": "UINT16 INT16U U16 WORD ushort UInt_16 uint16_t U_WORD ENUM16 HEX16 u16",
@@ -515,9 +511,6 @@ def test_words_of_types_with_an_order(tmp_path: Path, word: str, type: str, orde
 def test_a_type_of_a_byte_is_the_low_one(tmp_path: Path, word: str, value: int) -> None:
     (point,) = load_map(written(tmp_path, f"{HEAD}\na,holding,0,{word}\n")).values()
     assert point.decode([0x01FB]) == value
-
-
-# --- spreadsheets -------------------------------------------------------------------------------
 
 
 def spreadsheet(path: Path, rows: list[list[Any]]) -> Path:
@@ -575,9 +568,6 @@ def test_what_is_no_spreadsheet(tmp_path: Path) -> None:
     (tmp_path / "list.xlsx").write_bytes(b"PK\x03\x04 broken")
     with pytest.raises(MapError, match=r"list\.xlsx: is no spreadsheet"):
         load_map(tmp_path / "list.xlsx")
-
-
-# --- defaults of a whole file -----------------------------------------------------------------
 
 
 def test_defaults_of_a_map_in_toml(tmp_path: Path) -> None:

@@ -171,8 +171,6 @@ def test_a_plan_means_the_same_as_its_points() -> None:
     assert str(told["p0"]) == "p0 has no value: the device says 65535"
 
 
-# --- scales of the device ---------------------------------------------------------------------
-
 SCALED = RegisterMap(
     [
         point("v", type="int16", scale_from="v_sf", missing="sunspec"),
@@ -261,8 +259,6 @@ def test_a_map_whose_scales_cannot_be(points: list[Point], message: str) -> None
         RegisterMap(points)
 
 
-# --- keys that cannot be ----------------------------------------------------------------------
-
 WRONG = [
     ({"missing": 70000}, "missing[0] must be in 0..65535, not 70000"),
     ({"missing": -1}, "missing[0] must be in 0..65535, not -1"),
@@ -327,8 +323,6 @@ def test_keys_that_cannot_be(keys: dict[str, Any], message: str) -> None:
         point(**keys)
     assert str(caught.value).startswith(message)
 
-
-# --- writing ----------------------------------------------------------------------------------
 
 PARTS = RegisterMap(
     [
@@ -417,9 +411,6 @@ def test_named_bits_come_back(number: int, order: str) -> None:
     cells = point(type="uint32", order=order).encode(number)
     assert made.encode(made.decode(cells)) == cells
     assert made.change(made.decode(cells)).masks == [0xFFFF, 0xFFFF]
-
-
-# --- chains of scales ----------------------------------------------------------------------------
 
 
 class Counting(Mapping[str, Point]):

@@ -51,9 +51,6 @@ def answers(plan: Plan) -> list[list[Any]]:
     return [[cell(table, address) for address in cells] for table, cells in spans(plan)]
 
 
-# --- examples ----------------------------------------------------------------------------
-
-
 C, H, INPUT = "coils", "holding_registers", "input_registers"
 
 # Items, options, and the requests: table, first address and count.
@@ -151,9 +148,6 @@ def test_results_are_made_anew_each_time() -> None:
     assert answer == [[True, False]]
 
 
-# --- arguments ---------------------------------------------------------------------------
-
-
 @each_case(
     ("items", "options", "kind", "named"),
     [
@@ -243,9 +237,6 @@ def test_options_beside_a_plan_are_refused() -> None:
             planned(plan, options)  # type: ignore[arg-type]
 
 
-# --- borders -----------------------------------------------------------------------------
-
-
 # Items, borders of holding registers, and the requests.
 BORDERED: list[Any] = [
     ([(H, 0, 20)], [10], [(0, 10), (10, 10)]),
@@ -292,8 +283,6 @@ def test_plans_of_a_map_keep_its_borders() -> None:
     with pytest.raises(TypeError, match="border must be true or false, not 1"):
         Point("a", H, 0, border=1)  # type: ignore[arg-type]
 
-
-# --- any items ---------------------------------------------------------------------------
 
 SIZES = {None: 1, "float32": 2, "int64": 4, "string:5": 3}
 
@@ -405,9 +394,6 @@ def test_plan_of_any_items(
 
 def decoded(read: Read, registers: list[Any]) -> list[Any]:
     return registers if read.type is None else values.value_type(read.type).decode_many(registers)
-
-
-# --- read_many ---------------------------------------------------------------------------
 
 
 @pytest.fixture

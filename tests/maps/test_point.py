@@ -221,9 +221,6 @@ def test_a_unit_of_a_point_has_the_name_units() -> None:
         Point("power", "input_registers", 0, unit="W")  # type: ignore[call-arg]
 
 
-# --- bounds after rounding, and divisors ------------------------------------------------------
-
-
 @each_case(
     ("keys", "value"),
     [

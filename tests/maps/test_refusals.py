@@ -22,8 +22,6 @@ from libmodbus_py.maps.plan import Plan
 from tests.maps.refusing import H, Polls, Registers, leaving, lost, singles
 from tests.support.cases import each_case
 
-# --- what is not a hole -----------------------------------------------------------------
-
 
 @each_case(
     "error",
@@ -79,9 +77,6 @@ def test_a_run_that_is_left_leaves_what_was_learnt_whole() -> None:
         run.close()
         assert len(polls.news) == len(polls.unreadable)
         assert lost(polls.poll(1)[1]) == [5, 31]
-
-
-# --- the first failure ---------------------------------------------------------------------------
 
 
 def test_a_strict_reading_names_what_was_refused() -> None:
@@ -173,9 +168,6 @@ def test_a_failure_while_the_item_is_searched_leaves_the_refusal() -> None:
     assert count == 3
     assert isinstance(answers[0], IllegalDataAddress)
     assert answers[0].names == ()
-
-
-# --- any device ----------------------------------------------------------------------------------
 
 
 @given(st.data())

@@ -116,9 +116,6 @@ def test_without_any_answer_all_stay_due() -> None:
     assert pace.due(110) == (0,)
 
 
-# --- totals --------------------------------------------------------------------------------------
-
-
 def falls(*polls: Any) -> list[str]:
     """Return for each poll of one total whether it is believed, doubtful, or fell."""
     totals = Totals([0])
@@ -157,8 +154,6 @@ def test_no_total_is_doubtful_twice_in_a_row(polls: list[int]) -> None:
     rises = all(first <= second for first, second in pairwise(polls))
     assert not rises or set(found) <= {"believed"}
 
-
-# --- polls of a map ------------------------------------------------------------------------------
 
 POINTS = RegisterMap(
     [

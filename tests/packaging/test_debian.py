@@ -47,8 +47,6 @@ def test_the_files_that_it_names_exist() -> None:
     assert project.count("\nlicense-files = ") == 1
 
 
-# --- what is packed -------------------------------------------------------------------------------
-
 files = runpy.run_path(str(ROOT / "packaging" / "deb.py"))["files"]
 
 KNOWN = [".gitignore", "PKG-INFO", "docs/index.md", "libmodbus_py/binding/_libmodbus.c", "setup.py"]
@@ -115,9 +113,6 @@ def test_what_git_says_is_told_if_it_does_not_know_the_files(clone: Path, tmp_pa
     (clone / ".git").write_text(f"gitdir: {tmp_path}/gone\n")
     with pytest.raises(SystemExit, match="deb: fatal: not a git repository"):
         files(clone)
-
-
-# --- units ----------------------------------------------------------------------------------------
 
 
 @each_case("command", COMMANDS)

@@ -213,9 +213,6 @@ def test_no_url_shows_a_function(events: list[object]) -> None:
     plc.close()
 
 
-# --- lines of a GPIO chip, with a package that is made up ---------------------------------------
-
-
 class Value(Enum):
     INACTIVE = 0
     ACTIVE = 1

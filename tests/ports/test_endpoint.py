@@ -259,8 +259,6 @@ def test_no_error_shows_a_password(url: str) -> None:
     assert "secret" not in str(caught.value)
 
 
-# --- round trips -------------------------------------------------------------------------------
-
 ODD = ["#x", "?a=1", "%23", "a b", "ä", "\udcff", "a:b@c", "+", "//x", "a&b=c", "\n", "'\"[]"]
 
 
@@ -336,8 +334,6 @@ def test_a_url_is_text() -> None:
         parse(502)  # type: ignore[arg-type]
 
 
-# --- keys --------------------------------------------------------------------------------------
-
 SAME = [
     ("tcp://Plant.example", "rtu+tcp://plant.example:502?timeout=2"),
     ("tcp://192.0.2.10:802", "tls://192.0.2.10"),
@@ -368,9 +364,6 @@ def test_an_ipv4_address_in_ipv6_has_the_same_key_with_every_python() -> None:
     """The module ipaddress writes it with hexadecimal digits before Python 3.13."""
     key = ("tcp", "[::ffff:192.0.2.1]:502")
     assert parse("tcp://[::ffff:c000:201]").key == parse("tcp://[::FFFF:192.0.2.1]").key == key
-
-
-# --- URLs without a scheme ----------------------------------------------------------------
 
 
 @each_case(

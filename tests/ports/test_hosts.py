@@ -49,9 +49,6 @@ def test_all_addresses_are_this_machine_but_others_reach_them(host: str) -> None
     assert not is_loopback(host)
 
 
-# --- text --------------------------------------------------------------------------------------
-
-
 @each_case(
     ("text", "host", "port"),
     [
@@ -96,9 +93,6 @@ def test_what_is_formatted_is_parsed(host: str, port: int) -> None:
 def test_the_host_of_a_path_is_the_path(path: str) -> None:
     assert host_of_peer(path) == path
     assert host_of_peer(f"{path} pid 7") == path
-
-
-# --- outages ------------------------------------------------------------------------------
 
 
 GONE = ModbusConnectionError("no such device", errno=19)

@@ -460,9 +460,6 @@ class TestUdp:
             udp(number)[0].send([b"request"], 0.0)
 
 
-# --- a connection to itself ---------------------------------------------------------------
-
-
 SCHEMES = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls"]
 
 

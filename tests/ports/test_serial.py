@@ -42,9 +42,6 @@ def port(wire: SerialWire) -> Iterator[SerialPort]:
     made.close()
 
 
-# --- silence ---------------------------------------------------------------------------
-
-
 def test_after_a_byte_the_line_must_be_quiet() -> None:
     silence = Silence(0.004)
     assert silence.over_at == 0
@@ -85,9 +82,6 @@ def test_silence_and_characters_are_those_of_the_specification(
     made = SerialPort("/dev/x", **settings)
     assert made.silence.seconds == pytest.approx(silence)
     assert made.silence.character == pytest.approx(character)
-
-
-# --- settings --------------------------------------------------------------------------
 
 
 @each_case(
@@ -146,9 +140,6 @@ def test_kernel_rs485_on_a_port_without_it_is_refused(wire: SerialWire) -> None:
     made = SerialPort(wire.client)  # and it was left
     made.open()
     made.close()
-
-
-# --- who may have it -------------------------------------------------------------------
 
 
 @each_case(
@@ -249,9 +240,6 @@ def test_a_port_that_is_abandoned_while_it_sends_touches_no_line(wire: SerialWir
     assert wire.sent_by("client") == b""
 
 
-# --- bytes -----------------------------------------------------------------------------
-
-
 def heard(port: SerialPort, wire: SerialWire, data: bytes) -> None:
     """Bytes have come, and wait to be read."""
     other = os.open(wire.server, os.O_WRONLY | os.O_NOCTTY)
@@ -302,9 +290,6 @@ def test_rts_is_held_while_it_sends(wire: SerialWire) -> None:
     made.go_on(101.0)
     assert made.resume_at is None
     made.close()
-
-
-# --- the serial ports of a machine, described by files as the kernel has them -------------
 
 
 @pytest.fixture

@@ -93,9 +93,6 @@ def test_a_gateway_refuses_a_line_to_itself(path: str) -> None:
         pass
 
 
-# --- the file ----------------------------------------------------------------------------------
-
-
 def test_the_owner_and_the_group_may_connect_whatever_the_umask_is(path: str) -> None:
     before = os.umask(0o077)
     try:
@@ -373,9 +370,6 @@ def test_a_locked_folder_holds_up_only_its_own_server(path: str) -> None:
         (await starting).close()
 
     asyncio.run(main())
-
-
-# --- clients -----------------------------------------------------------------------------------
 
 
 def test_no_server_is_a_connection_error(path: str) -> None:

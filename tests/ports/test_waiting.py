@@ -66,9 +66,6 @@ def soon(seconds: float = 0.2) -> float:
     return time.monotonic() + seconds
 
 
-# --- steps -----------------------------------------------------------------------------
-
-
 def test_what_is_ready_is_told(drive: Drive, pair: tuple[socket.socket, socket.socket]) -> None:
     one, other = pair
 
@@ -102,9 +99,6 @@ def test_what_steps_raise_comes_out(drive: Drive) -> None:
         drive(steps())
 
 
-# --- names -----------------------------------------------------------------------------
-
-
 def resolving(host: str, seconds: float = 5) -> Steps[Any]:
     try:
         return (yield Resolve(host, 502, socket.SOCK_STREAM, soon(seconds)))
@@ -128,9 +122,6 @@ def test_names_and_addresses_are_looked_up(drive: Drive, named: str) -> None:
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "x" * 300, "a..b"])
 def test_a_name_that_nobody_has_is_an_os_error(drive: Drive, host: str) -> None:
     assert isinstance(drive(resolving(host)), OSError)
-
-
-# --- connecting ------------------------------------------------------------------------
 
 
 def addresses(monkeypatch: pytest.MonkeyPatch, *ports: int) -> None:
@@ -208,9 +199,6 @@ def test_udp_is_connected_at_once(drive: Drive) -> None:
     made.close()
 
 
-# --- waking ----------------------------------------------------------------------------
-
-
 def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
 
@@ -275,9 +263,6 @@ def test_a_waker_may_be_closed_and_woken_any_number_of_times() -> None:
     assert waker.descriptor == -1
 
 
-# --- cancelling ------------------------------------------------------------------------
-
-
 def test_cancelling_closes_the_socket() -> None:
     async def main(port: int) -> None:
         before = descriptors()
@@ -337,9 +322,6 @@ def test_the_system_waits_a_second_at_a_time(
         assert seconds <= counted.now - before <= seconds + 0.0011
     assert max(counted.waits) <= 1000
     waker.close()
-
-
-# --- alarms -------------------------------------------------------------------------------
 
 
 def rung(*times: float, until: float, is_cancelled: bool = False) -> tuple[list[float], float]:

@@ -119,9 +119,6 @@ def test_other_functions_are_taken(call: Any) -> None:
     assert checked_callback("call", call) is call
 
 
-# --- a plain function that returns a coroutine ------------------------------------------------
-
-
 def hidden(*_: object) -> Any:
     """Return a coroutine, as ``lambda access: waits(access)`` does."""
     return waits()
@@ -157,9 +154,6 @@ def test_a_result_of_which_nothing_ran_is_refused(make: Callable[[], object]) ->
         finished("hook", make())
 
 
-# --- the log -------------------------------------------------------------------------------
-
-
 def test_a_log_that_fails_is_told_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     class Broken(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
@@ -176,9 +170,6 @@ def test_a_log_that_fails_is_told_on_stderr(capsys: pytest.CaptureFixture[str]) 
     told = capsys.readouterr().err
     assert "disk full" in told
     assert "ZeroDivisionError" in told
-
-
-# --- loggers whose handlers fail ----------------------------------------------------------
 
 
 PACKAGE = "libmodbus_py"

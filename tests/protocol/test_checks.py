@@ -110,9 +110,6 @@ def test_a_value_is_short_in_messages(value: object, text: str) -> None:
     assert shown(value) == text
 
 
-# --- durations ----------------------------------------------------------------------------
-
-
 @each_case(
     ("text", "seconds"),
     [
@@ -143,9 +140,6 @@ def test_a_duration_has_units_or_none(text: str, seconds: float) -> None:
 def test_any_other_text_is_no_duration(text: str) -> None:
     with pytest.raises(ValueError, match="could not convert"):
         duration_of(text)
-
-
-# --- mistakes are the same after they were passed to another process ----------------------
 
 
 @each_case(

@@ -54,9 +54,6 @@ def test_only_too_many_characters_are_an_overrun() -> None:
     }
 
 
-# --- chunks of whole frames with MBAP headers ---------------------------------------------
-
-
 def mbap(length: int, body: bytes, protocol: int = 0, transaction: int = 7) -> bytes:
     numbers = (transaction, protocol, length)
     return b"".join(number.to_bytes(2, "big") for number in numbers) + body

@@ -46,8 +46,6 @@ from tests.support.vectors import (
     rows,
 )
 
-# --- the worked examples ---------------------------------------------------------------
-
 
 def _role(vector: FrameVector) -> str:
     return "server" if vector.kind == "request" else "client"
@@ -122,9 +120,6 @@ def test_checksums_of_nothing() -> None:
     assert lrc(b"") == 0
 
 
-# --- encoding ----------------------------------------------------------------------------
-
-
 class TestMakeFramer:
     @pytest.mark.parametrize("role", ["client", "server"])
     def test_each_framing_has_its_framer(self, role: Any) -> None:
@@ -167,9 +162,6 @@ class TestEncode:
         assert TcpFramer().encode(frame)[:2] == b"\xbe\xef"
         assert RtuFramer("client").encode(frame) == rtu(1, frame.pdu)
         assert AsciiFramer().encode(frame) == ascii_frame(1, frame.pdu)
-
-
-# --- TCP -----------------------------------------------------------------------------------
 
 
 class TestTcp:
@@ -222,8 +214,6 @@ class TestTcp:
             assert framer.silence() == []
         assert framer.feed(self.good[-1:]) == [self.frame]
 
-
-# --- whatever comes -----------------------------------------------------------------------
 
 PENDING = {TcpFramer: 260, RtuFramer: 264, AsciiFramer: 513}
 

@@ -262,8 +262,6 @@ def test_after_another_request_an_answer_is_awaited_no_more() -> None:
     assert heard(write, other, write) == [asked, Frame(3, other[1:-2]), asked]
 
 
-# --- as unit 5 ----------------------------------------------------------------------------
-
 BROADCAST = rtu("00 06 0001 0003")
 OURS, OUR_WRITE = rtu("05 03 0000 0001"), rtu("05 06 0001 0003")
 OTHERS, REFUSAL = rtu("02 06 0001 0003"), rtu("02 86 02")

@@ -73,9 +73,6 @@ def test_what_a_terminal_would_obey_is_shown_instead() -> None:
     assert without_controls("a\x1b[2J\x9b\tb\nc \xe4") == "a\\x1b[2J\\x9b\\x09b\nc \xe4"
 
 
-# --- JSON ---------------------------------------------------------------------------------
-
-
 def test_text_is_in_ascii_and_numbers_are_finite() -> None:
     assert json_text({"b": "°C", "a": [1]}) == '{"b": "\\u00b0C", "a": [1]}'
     assert COMPACT_JSON.encode({"b": "ü", "a": [1]}) == '{"b":"\\u00fc","a":[1]}'
@@ -96,9 +93,6 @@ def test_a_name_that_occurs_twice_is_refused() -> None:
     }
     with pytest.raises(WrongValue, match=r"^a: occurs twice"):
         json.loads('{"a": 1, "a": 1}', object_pairs_hook=each_once)
-
-
-# --- points in time -----------------------------------------------------------------------
 
 
 PACKAGE = Path(__file__).parents[2] / "libmodbus_py"
@@ -150,9 +144,6 @@ def test_no_other_file_formats_times() -> None:
         if forms.search(path.read_text())
     }
     assert found == OTHERS
-
-
-# --- what people read and type -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("text", "number"), [("31", 31), ("0x1F", 31), ("0b11", 3), ("-1", -1)])

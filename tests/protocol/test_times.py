@@ -104,9 +104,6 @@ def test_times_come_back(name: str, time: datetime, order: str) -> None:
     assert kind.decode(kind.encode(time)) == kept
 
 
-# --- local times -------------------------------------------------------------------------------
-
-
 BERLIN = checked_time_zone("time_zone", "Europe/Berlin")
 UNIX = in_time_zone(value_type("unix32"), BERLIN)
 IEC870 = in_time_zone(value_type("iec870"), BERLIN)

@@ -311,9 +311,6 @@ class TestMany:
             decode_many([0x4142, 0xFFFF], "string:2")
 
 
-# --- names and limits --------------------------------------------------------------------
-
-
 def test_names_for_type_checkers_are_all_there_are() -> None:
     others = {*get_args(NumberType), *get_args(BitsType), *get_args(TimeType)}
     texts = {*get_args(get_args(TextType)[0])}

@@ -93,9 +93,6 @@ def test_clients_take_them() -> None:
                 client.read_value("co", 0, "u16")
 
 
-# --- the four tables ----------------------------------------------------------------------
-
-
 def test_names_are_those_of_mappings_and_type_checkers() -> None:
     bits, registers = get_args(Table)[:2], get_args(RegisterTable)
     assert {*bits, *registers} == set(TABLES) == set(get_args(Table))

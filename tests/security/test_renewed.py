@@ -79,9 +79,6 @@ def test_what_is_not_used_any_more_is_not_read(tmp_path: Path) -> None:
     assert mistakes(path) == []
 
 
-# --- MQTT ---------------------------------------------------------------------------------------
-
-
 def test_a_password_file_of_mqtt_is_read_again(tmp_path: Path) -> None:
     (tmp_path / "map.csv").write_text("name,table,address,type\npower,holding,0,uint16\n")
     write_secret(tmp_path / "secret", "first\n")
@@ -110,9 +107,6 @@ def test_the_authorities_of_mqtt_are_read_again(ca: Path) -> None:
     ca.write_text("in the midst of being written")
     assert authorities(asyncio.run(output._connection._trust.context())) == after
     assert len(mistakes(ca)) == 1
-
-
-# --- NATS ---------------------------------------------------------------------------------------
 
 
 def test_the_authorities_of_nats_are_read_again(ca: Path) -> None:

@@ -159,9 +159,6 @@ def test_a_file_that_one_may_not_read_is_named(pki: Pki) -> None:
         assert done.stdout == f"key {str(identity.key)!r}: Permission denied\n", done.stderr
 
 
-# --- encrypted keys -----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("form", ["PKCS #8", "traditional"])
 def test_an_encrypted_key_needs_its_password(tmp_path: Path, pki: Pki, form: str) -> None:
     identity = certificates.client()
@@ -217,9 +214,6 @@ def test_a_password_is_never_asked_for_at_the_terminal(pki: Pki) -> None:
             os.close(screen)
     assert b"is encrypted, and needs its password" in said
     assert b"pass phrase" not in said
-
-
-# --- whom one trusts ----------------------------------------------------------------------------
 
 
 def test_trust_or_pin_but_not_both(pki: Pki, files: Files) -> None:

@@ -273,9 +273,6 @@ def test_a_peer_from_another_network_is_recorded_once_a_minute(
     ]
 
 
-# --- an audit trail that fails -----------------------------------------------------------------
-
-
 class Failing:
     """Takes events unless it fails."""
 
@@ -411,9 +408,6 @@ def test_what_is_no_function_is_refused() -> None:
     for wrong in (5, "audit.json"):
         with pytest.raises(TypeError, match=r"audit must be a function, not (int|str)"):
             Server(device(), audit=wrong)  # type: ignore[arg-type]
-
-
-# --- files -------------------------------------------------------------------------------------
 
 
 def event(result: str = "ok") -> AuditEvent:

@@ -212,8 +212,6 @@ def test_a_system_without_threads_is_told(where: str, monkeypatch: pytest.Monkey
     assert is_left(before)
 
 
-# --- hooks that end the program ----------------------------------------------------------
-
 ENDS = [SystemExit(3), KeyboardInterrupt()]
 
 

@@ -159,9 +159,6 @@ def test_a_client_leaves_a_server_whose_certificate_has_expired(
         assert server.statistics.accepted == 2
 
 
-# --- the end of the checks -----------------------------------------------------------------------
-
-
 PLACE = "tls://10.0.0.1:802"
 INTERVAL = 10.0
 

@@ -86,9 +86,6 @@ def test_same_for_connections_that_send_one_request_each(
     assert states[0] == states[1]
 
 
-# --- holes --------------------------------------------------------------------------------------
-
-
 def touched(body: bytes) -> set[int]:
     """The addresses that a good request reads or writes."""
     places = struct.unpack_from(">HHHH" if body[0] == 23 else ">HH", body, 1)
@@ -150,9 +147,6 @@ def test_the_event_log_has_the_latest_of_many_requests() -> None:
             end.receive(adu(bytes([3, 0, address, 0, 1]), number))
         states.append(notes(device))
     assert states[0] == states[1]
-
-
-# --- worked examples ---------------------------------------------------------------------------
 
 
 def test_all_functions_of_libmodbus_are_answered_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -246,9 +240,6 @@ def test_nothing_beside_a_table_is_touched_whatever_libmodbus_checks(
     assert done.stdout == f"{65536 * 6 * 11 - executed} refused, {executed} executed\n"
 
 
-# --- more than one call has room for ----------------------------------------------------------
-
-
 def test_more_answers_than_one_call_has_room_for() -> None:
     """A thousand of the longest answers are 259 000 bytes."""
     device = made_device()
@@ -256,9 +247,6 @@ def test_more_answers_than_one_call_has_room_for() -> None:
     end.receive(b"".join(adu(b"\x03\0\x07\0\x7d", number) for number in range(1000)))
     answer = device.answer(b"\x03\0\x07\0\x7d")
     assert end.sent == b"".join(adu(answer, number) for number in range(1000))
-
-
-# --- headers -----------------------------------------------------------------------------------
 
 
 @each_case("length", [*range(10), *range(250, 260), 0x1FE, 0xFFFF])

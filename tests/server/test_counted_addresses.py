@@ -134,9 +134,6 @@ def test_handshakes_of_addresses_take_turns(monkeypatch: pytest.MonkeyPatch, pki
     assert stepped[:3] == ["192.0.2.1:0", "192.0.2.2:5", "192.0.2.1:1"]
 
 
-# --- addresses that are remembered ---------------------------------------------------------------
-
-
 class Waiting:
     """A connection that waits until its address may send again."""
 

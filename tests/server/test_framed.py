@@ -26,9 +26,6 @@ def answer(number: int = 1) -> bytes:
     return framed(ANSWER, number)
 
 
-# --- requests that arrive glued together or cut in pieces ---------------------------------
-
-
 @pytest.mark.timeout(60)
 def test_an_illegal_request_does_not_cost_its_neighbours_their_answers(port: int) -> None:
     """modbus_reply would sleep half a second for each, a minute and a half for all."""

@@ -36,9 +36,6 @@ LATE = {None: [Fault("delay", seconds=500)]}
 NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
 
 
-# --- frame_timeout -----------------------------------------------------------------------
-
-
 @KIND
 @pytest.mark.parametrize("frame_timeout", [0.4, 1000])
 def test_a_trickle_does_not_extend_the_time_of_a_frame(
@@ -99,9 +96,6 @@ def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(stage: Stag
         assert connection.is_closed()
         assert 20 <= stage.now - answered <= 21.01
         assert server.counts(closed_slow=1)
-
-
-# --- idle_timeout ------------------------------------------------------------------------
 
 
 @KIND
@@ -166,8 +160,6 @@ def test_clients_of_the_system_are_closed_in_time(sent: bytes) -> None:
         (1, 0) if sent else (0, 1)
     )
 
-
-# --- max_unsent --------------------------------------------------------------------------
 
 # More answers than the network in memory carries at once, and the server keeps.
 MANY = 1200

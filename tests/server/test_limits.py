@@ -28,9 +28,6 @@ ILLEGAL_COUNT = bytes.fromhex("03 0000 0000")
 KIND = pytest.mark.parametrize("kind", KINDS)
 
 
-# --- arguments ---------------------------------------------------------------------------
-
-
 SECONDS = ("frame_timeout", "handshake_timeout", "idle_timeout", "certificate_interval")
 
 IMPOSSIBLE: list[tuple[str, object, type[Exception]]] = [
@@ -119,9 +116,6 @@ def test_a_server_names_what_it_does_not_take(name: str, value: Any) -> None:
         Server({}, **{name: value})
 
 
-# --- allow -------------------------------------------------------------------------------
-
-
 NETWORKS = [
     ([], "203.0.113.9", True),
     (["192.0.2.0/24"], "192.0.2.255", True),
@@ -149,9 +143,6 @@ def test_a_copy_of_limits_allows_no_more() -> None:
     limits = dataclasses.replace(Limits(allow=iter(["192.0.2.7"])), max_connections=5)
     assert limits.allows("192.0.2.7")
     assert not limits.allows("192.0.2.8")
-
-
-# --- unknown_unit ------------------------------------------------------------------------
 
 
 STRANGER = 99
@@ -202,9 +193,6 @@ def test_serial_lines_are_silent_for_a_unit_without_a_device(
                 stage.pass_time(60)
             assert master.heard == answer
     assert server.statistics.requests == 2
-
-
-# --- the command line --------------------------------------------------------------------
 
 
 def test_serve_has_an_option_for_each_limit(capsys: pytest.CaptureFixture[str]) -> None:
@@ -261,9 +249,6 @@ def test_serve_takes_options_of_other_kinds() -> None:
         ask_system(first)
 
 
-# --- no descriptors left -----------------------------------------------------------------
-
-
 def test_without_descriptors_it_serves_whom_it_has_and_later_the_others() -> None:
     with ExitStack() as stack:
         with descriptor_limit(48):
@@ -314,9 +299,6 @@ def test_without_descriptors_it_tries_ten_times_a_second(
             assert stage.now - begun < 10.01
         assert newcomer.receive(ONE_ANSWER) == adu(ANSWER_ONE)
         assert server.counts(accepted=2)
-
-
-# --- statistics --------------------------------------------------------------------------
 
 
 def assert_counted(statistics: ServerStatistics, **expected: int) -> None:

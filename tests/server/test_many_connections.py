@@ -150,9 +150,6 @@ def test_what_comes_and_goes_leaves_no_byte_in_the_server(
             tracemalloc.stop()
 
 
-# --- descriptor 0 --------------------------------------------------------------------------------
-
-
 READ, ANSWER = bytes.fromhex("03 0001 0001"), bytes.fromhex("03 02 0000")
 
 

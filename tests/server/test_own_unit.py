@@ -149,9 +149,6 @@ def test_faults_happen_to_whom_the_server_is(
     assert found == codes
 
 
-# --- messages ----------------------------------------------------------------------------------
-
-
 @pytest.fixture(params=["tcp", "udp", "rtu+tcp"])
 def plc(request: pytest.FixtureRequest) -> Iterator[Client]:
     devices = {1: holding(7), 2: holding(8, before_read=lambda access: None)}
@@ -205,9 +202,6 @@ def test_a_message_that_cannot_be_answered_is_one(scheme: str) -> None:
     ):
         peer.sendall(adu(b"\x83\2", 1))
         ask(peer, adu(b"\x08\0\x0b\0\0", 2), adu(b"\x08\0\x0b\0\2", 2))
-
-
-# --- which faults units have --------------------------------------------------------------
 
 
 READ = b"\3\0\0\0\1"

@@ -112,9 +112,6 @@ def endpoint(stage: Stage) -> Iterator[Open]:
         assert len(each.peers) == each.statistics.connections == 0
 
 
-# --- turns ----------------------------------------------------------------------------------------
-
-
 def test_answers_are_sent_when_all_were_read(stage: Stage, endpoint: Open) -> None:
     server = endpoint(echo)
     talkers = [server.talk()[0] for _ in range(3)]
@@ -221,9 +218,6 @@ def test_who_is_held_or_behind_is_not_read(stage: Stage, endpoint: Open) -> None
     assert talker.recv(9) == b"second"
 
 
-# --- ends -----------------------------------------------------------------------------------------
-
-
 def test_a_session_that_fails_costs_its_connection_only(
     stage: Stage, endpoint: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -255,9 +249,6 @@ def test_who_sends_no_more_is_closed_although_the_answer_never_comes(
     assert talker.is_closed()
     assert 8 <= stage.now - begun <= 9.01
     assert server.statistics.closed_slow == 1
-
-
-# --- slow clients ---------------------------------------------------------------------------------
 
 
 def test_the_time_of_a_frame_stands_still_while_nothing_is_read(

@@ -72,9 +72,6 @@ def test_connections_left_at_the_end_are_closed(stage: Stage) -> None:
     assert server.statistics.connections == 0
 
 
-# --- connections_per_address -------------------------------------------------------------
-
-
 @KIND
 def test_an_address_with_too_many_makes_room_among_its_own(stage: Stage, kind: str) -> None:
     with served(stage, kind, max_connections=6, connections_per_address=3) as server:
@@ -123,9 +120,6 @@ def test_ipv4_within_ipv6_is_the_same_address(stage: Stage) -> None:
         ask(server.connect("::ffff:192.0.2.8"))
         ask(server.connect("::192.0.2.7"))
         assert server.counts(refused_address=1)
-
-
-# --- allow -------------------------------------------------------------------------------
 
 
 @KIND

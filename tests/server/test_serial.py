@@ -133,9 +133,6 @@ def test_ascii_ports_have_seven_data_bits(
     assert (port.silence.seconds > 0) is is_silent
 
 
-# --- answers that wait ---------------------------------------------------------------------------
-
-
 ANSWERS = [b"%04d" % number * 64 for number in range(1000)]
 
 
@@ -177,9 +174,6 @@ def test_the_latest_answers_wait_and_no_more_than_a_port_keeps() -> None:
     found = b"".join(line.requests)
     pieces = [found[at : at + 256] for at in range(0, len(found), 256)]
     assert pieces == [ANSWERS[0], *ANSWERS[-16:]]
-
-
-# --- the silence between two answers -------------------------------------------------------------
 
 
 SHORT_ANSWERS = [rtu(f"01 03 04 {number:04X} 0000") for number in range(4)]

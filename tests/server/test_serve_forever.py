@@ -162,9 +162,6 @@ def test_all_ways_log_where_they_listen(caplog: pytest.LogCaptureFixture) -> Non
     assert caplog.messages == [f"listening on {running.urls[0]}"]
 
 
-# --- signals ------------------------------------------------------------------------------
-
-
 def test_the_handlers_of_a_program_are_back_after_a_failure() -> None:
     def own(number: int, frame: FrameType | None) -> None: ...
 

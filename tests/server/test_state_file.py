@@ -177,9 +177,6 @@ def test_it_is_written_while_it_is_served(folder: Path, monkeypatch: pytest.Monk
     close(file)
 
 
-# --- who may use it -------------------------------------------------------------------------
-
-
 def test_a_second_program_is_refused(folder: Path) -> None:
     (folder / "link").symlink_to(folder / "state")
     file = kept(folder, plant(folder))
@@ -226,9 +223,6 @@ def test_what_a_killed_process_left_is_removed(folder: Path) -> None:
     assert {path.name for path in folder.iterdir()} == {
         *("map.csv", "state", "state.lock", "state.mine.new")
     }
-
-
-# --- what fails -----------------------------------------------------------------------------
 
 
 def failing(number: int) -> Callable[..., Any]:
@@ -302,9 +296,6 @@ def test_a_folder_that_takes_no_files(
         assert units[2].answer(pdu.ReadCoils(1, 1).encode()) == b"\1\1\1"
     close(file)
     assert caplog.messages[1:] == [f"{folder / 'state'}: values are kept again"]
-
-
-# --- of a server ----------------------------------------------------------------------------
 
 
 def registers() -> Device:

@@ -49,9 +49,6 @@ def served(stage: Stage, pki: Pki, noting: Device, events: Events) -> Iterator[t
         yield served
 
 
-# --- roles --------------------------------------------------------------------------------------
-
-
 def test_an_authority_below_may_have_signed_if_it_is_shown(
     stage: Stage, served: tuple[Server, int], pki: Pki, roles: list[str | None]
 ) -> None:
@@ -60,8 +57,6 @@ def test_an_authority_below_may_have_signed_if_it_is_shown(
         assert client.is_answered()
     assert roles == ["Chief"]
 
-
-# --- versions and suites ------------------------------------------------------------------------
 
 GCM = "AES128-GCM-SHA256"
 
@@ -136,9 +131,6 @@ def test_older_versions_are_refused(
     ):
         client.handshake()
     assert stage.until(lambda: served[0].statistics.handshakes_refused == 1)
-
-
-# --- who is refused -----------------------------------------------------------------------------
 
 
 def tampered() -> Identity:
@@ -294,9 +286,6 @@ def test_without_cryptography_only_roles_are_refused(pki: Pki) -> None:
     assert how_to_add("security") in logged
 
 
-# --- pins ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("how", ["one", "several", "with a hash"])
 def test_only_those_that_are_pinned_get_in(stage: Stage, pki: Pki, how: str) -> None:
     mine = certificates.self_signed(role="Installer")
@@ -368,9 +357,6 @@ def test_a_pinned_one_may_be_old_also_when_it_resumes(
                 assert client.is_answered()
                 session = client.tls.session
         assert server.statistics.handshakes_resumed == 1
-
-
-# --- sessions resumed ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("how", ["1.2", "1.2 without tickets", "1.3"])

@@ -40,8 +40,6 @@ from tests.support.tls import (
 )
 from tests.support.tls_clients import descriptors
 
-# --- hostile: before the handshake ---------------------------------------------------------------
-
 
 def record(kind: int, data: bytes) -> bytes:
     return struct.pack(">BHH", kind, 0x0303, len(data)) + data
@@ -141,9 +139,6 @@ def test_resets_at_any_time_leave_nothing(pki: Pki, caplog: pytest.LogCaptureFix
         assert wait_until(lambda: server.statistics.connections == 0)
         assert wait_until(lambda: descriptors() <= before)
         assert is_served(pki, port)
-
-
-# --- hostile: behind it -------------------------------------------------------------------------
 
 
 def flipped(data: bytes) -> bytes:
@@ -301,9 +296,6 @@ def test_what_comes_and_goes_leaves_no_memory(pki: Pki) -> None:
             tracemalloc.stop()
 
 
-# --- the end, at any time -----------------------------------------------------------------------
-
-
 def test_a_server_that_ends_leaves_no_handshake(pki: Pki, caplog: pytest.LogCaptureFixture) -> None:
     first = hello(pki)
     told = context(pki, certificates.client())
@@ -329,9 +321,6 @@ def test_a_server_that_ends_leaves_no_handshake(pki: Pki, caplog: pytest.LogCapt
                     while client.read():
                         pass
     assert wait_until(lambda: descriptors() <= before)
-
-
-# --- memory -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("what", ["half open", "idle"])

@@ -261,9 +261,6 @@ def records(stream: bytes) -> Iterator[tuple[int, int]]:
         stream = stream[5 + size :]
 
 
-# --- the end ------------------------------------------------------------------------------------
-
-
 def record_of(size: int) -> Callable[[TlsClient], object]:
     """Return what sends so many bytes of a record."""
     return lambda client: client.socket.send(client.encrypt(ONE)[:size])

@@ -264,9 +264,6 @@ def test_others_come_and_go() -> None:
         server.tracing(None)  # type: ignore[arg-type]
 
 
-# --- attacks ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("error", [ValueError("mine"), GeneratorExit(), ModbusError("no")])
 def test_one_that_fails_costs_no_answer_and_is_logged_once(
     error: BaseException, caplog: pytest.LogCaptureFixture
@@ -351,9 +348,6 @@ def test_hooks_and_c_alike_are_told() -> None:
         ask(one, READ, ANSWER)
         ask(one, READ[:6] + b"\x12" + READ[7:], ANSWER[:6] + b"\x12" + ANSWER[7:])
     assert [each.unit for each in told] == [17, 17, 18, 18]
-
-
-# --- log handlers that fail ---------------------------------------------------------------
 
 
 HERE = "tcp://127.0.0.1:0"

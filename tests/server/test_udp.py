@@ -95,9 +95,6 @@ def test_worked_requests_are_answered_as_on_tcp(
             assert frame.pdu[0] & 0x7F == vector.function
 
 
-# --- limits ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("allow", ["10.255.0.2/32", "2001:db8::/32"])
 def test_hosts_outside_are_not_answered(stage: Stage, allow: str) -> None:
     with served(stage, scheme="udp", allow=[allow]) as server, server.connect() as client:
@@ -128,8 +125,6 @@ def test_too_many_requests_are_dropped_for_one_address_only(stage: Stage) -> Non
         assert not eager.has_input()
         ask(eager, 600)
 
-
-# --- sources that are forged -------------------------------------------------------------
 
 WRITE = bytes.fromhex("06 0064 0007")  # its answer is the same bytes
 QUERY = bytes.fromhex("08 0000 1234")
@@ -260,9 +255,6 @@ def test_however_many_sources_are_forged_little_is_remembered(
     asyncio.run(flood())
 
 
-# --- faults ------------------------------------------------------------------------------
-
-
 def test_a_late_answer_does_not_hold_up_the_others(stage: Stage) -> None:
     faults = {UNIT: [Fault("delay", seconds=300, every=2)]}
     with (
@@ -319,9 +311,6 @@ def test_no_more_than_so_many_answers_are_kept_back(
         stage.pass_time(600)
         client.send(adu(READ_ONE, 2000))
         assert server.counts(requests=101)
-
-
-# --- datagrams that are no frame -----------------------------------------------------------------
 
 
 FRAMES: dict[str, Callable[[str], bytes]] = {

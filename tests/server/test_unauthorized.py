@@ -87,9 +87,6 @@ def test_faults_refuse_without_asking() -> None:
     assert seen == []
 
 
-# --- roles from certificates --------------------------------------------------------------
-
-
 RULES = Rules(
     {
         "Viewer": Allow(read=["holding_registers"]),

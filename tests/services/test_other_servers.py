@@ -72,9 +72,6 @@ def test_a_wrong_url_is_refused(text: str) -> None:
         read(text)
 
 
-# --- logins ---------------------------------------------------------------------------------
-
-
 @each_case(("scheme", "take", "setting"), TAKEN)
 @each_case(
     "text",
@@ -125,9 +122,6 @@ def test_a_password_in_a_fleet_file_is_refused_and_not_shown(tmp_path: Path, val
         load(file)
     assert "sesame" not in str(caught.value)
     assert "4711" not in str(caught.value)
-
-
-# --- files with secrets ---------------------------------------------------------------------
 
 
 SECRETS: list[Callable[[Path], Any]] = [SecretFile, lambda path: FileText("NATS_CREDS", str(path))]

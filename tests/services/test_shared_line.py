@@ -83,9 +83,6 @@ def test_rests_double_up_to_the_longest(misses: int, first: float, rest: float) 
     assert rest_after(misses, first, 60.0) == rest
 
 
-# --- lines ------------------------------------------------------------------------------------
-
-
 class Flight:
     """A request in flight."""
 
@@ -233,9 +230,6 @@ async def test_an_outcome_may_withdraw_requests_answered_in_the_same_turn() -> N
         flight.on_done()
     await asyncio.sleep(0)
     assert (line.over, len(line.in_flight), line.log) == ([(1, b"")], 1, [1, 2, 3])
-
-
-# --- trials -----------------------------------------------------------------------------------
 
 
 @each_case(("most", "expected"), [(9, 3), (2, 2), (1, 1)])

@@ -109,9 +109,6 @@ def _tell(failure: Failure) -> None:
         print(line)
 
 
-# --- rules that are broken on purpose -------------------------------------------------------------
-
-
 def _find_all() -> int:
     """Break one rule after the other; each must be found in time."""
     missed = 0

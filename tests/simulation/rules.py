@@ -196,9 +196,6 @@ def _text(key: Key) -> str:
     return f"unit {unit} {kind} {pdu[1:].hex(' ')}"
 
 
-# --- what is sent ---------------------------------------------------------------------------------
-
-
 class Wire:
     """Reads what is sent, and tells the witness: requests to units, and refusals by gateways."""
 

@@ -118,9 +118,6 @@ def test_a_task_that_does_not_end_is_named(last: Callable[[], Coroutine[Any, Any
         Network().run(main)
 
 
-# --- timers that end early ------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("cast", QUICK)
 def test_worlds_keep_their_rules_if_timers_end_early(cast: str, early: None) -> None:
     play(replace(chosen(1), cast=cast, seconds=20.0))

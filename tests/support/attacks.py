@@ -167,8 +167,6 @@ class ServerProcess:
         return True
 
 
-# --- honest work, and much of it ---------------------------------------------------------
-
 ANSWER_ONE = bytes.fromhex("03 02 0000")
 BLOCK = 100
 
@@ -192,9 +190,6 @@ def pipeline(port: int, requests: int) -> None:
             connection.sendall(b"".join(adu(READ_ONE, number) for number in numbers))
             expected = b"".join(adu(ANSWER_ONE, number) for number in numbers)
             assert receive(connection, len(expected)) == expected
-
-
-# --- the attacks -------------------------------------------------------------------------
 
 
 class Step(NamedTuple):

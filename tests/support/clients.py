@@ -90,9 +90,6 @@ class Awaited:
         self.close()
 
 
-# --- on the real system -----------------------------------------------------------------------
-
-
 @contextmanager
 def connecting(kind: str) -> Iterator[Connect]:
     """Yield what makes clients: of one kind."""
@@ -135,9 +132,6 @@ def running_loop() -> Iterator[asyncio.AbstractEventLoop]:
             loop.close()
     assert not complaints
     assert not left
-
-
-# --- on a network in memory -------------------------------------------------------------------
 
 
 class World:

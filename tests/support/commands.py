@@ -52,9 +52,6 @@ def page_url(line: str) -> str:
     return url.replace("...", *PAGE_TOKEN.values())
 
 
-# --- in this process ------------------------------------------------------------------------
-
-
 class Done(NamedTuple):
     """How a command ended: its exit code, and what it printed."""
 
@@ -115,9 +112,6 @@ def _as_a_program(environment: Mapping[str, str]) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_NOFILE, limits)
         os.environ.clear()
         os.environ.update(variables)
-
-
-# --- in a process of its own ----------------------------------------------------------------
 
 
 @cache
@@ -275,9 +269,6 @@ def _pipe(given: contextlib.ExitStack, descriptor: int | None) -> tuple[TextIO, 
     reading, writing = os.pipe()
     given.callback(os.close, writing)
     return open(reading, encoding="utf-8", errors="replace"), writing
-
-
-# --- on a terminal --------------------------------------------------------------------------
 
 
 class Terminal:

@@ -109,9 +109,6 @@ def restore_through(context: Client, function: int) -> None:
             context.write_registers(first, cells(holding_register, first, 100))
 
 
-# --- ids ---------------------------------------------------------------------------
-
-
 # A case of a table, and its id.
 Case = TypeVar("Case")
 Record = Callable[[str, object], None]
@@ -147,9 +144,6 @@ def case_id(peer: str, role: str, transport: str, function: int, *more: str) -> 
             exception is the right answer, "pinned" that the peer errs.
     """
     return "-".join([peer, role, transport, f"fc{function:02}", *more])
-
-
-# --- our server ----------------------------------------------------------------------
 
 
 class Place(NamedTuple):
@@ -192,9 +186,6 @@ def our_tls_server(pki: Pki, devices: Device | dict[int, Device]) -> Iterator[Tc
         yield wire
 
 
-# --- other programs --------------------------------------------------------------------
-
-
 @contextlib.contextmanager
 def program(*command: object) -> Iterator[subprocess.Popen[str]]:
     """Run a program with pipes for input and output until the block ends."""
@@ -224,9 +215,6 @@ def c_serving(server: Path, transport: str) -> Iterator[str]:
             yield f"rtu://{wire.client}?baudrate={BAUDRATE}"
         else:
             yield f"tcp://127.0.0.1:{port}"
-
-
-# --- what our clients ask -----------------------------------------------------------------
 
 
 def connected(url: str, **options: Any) -> Client:
@@ -314,9 +302,6 @@ def check_all(context: Client) -> None:
     for exchange in refusals():
         with pytest.raises(IllegalDataAddress):
             exchange.ask(context)
-
-
-# --- our clients and a server of others -----------------------------------------------------
 
 
 def of_a_client(

@@ -103,9 +103,6 @@ def _children() -> frozenset[str]:
     return frozenset(found)
 
 
-# --- names -------------------------------------------------------------------------------
-
-
 def _names(before: Snapshot, after: Snapshot) -> list[str]:
     names = [_named_descriptor(each) for each in sorted(after.descriptors - before.descriptors)]
     names += [f"thread {each.name!r}" for each in after.threads - before.threads]
@@ -160,9 +157,6 @@ def _named_process(number: str) -> str:
         ended = " that has ended and was not waited for" if state == "Z" else ""
         return f"process {number}{ended}: {line.decode(errors='replace')[:200]}"
     return ""
-
-
-# --- event loops -------------------------------------------------------------------------
 
 
 class Loops:
@@ -241,9 +235,6 @@ def _tell_before(owner: Any, name: str, tell: Callable[..., None]) -> None:
 
     telling.__wrapped__ = wrapped  # type: ignore[attr-defined]
     setattr(owner, name, telling)
-
-
-# --- each test ---------------------------------------------------------------------------
 
 
 def freeze() -> None:

@@ -42,9 +42,6 @@ Answer = Callable[[bytes], Iterable[bytes]]
 """Returns for a request the bytes that answer it, in pieces."""
 
 
-# --- what is answered -----------------------------------------------------------------------
-
-
 def answering(*answers: Answer | None) -> OnRequest:
     """Answer as the first says, then as the next; the last goes on. None closes the connection."""
     rest = list(answers)
@@ -106,9 +103,6 @@ def answer(request: bytes, scheme: str, unit: int | None = None) -> bytes:
         return b":%s\r\n" % (body + bytes([framing.lrc(body)])).hex().upper().encode()
     body = bytes([request[0] if unit is None else unit]) + pdu
     return body + framing.crc16(body).to_bytes(2, "little")
-
-
-# --- who answers ------------------------------------------------------------------------------
 
 
 class Peer:
@@ -396,9 +390,6 @@ class FakeUnit(LinePeer):
 
     def __init__(self, *answers: Answer) -> None:
         super().__init__(answering(*answers))
-
-
-# --- who does not answer ------------------------------------------------------------------------
 
 
 @contextlib.contextmanager

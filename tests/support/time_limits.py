@@ -94,8 +94,6 @@ def where(frame: FrameType | None) -> str:
     return "\n".join(f"{name}:\n{''.join(lines[-FRAMES:])}" for name, lines in stacks.items())
 
 
-# --- pytest ------------------------------------------------------------------------------------
-
 LIMIT = pytest.StashKey[Limit]()
 
 

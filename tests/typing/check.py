@@ -37,9 +37,6 @@ def main() -> int:
     return bool(complaints)
 
 
-# --- what the files want -------------------------------------------------------------------
-
-
 def marked() -> set[Place]:
     return {
         (name, number)
@@ -61,9 +58,6 @@ def disagreements(checker: str, found: dict[Place, str]) -> list[str]:
         for place in sorted(wrong - found.keys())
     ]
     return said + silent
-
-
-# --- what the checkers say -----------------------------------------------------------------
 
 
 def mypy() -> dict[Place, str]:

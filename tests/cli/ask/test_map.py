@@ -100,9 +100,6 @@ def test_the_maps_that_come_with_the_package() -> None:
         assert len(line.split()) > 2
 
 
-# --- map class --------------------------------------------------------------------
-
-
 MAP = "name,table,address,type,access\nvoltage,input,0,uint16,read\nset point,holding,1,,\n"
 
 
@@ -122,9 +119,6 @@ def test_it_writes_and_prints_the_same(folder: Path) -> None:
         assert (done.code, done.out, done.err) == (0, "", f"{folder / 'plant.py'}: 2 points\n")
         assert (folder / "plant.py").read_text() == printed.out
     assert sorted(os.listdir(folder)) == ["meter.csv", "plant.py"]
-
-
-# --- map from-sunspec, and sunspec -------------------------------------------------------------
 
 
 @pytest.mark.parametrize("suffix", ["toml", "csv"])
@@ -148,9 +142,6 @@ def test_the_values_of_all_models_are_printed() -> None:
     assert "40004 common.Mn SunSpecTest" in lines
     assert any(line.endswith("DERMeasureAC.W 9800 W") for line in lines)
     assert not any("InvSt" in line for line in lines)
-
-
-# --- map check --device -----------------------------------------------------------
 
 
 @pytest.fixture

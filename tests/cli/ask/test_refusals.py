@@ -36,9 +36,6 @@ def maker() -> Iterator[ServerMaker]:
         yield made
 
 
-# --- read and write -------------------------------------------------------------------------
-
-
 def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
     done = run("read", url, "holding", "0", "600", "coils", "0", "100", "-v")
     assert done.out.count("\n") == 700
@@ -83,9 +80,6 @@ def test_a_refusal_of_the_time_or_the_way_splits_nothing(
     assert len(server.transactions) == 1
 
 
-# --- diagnose force-listen-only ---------------------------------------------------------------
-
-
 def test_diagnose_says_that_a_device_refused_to_listen_only(maker: ServerMaker) -> None:
     server = maker(faults={None: [Fault("exception", code=1)]})
     done = run("diagnose", server.url, "force-listen-only")
@@ -98,9 +92,6 @@ def test_diagnose_takes_silence_for_consent_to_listen_only(maker: ServerMaker) -
     done = run("diagnose", server.url, "force-listen-only", "7", "--json", "--timeout", "0.1")
     assert (done.code, done.out) == (0, '{"unit": 1, "force listen only": 7}\n')
     assert len(server.transactions) == 1
-
-
-# --- identify and diagnose --------------------------------------------------------------------
 
 
 Question = Callable[[Client], list[tuple[str, Any]]]

@@ -137,9 +137,6 @@ def test_hostile_servers_are_one_line_for_each_poll(data: bytes) -> None:
             thread.join()
 
 
-# --- on a terminal ---------------------------------------------------------------------------
-
-
 def test_each_unit_has_its_lines_in_the_table(mapping: Mapping) -> None:
     devices = {unit: Device(mapping) for unit in (1, 17)}
     with Server(devices).background("tcp://127.0.0.1:0") as running:

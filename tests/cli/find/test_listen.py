@@ -213,9 +213,6 @@ def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:
     assert r"\x1b[2J\x07" in line
 
 
-# --- values by name ------------------------------------------------------------------------------
-
-
 MAP = """\
 name,table,address,type,scale,units,missing
 level,holding,0,uint16,0.1,m,

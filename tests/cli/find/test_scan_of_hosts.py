@@ -91,9 +91,6 @@ def test_stop_bits_that_were_not_measured_are_not_said(words: list[str], setting
     assert f"unit 1 at {setting}" in done.out
 
 
-# --- options have the names of those of read ------------------------------------------
-
-
 @each_case(
     ("words", "tried"),
     [

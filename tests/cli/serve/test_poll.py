@@ -260,9 +260,6 @@ def test_a_status_line_on_a_terminal(fleet: Path, term: str, options: list[str])
     assert '"device"' not in seen  # values are for files and pipes
 
 
-# --- a journal ------------------------------------------------------------------------------
-
-
 def with_journal(fleet: Path) -> Path:
     file = fleet.with_name("kept.toml")
     file.write_text(f'journal = "fleet.db"\n{fleet.read_text()}[output.csv]\npath = "kept.csv"\n')

@@ -68,9 +68,6 @@ def test_a_terminal_shows_values_and_is_left_in_order(tmp_path: Path) -> None:
     assert "polls in" in seen.rpartition("\x1b[J")[2]  # the summary is what remains
 
 
-# --- on a page ------------------------------------------------------------------------
-
-
 TANK = "name,table,address,unit\nlevel,holding_registers,0,m\npressure,holding_registers,1,bar\n"
 
 

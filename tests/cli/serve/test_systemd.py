@@ -71,8 +71,6 @@ def test_a_manager_that_is_not_there_changes_nothing(
     assert os.listdir("/proc/self/fd") == before
 
 
-# --- units in deploy/ ------------------------------------------------------------------
-
 DEPLOY = Path(__file__).parents[3] / "deploy"
 
 UNITS = sorted(DEPLOY.glob("*.service"))

@@ -74,9 +74,6 @@ def test_a_slow_handshake_is_good_if_there_is_time(
         assert plc.read_holding_registers(5, 1) == [5]
 
 
-# --- closing, cancelling, forking ------------------------------------------------------------
-
-
 def test_close_ends_a_handshake(connect: Connect, pki: Pki) -> None:
     reached = threading.Event()
 

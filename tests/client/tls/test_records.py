@@ -20,9 +20,6 @@ from tests.support.tls_peers import HANDSHAKE, Peer, Script, Sealed
 ALERT, ACCESS_DENIED = 21, b"\x02\x31"
 
 
-# --- what goes over it ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("key", ["EC", "RSA"])
 def test_both_versions_and_both_kinds_of_keys(
     talking: Talking, pki: Pki, version: str, key: str
@@ -153,9 +150,6 @@ def test_the_trace_shows_what_is_inside(talking: Talking) -> None:
     assert sent.adu[2:].hex() == "0000000601" + "0301020001"
     assert received.adu[2:].hex() == "0000000501" + "03020102"
     assert states == [State.CONNECTING, State.CONNECTED, State.CLOSED]
-
-
-# --- ends ------------------------------------------------------------------------------------
 
 
 def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:

@@ -197,9 +197,6 @@ def test_another_certificate_than_the_pinned_one_is_named(
     assert f"SHA-256 {digest}" in str(error)
 
 
-# --- whom the server refuses -----------------------------------------------------------------
-
-
 @pytest.mark.parametrize("is_abrupt", [False, True])
 def test_the_servers_refusal_of_our_certificate_is_told(
     connect: Connect, pki: Pki, serving: Serving, version: str, is_abrupt: bool
@@ -281,9 +278,6 @@ def test_a_tls_1_2_server_that_closes_behind_our_certificate(
     ):
         plc.read_holding_registers(0, 1)
     assert (HINT in str(caught.value)) is is_suspected
-
-
-# --- what is not a TLS -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

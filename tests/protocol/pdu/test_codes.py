@@ -131,9 +131,6 @@ def test_every_function_is_tried() -> None:
     assert {each.function for each in READING + CHANGING} == {*pdu.REQUESTS, 100}
 
 
-# --- requests that may be sent twice -----------------------------------------------------------
-
-
 def test_reads_and_writes_of_absolute_values_are_repeatable() -> None:
     once = {8, 43}
     for function, kind in pdu.REQUESTS.items():

@@ -235,9 +235,6 @@ class TestIdentification:
             next(identify(level))
 
 
-# --- pages (section 6.21) ------------------------------------------------------------------
-
-
 def page(*objects: tuple[int, bytes], code: int = 1, more: int = 0, following: int = 0) -> bytes:
     body = b"".join(bytes([number, len(value)]) + value for number, value in objects)
     return bytes([0x2B, 0x0E, code, 0x81, more, following, len(objects)]) + body

@@ -141,9 +141,6 @@ class TestRegister:
             pdu.REQUESTS.pop(code)
 
 
-# --- raw requests ------------------------------------------------------------------------------
-
-
 class TestRawRequest:
     def test_data_go_and_come_as_they_are(self) -> None:
         for function in range(1, 128):
@@ -159,9 +156,6 @@ class TestRawRequest:
             RawRequest(65, b"\1").decode_response(b"\xc1\2")
         assert caught.value.function == 65
         assert "RawRequest(function=65, data=b'\\x01')" in str(caught.value)
-
-
-# --- classes of users that read as functions 1 to 4 do -----------------------------------------
 
 
 # Application protocol, 6.3: three registers.

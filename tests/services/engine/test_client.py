@@ -208,8 +208,6 @@ async def test_a_real_server_passes_malformed_messages_on_over_one_connection() 
             assert client.stats["reconnects"] == 0
 
 
-# --- the password ---------------------------------------------------------------------------
-
 LOGIN = {"NATS_USER": "u", "NATS_PASSWORD": "secret"}
 
 

@@ -169,9 +169,6 @@ def test_a_cancelled_connect_closes_its_client(client: type[Client]) -> None:
     assert client.made[0].is_closed
 
 
-# --- where it is ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("text", "servers"),
     [
@@ -195,8 +192,6 @@ def test_a_peer_that_is_no_nats_server_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="engine"):
         parse_servers(text)
 
-
-# --- servers that are none ----------------------------------------------------------------------
 
 INFO = b'INFO {"server_id":"x","version":"2.9.0","max_payload":1000}\r\n'
 

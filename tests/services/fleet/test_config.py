@@ -35,9 +35,6 @@ def test_an_unknown_item_is_answered_with_eight_names() -> None:
     assert given_twice.items == ("p1", "p0")
 
 
-# --- labels -------------------------------------------------------------------------------------
-
-
 @each_case(
     ("labels", "name"),
     [
@@ -59,8 +56,6 @@ def test_labels_that_prometheus_refuses_or_mixes(labels: dict[str, str], name: s
 def test_other_labels_are_taken(labels: dict[str, str]) -> None:
     assert meter("a", "tcp://127.0.0.1", labels=labels).labels == labels
 
-
-# --- connections --------------------------------------------------------------------------------
 
 SAME = [
     ("tcp://[::1]:502", "tcp://[0:0:0:0:0:0:0:1]"),

@@ -403,9 +403,6 @@ def test_a_file_for_the_map_with_a_mistake_is_named(tmp_path: Path) -> None:
         load(path)
 
 
-# --- devices as text -------------------------------------------------------------------------
-
-
 def test_devices_come_back_from_json_as_they_were() -> None:
     other = RegisterMap([Point("ä", "coils", 3, access="read", description="x")])
     devices = [

@@ -27,8 +27,6 @@ from tests.services.fleet.fleets import (
 )
 from tests.support.outputs import FakeOutput
 
-# --- what is read ------------------------------------------------------------------------
-
 
 @in_simulated_time
 async def test_readings_are_named_scaled_and_timed() -> None:
@@ -52,9 +50,6 @@ async def test_readings_are_named_scaled_and_timed() -> None:
         assert (fleet.statistics.devices, fleet.statistics.up) == (2, 2)
         assert fleet.statistics.readings >= len(readings)
     assert [each.state for each in fleet.devices.values()] == []
-
-
-# --- who is down ---------------------------------------------------------------------------
 
 
 async def even(request: bytes) -> bytes | None:
@@ -105,9 +100,6 @@ async def test_real_connections_are_polled() -> None:
         }
 
 
-# --- what is late --------------------------------------------------------------------------
-
-
 @in_simulated_time
 async def test_a_loop_that_stood_still_skips_and_counts() -> None:
     async with Peer() as peer:
@@ -153,9 +145,6 @@ async def test_polls_due_after_a_standstill_begin_in_many_turns_of_the_loop(
     assert max(began.values()) == 200
 
 
-# --- once ----------------------------------------------------------------------------------
-
-
 @in_simulated_time
 async def test_once_polls_each_once_and_ends() -> None:
     async with Peer(even) as peer:
@@ -185,9 +174,6 @@ async def test_once_ends_if_what_was_not_polled_yet_is_removed(is_replaced: bool
         async with asyncio.timeout(40):
             await polling
         assert peer.units.count(2) == 1 + is_replaced
-
-
-# --- devices that come and go -------------------------------------------------------------
 
 
 @in_simulated_time
@@ -261,9 +247,6 @@ async def test_a_wrong_list_of_devices_changes_nothing() -> None:
         assert {*peer.units} == {1}
 
 
-# --- may_ask -----------------------------------------------------------------------------
-
-
 @in_simulated_time
 async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading() -> None:
     allowed: set[str] = set()
@@ -285,9 +268,6 @@ async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading
             # It is not the device that is down: nobody asked it.
             assert fleet.statistics.down == 0
             assert {each.quality for each in readings} == {"good"}
-
-
-# --- writes ------------------------------------------------------------------------------
 
 
 @in_simulated_time

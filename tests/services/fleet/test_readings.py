@@ -194,8 +194,6 @@ def test_no_message_is_larger_than_asked_for() -> None:
         assert sum(len(names) for names, _ in messages) == 100
 
 
-# --- what registers mean ------------------------------------------------------------------------
-
 H = "holding_registers"
 
 

@@ -148,9 +148,6 @@ def answered(url: str) -> list[dict[str, Any]]:
     raise AssertionError("no result")
 
 
-# --- Telegraf -------------------------------------------------------------------------------
-
-
 def test_telegraf_gets_lines_from_the_command_at_once(plant: Path) -> None:
     (inputs,) = tomllib.loads(block("Telegraf", "toml", "inputs.execd"))["inputs"]["execd"]
     assert (inputs["signal"], inputs["data_format"]) == ("none", "influx")
@@ -195,9 +192,6 @@ async def heard_from(plant: Path, broker: Broker, *topics: str) -> dict[str, Any
         async with hearing(broker, *topics) as heard:
             await until(lambda: len({topic for topic, *_ in heard}) >= expected)
             return {topic: payload for topic, payload, _ in heard}
-
-
-# --- what reads MQTT ------------------------------------------------------------------------
 
 
 @in_real_time
@@ -257,9 +251,6 @@ async def test_home_assistant_finds_a_device_that_goes_in_a_reload(
             await until(lambda: home.names == {"sensor: south: voltage"})
 
 
-# --- files ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("hangs_up", [False, True])
 def test_a_file_that_logrotate_renames_is_begun_anew(plant: Path, hangs_up: bool) -> None:
     section = "Rotate files of readings"
@@ -290,9 +281,6 @@ def test_a_file_that_logrotate_renames_is_begun_anew(plant: Path, hangs_up: bool
         assert rows
         found += [(row[0], row[2]) for row in rows]
     assert found == [(line["time"], line["name"]) for line in map(json.loads, printed)]
-
-
-# --- where it runs --------------------------------------------------------------------------
 
 
 def test_the_container_starts_a_command_that_there_is() -> None:

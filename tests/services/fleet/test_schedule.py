@@ -41,8 +41,6 @@ def test_the_next_time_is_later_and_in_phase(planned: float, interval: float, la
     assert missed >= 0
 
 
-# --- counters -----------------------------------------------------------------------------------
-
 # Simulated seconds: of a device's polls unless given, and between two looks at what is so.
 INTERVAL, LOOK = 1.0, 0.001
 

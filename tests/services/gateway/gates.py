@@ -97,8 +97,6 @@ def gateway(routes: list[Route], *urls: str, **options: Any) -> Iterator[tuple[G
         yield made, running.urls[0]
 
 
-# --- lines --------------------------------------------------------------------------------------
-
 READ, WRITE, UNKNOWN = "03 0000 0001", "06 0000 0007", "08 0000 0001"
 INPUTS = "04 0000 0001"
 

@@ -31,9 +31,6 @@ def told(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [text.rpartition(": ")[2] for text in caplog.messages]
 
 
-# --- units and functions that are silent ---------------------------------------------------------
-
-
 @on_line()
 async def test_a_silent_unit_rests_and_is_tried_by_one_request(
     plant: Plant, caplog: pytest.LogCaptureFixture
@@ -191,9 +188,6 @@ async def test_a_damaged_answer_has_its_unit_wait_and_nobody_else(plant: Plant) 
     assert since == pytest.approx([0.05, 1.05, 2.0], abs=0.05)
 
 
-# --- turns ----------------------------------------------------------------------------------------
-
-
 @on_line(longest_wait=0.01)
 async def test_a_client_that_leaves_when_it_is_told_so_takes_its_other_requests_with_it(
     plant: Plant,
@@ -224,9 +218,6 @@ def test_the_queue_of_all_clients_together_is_limited(monkeypatch: pytest.Monkey
         assert [each.answers for each in askers[4:]] == [[f"code {BUSY}"]] * 2
 
     plant.run(main)
-
-
-# --- cached responses -----------------------------------------------------------------------------
 
 
 @each_case(
@@ -296,9 +287,6 @@ def test_a_write_to_one_unit_leaves_the_others_and_a_broadcast_none() -> None:
         assert {unit for unit in units if cache.get(unit, b"ask", 9.0, now)} == left
     cache.keep(1, b"ask", b"answer", 4.1)
     assert cache.get(1, b"ask", 9.0, 5.0) == b"answer"
-
-
-# --- joined reads ---------------------------------------------------------------------------------
 
 
 @each_case(
@@ -388,9 +376,6 @@ async def test_a_client_that_joined_a_read_late_is_not_refused_when_the_first_on
     await asyncio.sleep(2)
     assert alone.answers == [f"83{BUSY:02x}"]
     assert first.answers == second.answers == [answer_of(2, 2)]
-
-
-# --- the connection -------------------------------------------------------------------------------
 
 
 @on_line("tcp://10.0.0.1")

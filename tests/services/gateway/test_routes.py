@@ -99,9 +99,6 @@ def test_a_file_has_routes(text: str) -> None:
         parse_file(text)
 
 
-# --- lines that lead back ---------------------------------------------------------------------
-
-
 def leads_back(line: str, listening: str) -> bool:
     try:
         check_line("to", parse(line), [parse(listening)])

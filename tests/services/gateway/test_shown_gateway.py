@@ -57,9 +57,6 @@ class Counted:
         self.shown: Any = ShownGateway("house", self)  # type: ignore[arg-type]
 
 
-# --- counters -------------------------------------------------------------------------------------
-
-
 def test_a_line_has_its_counters_and_its_state() -> None:
     counted = Counted()
     line = counted.lines[0]
@@ -138,9 +135,6 @@ def test_samples_are_taken_although_nobody_looks() -> None:
     assert counted.shown.series((FIRST, "unit 2"), "time") is None
 
 
-# --- clients --------------------------------------------------------------------------------------
-
-
 def test_requests_are_counted_by_client_and_unit() -> None:
     clients = Clients()
     for peer in ("192.0.2.7:4711", "192.0.2.7:4712", "[2001:db8::1]:99", "/dev/ttyUSB0"):
@@ -163,9 +157,6 @@ def test_requests_are_counted_by_client_and_unit() -> None:
     assert found[0]["last"] == 100.0
     assert [row.is_problem for row in clients.rows()] == [False, False, True, False, False]
     assert clients.rows()[1].words == "192.0.2.7 unit 3, 3 read holding registers function 3"
-
-
-# --- a gateway that runs --------------------------------------------------------------------------
 
 
 def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.MonkeyPatch) -> None:

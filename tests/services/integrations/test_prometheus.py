@@ -104,9 +104,6 @@ def served(**options: Any) -> Iterator[tuple[Server, str]]:
         yield server, running.urls[0]
 
 
-# --- what they tell ----------------------------------------------------------------------
-
-
 def test_both_clients_and_the_server_tell_what_happened(registry: CollectorRegistry) -> None:
     async def ask(url: str) -> Scraped:
         async with AsyncClient(url) as plc:
@@ -237,9 +234,6 @@ def test_endpoints_are_labels_without_settings(registry: CollectorRegistry) -> N
     plc.close()
 
 
-# --- who is there --------------------------------------------------------------------------
-
-
 def test_names_tell_servers_apart_and_equal_ones_add_up(registry: CollectorRegistry) -> None:
     servers = [Server(DEVICE) for _ in range(5)]
     for number, server in enumerate(servers):
@@ -324,9 +318,6 @@ def test_a_registry_has_one_collector_and_knows_its_names(registry: CollectorReg
         registry.register(Collector())
 
 
-# --- while others work -----------------------------------------------------------------------
-
-
 def test_a_scrape_may_meet_results_that_are_new(registry: CollectorRegistry) -> None:
     """A dictionary that grows cannot be gone through."""
 
@@ -378,9 +369,6 @@ def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegi
         now = values(registry)
     assert of_client(now, "requests_total", url, function="6", result="ok") == 400
     assert of(now, "modbus_server_requests_total") == 400
-
-
-# --- over HTTP ------------------------------------------------------------------------------
 
 
 def fetched(url: str) -> Scraped:
@@ -525,9 +513,6 @@ def test_serve_says_which_extra_is_missing() -> None:
     assert done.stderr == f"libmodbus-py: {wanted}\n"
 
 
-# --- fleets -----------------------------------------------------------------------------------
-
-
 @in_simulated_time
 async def test_each_device_is_there_once_and_goes_with_its_fleet() -> None:
     registry = CollectorRegistry()
@@ -553,9 +538,6 @@ async def test_each_device_is_there_once_and_goes_with_its_fleet() -> None:
         fleets.clear()
         gc.collect()
         assert not values(registry)
-
-
-# --- gateways ---------------------------------------------------------------------------------
 
 
 def test_a_gateway_tells_of_its_lines_and_units() -> None:

@@ -265,9 +265,6 @@ async def test_one_of_two_workers_answers_what_comes_over_a_broker(trial: Trial)
     assert await ask("d0-1", "setpoint", 20) == no_worker("d0-1")
 
 
-# --- strangers -----------------------------------------------------------------------------------
-
-
 @commanded()
 async def test_outcomes_are_sent_to_inboxes_only(to: Listener) -> None:
     """A worker may purge streams, and must not do so because a command has such a reply."""

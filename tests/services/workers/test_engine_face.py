@@ -36,9 +36,6 @@ def file(tmp_path: Path) -> Path:
     return fleet_file(tmp_path, ["tcp://127.0.0.1:9"], interval=1, engine="lease = 1")
 
 
-# --- errors ----------------------------------------------------------------------------------
-
-
 def test_an_error_of_the_engine_is_one_line(file, tmp_path, monkeypatch):
     def said(url: str, **environment: str) -> str:
         with monkeypatch.context() as patched:
@@ -103,9 +100,6 @@ def test_wrong_usage_is_told_before_anything_is_sent(file, options, told):
     line = failed("poll", file, *options, code=2)
     assert told in line
     assert "secret" not in line
-
-
-# --- what it does ------------------------------------------------------------------------------
 
 
 async def requested(client: Any, subject: str, value: bytes) -> dict[str, Any]:

@@ -88,9 +88,6 @@ def test_records_that_no_worker_wrote_are_refused(key: str, given: bytes, why: s
     assert re.search(why, str(refused.value))
 
 
-# --- of strangers ------------------------------------------------------------------------------
-
-
 KEY = "tcp:192.0.2.99:502"
 
 

@@ -202,9 +202,6 @@ async def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_
     assert trial.asked.since(now) == UNITS
 
 
-# --- devices that no worker polls ---------------------------------------------------------------
-
-
 @tried(2, "a", "b")
 async def test_a_device_that_is_pushed_away_is_offline(trial: Trial) -> None:
     await push_fleet(trial.engine, trial.devices(1), trial.settings)

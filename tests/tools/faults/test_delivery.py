@@ -169,9 +169,6 @@ def test_fragments_of_a_fault_are_sent_at_their_times(
     assert told == waits
 
 
-# --- faults that close a connection ---------------------------------------------------------------
-
-
 @pytest.mark.parametrize("length", [None, 5, 512])
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
 def test_a_fault_sends_its_part_before_it_closes_the_connection(

@@ -84,9 +84,6 @@ def test_only_requests_that_touch_the_range_are_hit_and_counted(
     assert hits(faults, 4, asked) == ([2, 4] if is_hit else [])
 
 
-# --- what cannot be --------------------------------------------------------------------------
-
-
 def test_a_fault_that_cannot_be_is_refused(refused: Refused) -> None:
     refused("refused.txt", lambda settings: Fault(**settings))
     with pytest.raises(ValueError, match=r"probability must be in 0..1"):

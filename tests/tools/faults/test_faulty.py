@@ -140,9 +140,6 @@ def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
         assert connection.receive(9) == adu(b"\x83\x06", 2)
 
 
-# --- others ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "fault", [Fault("delay", seconds=FOREVER), Fault("trickle", seconds=FOREVER)]
 )

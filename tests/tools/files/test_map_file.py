@@ -235,8 +235,6 @@ def test_a_value_that_may_be_an_oversight_is_noted(tmp_path: Path) -> None:
     assert found[2:] == ["line 3: low overlaps whole at holding_registers 40002"]
 
 
-# --- anything ------------------------------------------------------------------------------
-
 PRINTABLE = st.characters(exclude_categories=("C", "Z"))
 WORDS = st.text(PRINTABLE, min_size=1, max_size=20).filter(lambda word: not word.startswith("#"))
 NUMBERS = st.floats(-1e6, 1e6).filter(lambda each: abs(each) > 1e-6) | st.integers(1, 1000)

@@ -29,8 +29,6 @@ def test_every_key_can_stand_in_a_cell_that_csv_has_a_column_for() -> None:
     assert columns == set(fleet_files.DEVICE) - not_in_cells
 
 
-# --- keys that do not exist ------------------------------------------------------------------
-
 DEVICE_TEXT = """
 [[device]]
 name = "a"
@@ -68,9 +66,6 @@ def test_a_wrong_key(tmp_path: Path, text: str, meant: str) -> None:
     with pytest.raises(ValueError, match="no such key; allowed are ") as raised:
         load(file)
     assert str(raised.value).endswith(f"; {meant}")
-
-
-# --- times and sizes with units --------------------------------------------------------------
 
 
 def test_amounts_have_units() -> None:

@@ -211,9 +211,6 @@ class TestReader:
             listen("nowhere.pcapng")
 
 
-# --- a disk that becomes full while traffic is recorded -------------------------------------------
-
-
 def test_a_tap_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path, device = tmp_path / "x.pcapng", Device(Mapping(holding_registers={0: [7]}))
     with (

@@ -71,9 +71,6 @@ def test_every_example_of_the_specification_finds_its_answer(framing: str, step:
     assert len(done) == len(pairs) > 15
 
 
-# --- one transaction ------------------------------------------------------------------------------
-
-
 def test_question_and_answer_with_their_times() -> None:
     (done,) = listen([(100.0, ASK), (100.25, ANSWER)])
     assert (done.kind, done.time, done.unit, done.function) == ("answered", 100.0, 1, 3)
@@ -131,9 +128,6 @@ def test_a_good_frame_that_nobody_sends_is_no_damage(framing: str) -> None:
         found = kinds([(at / 10, frame) for at, frame in enumerate(frames)], framing)
         assert found[0] == found[-1] == "answered", body
         assert found[1:-1] in (["unasked"], ["invalid"]), body
-
-
-# --- requests, responses and damage ---------------------------------------------------------------
 
 
 def in_bytes(frame: bytes) -> list[Piece]:
@@ -285,9 +279,6 @@ def test_a_line_that_is_in_order_again_is_understood(framing: str, seed: int) ->
     separator.feed(ask, at)
     done = separator.feed(answer, at + 0.01)
     assert [each.kind for each in done][-1] == "answered"
-
-
-# --- time passes, and directions are known --------------------------------------------------------
 
 
 FRONT = bytes([1, 3, 0xFA, 0, 0])

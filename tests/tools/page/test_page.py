@@ -122,9 +122,6 @@ def test_two_pages_of_a_server_on_one_token_follow_it_and_end_alone() -> None:
         other.receive(lambda: other.cells("2/holding_registers").get(3) == 1234)
 
 
-# --- values that a device computes ----------------------------------------------------------------
-
-
 def test_a_moving_value_is_computed_when_it_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.tools.page.units.RETRY", 0.3)
     mapping, is_busy = Mapping(holding_registers=8, input_registers=8), True

@@ -84,8 +84,6 @@ def test_samples_are_in_the_order_of_time_and_a_gap_is_one_of_them() -> None:
     assert sampled(with_a_gap, 1.0).pairs() == with_a_gap
 
 
-# --- numbers made of counters ---------------------------------------------------------------------
-
 Name = tuple[str, str]
 LINE = "", "tcp://192.0.2.1"
 

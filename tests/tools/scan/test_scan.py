@@ -45,9 +45,6 @@ def only_read(pdus: list[bytes]) -> bool:
     return all(each[0] in READING and (each[0] != 43 or each[1] == 14) for each in pdus)
 
 
-# --- a line ------------------------------------------------------------------------------
-
-
 def three_units() -> dict[int, Member]:
     return {
         5: Member(of(meter(holding_registers=10)), 9600, 2),
@@ -172,9 +169,6 @@ def test_a_rate_that_the_port_cannot_do_is_passed_over(monkeypatch: pytest.Monke
             next(scan(url, baudrates=[12345], units=[1]))
 
 
-# --- networks ----------------------------------------------------------------------------
-
-
 SCHEMES = ["tcp", "udp", "rtu+tcp", "ascii+tcp"]
 
 
@@ -252,9 +246,6 @@ def test_an_unreachable_host_is_an_error_soon(begin: Callable[..., Any]) -> None
         next(begin("rtu:///dev/nowhere"))
 
 
-# --- peers ---------------------------------------------------------------------------------
-
-
 def test_libmodbus_is_one_device_over_tcp(compiled: Callable[[str], Path]) -> None:
     """Its server does not look at the unit."""
     with program(compiled("server"), "tcp", 0) as process:
@@ -278,9 +269,6 @@ def _port(process: subprocess.Popen[str]) -> int:
     word, port = process.stdout.readline().split()
     assert word == "ready"
     return int(port)
-
-
-# --- leaving it -----------------------------------------------------------------------------
 
 
 def test_a_scan_can_be_left_at_any_time() -> None:
@@ -324,9 +312,6 @@ def test_an_exception_of_the_callback_ends_the_scan_and_closes_it() -> None:
 def test_wrong_arguments_are_refused_before_anything_is_sent(refused: Refused) -> None:
     refused("refused.txt", lambda given: scan(given[0], **given[1]))
     refused("search_refused.txt", lambda given: search(given[0], **given[1]))
-
-
-# --- tls -------------------------------------------------------------------------------------
 
 
 def test_units_are_found_over_tls(tmp_path: Path) -> None:

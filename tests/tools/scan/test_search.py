@@ -207,9 +207,6 @@ def test_a_search_that_is_left_has_the_ranges_found_so_far(network: Network) -> 
     assert extent.ranges == [range(6001)]
 
 
-# --- which cells exist, by what can be read -------------------------------------------------------
-
-
 SIZE = 65536
 
 Reader = Callable[[range], bool]

@@ -114,9 +114,6 @@ def test_counters_stay_in_their_type(kind: str, start: float, step: float, momen
     assert low <= value <= high
 
 
-# --- values that are copies of others -------------------------------------------------------------
-
-
 def test_copies_go_on_from_run_to_run() -> None:
     """In the rhythm of the first; a longer value behind it is not hit in its middle."""
     device = unit("""
@@ -192,9 +189,6 @@ def test_a_copy_of_what_is_no_value_is_exception_4() -> None:
     with pytest.raises(ServerDeviceFailure):
         inputs(device, 7)
     assert inputs(device, 8) == [1]
-
-
-# --- values that walk at random -------------------------------------------------------------------
 
 
 def test_a_random_walk_with_a_seed_is_the_same_whenever_it_is_read() -> None:

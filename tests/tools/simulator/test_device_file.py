@@ -66,9 +66,6 @@ def test_a_table_without_ranges_does_not_exist() -> None:
     assert answer(device, pdu.ReadExceptionStatus()) == 3
 
 
-# --- units and faults ------------------------------------------------------------------------
-
-
 def test_units_are_told_apart_and_faults_are_collected() -> None:
     simulation = parse("""
         fault = [{ kind = "no_answer", every = 9 }]
@@ -102,9 +99,6 @@ def test_every_unit_of_a_file_without_id_is_served(tmp_path: Path) -> None:
                 assert client.read_holding_registers(0, 1) == [42]
                 with pytest.raises(ExceptionResponse, match="exception 3"):
                     client.read_coils(0, 1)
-
-
-# --- which requests the ranges of a device file allow ---------------------------------------------
 
 
 ACCESS = """
@@ -157,9 +151,6 @@ def test_a_write_outside_the_ranges_is_exception_2(
         with pytest.raises(IllegalDataAddress):
             answer(device, request_)
     assert ([list(table) for table in tables] != before) is (is_executed and request_.changes)
-
-
-# --- roles in device files ------------------------------------------------------------------------
 
 
 UNITS = """

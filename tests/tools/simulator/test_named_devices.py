@@ -47,9 +47,6 @@ def made(tmp_path: Path) -> Write:
     return make
 
 
-# --- names, defaults and meanings ------------------------------------------------------------
-
-
 def test_a_device_knows_its_names_and_points() -> None:
     devices = parse("""
         [[unit]]
@@ -139,9 +136,6 @@ def test_ranges_hold_what_their_values_mean() -> None:
     assert (device["remote"], device["mode"]) == (True, 9)
     with pytest.raises(ValueError, match=r"mode: value must be in \.\.9, not 10"):
         device["mode"] = 10
-
-
-# --- register maps ---------------------------------------------------------------------------
 
 
 def test_all_points_of_a_map_exist(made: Write) -> None:
@@ -274,9 +268,6 @@ def test_a_page_shows_and_sets_what_points_mean(made: Write) -> None:
     assert device.mapping.holding_registers[3] == 0x28
     with pytest.raises(ValueError, match="value must be one of off, on, or a number, not 'up'"):
         set_point(unit, points["state"], "up")
-
-
-# --- what comes with the package -------------------------------------------------------------
 
 
 def test_examples_are_described_and_can_be_loaded() -> None:

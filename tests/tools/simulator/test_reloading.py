@@ -37,9 +37,6 @@ holding_registers = [{ address = 0, value = 3 }]
 """
 
 
-# --- what stays ------------------------------------------------------------------------------
-
-
 def after(
     before: str, change: Callable[[SimulatedDevice, Clock], object], text: str
 ) -> SimulatedDevice:
@@ -110,9 +107,6 @@ def test_moving_values_go_on_after_a_reload() -> None:
     device = after(PLAIN, look_ahead, text)
     assert moving.decode_response(device.answer(moving.encode())) == found[0]
     assert found[0][0] == 10
-
-
-# --- reading again ---------------------------------------------------------------------------
 
 
 @contextmanager

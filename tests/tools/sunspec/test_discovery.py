@@ -146,9 +146,6 @@ def test_without_pysunspec2_the_error_names_the_extra(monkeypatch: pytest.Monkey
         sunspec.discover(Client("tcp://127.0.0.1:9"))
 
 
-# --- chains of models, hostile ones included ------------------------------------------------------
-
-
 COMMON = [1, 66, *([0] * 66)]
 
 
@@ -189,9 +186,6 @@ def test_the_marker_is_sought_at_each_base(base: int) -> None:
     assert (done.result.base, done.result.notes) == (base, [])
     with pytest.raises(SunSpecError, match=r"address 0: .* address 40000: .* address 50000: "):
         walked(walk(BASES), [0] * 10, 0)
-
-
-# --- points of models -----------------------------------------------------------------------------
 
 
 KNOWN = [int(path.stem.partition("_")[2]) for path in folder().glob("model_*.json")]

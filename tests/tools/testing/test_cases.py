@@ -64,9 +64,6 @@ def test_a_check_that_is_not_used_fails() -> None:
         next(loop)
 
 
-# --- the decorator ---------------------------------------------------------------------
-
-
 def test_each_case_calls_the_test_with_every_combination() -> None:
     seen = []
 

@@ -262,9 +262,6 @@ class TestImports:
         assert not {"asyncio", "ssl", "_cffi_backend"} & set(loaded)
 
 
-# --- the version of pytest that the plugin needs --------------------------------------------------
-
-
 def test_the_plugin_refuses_an_older_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(pytest, "StashKey")  # which pytest 7 brought
     monkeypatch.setattr(pytest, "__version__", "6.2.5")

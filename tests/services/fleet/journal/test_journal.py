@@ -32,9 +32,6 @@ from tests.support.outputs import FakeOutput
 HOUR = 3600.0
 
 
-# --- outputs --------------------------------------------------------------------------------
-
-
 def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: None) -> None:
     broker, other = FakeOutput("north", is_away=True), FakeOutput("south")
 
@@ -128,9 +125,6 @@ def test_a_file_is_the_same_output_in_whatever_folder_the_program_starts(
     run_for(path, 30, JsonOutput("readings.jsonl"))
     run_for(path, 30, JsonOutput(str(tmp_path / "readings.jsonl")))
     assert asked(path, "SELECT output FROM place") == [(f"json {tmp_path}/readings.jsonl",)]
-
-
-# --- the beginning and the end --------------------------------------------------------------
 
 
 @in_simulated_time

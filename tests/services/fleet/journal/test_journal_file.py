@@ -41,9 +41,6 @@ def file(path: str) -> Iterator[JournalFile]:
     made.close()
 
 
-# --- what is written ------------------------------------------------------------------------
-
-
 def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
     every = polls(1000, 10)
     file.write_polls(every[:7], {}, 0)
@@ -198,9 +195,6 @@ def test_a_poll_that_cannot_be_written_delays_no_other(
     assert "a poll of '\\ud800' is not written: 'utf-8' codec" in caplog.text
 
 
-# --- places and runs ------------------------------------------------------------------------
-
-
 def test_places_are_kept_for_each_output(path: str) -> None:
     file = JournalFile(path, DAY, 10**9)
     first = file.open(["a"])
@@ -228,9 +222,6 @@ def test_ids_rise_whatever_the_clock_says(
     monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
     assert file.open([]).first >= begun.first + 9 + MARGIN
     file.close()
-
-
-# --- what is deleted ------------------------------------------------------------------------
 
 
 def test_old_readings_are_deleted_once_all_outputs_confirmed_them(path: str) -> None:
@@ -290,9 +281,6 @@ def test_a_file_above_a_new_limit_becomes_smaller(path: str) -> None:
         file.write_polls([], {}, 0)
     file.close()
     assert os.path.getsize(path) < 200_000 < before
-
-
-# --- what is refused ------------------------------------------------------------------------
 
 
 def refused(path: str) -> str:
@@ -362,9 +350,6 @@ def test_a_damaged_row_is_left_out(file: JournalFile, caplog: pytest.LogCaptureF
         file._used.execute(f"UPDATE poll SET {column} = ? WHERE id = ?", (text, number))
     assert file.read_polls(0, 100) == [every[0], every[4]]
     assert caplog.text.count("cannot be read") == 3
-
-
-# --- histories ------------------------------------------------------------------------------
 
 
 def test_a_history_is_read_while_the_journal_is_written(file: JournalFile) -> None:

@@ -30,9 +30,6 @@ def poll(at: int, device: str = "a") -> list[Reading]:
     return [Reading(100.0 + at, device, name, at, "V", "good") for name in ("x", "y")]
 
 
-# --- files ----------------------------------------------------------------------------------
-
-
 class SmallDisk:
     """A disk on which there is room for so many bytes."""
 
@@ -92,9 +89,6 @@ async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_rea
         with pytest.raises(OutputError, match="MQTT needs aiomqtt"):
             await Fleet([meter("a", peer.url)], outputs=[Broken("broken")]).run()
         assert caplog.text == ""
-
-
-# --- labels, reloads ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("after", [[], ["b"], ["a"]], ids=["none", "another", "itself"])

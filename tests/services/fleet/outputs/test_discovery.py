@@ -286,8 +286,6 @@ async def test_a_label_in_the_topic_that_changes_keeps_the_entities(broker: Brok
             await until(lambda: home.state("power") == 7)
 
 
-# --- what earlier runs left -----------------------------------------------------------------------
-
 FOREIGN = "homeassistant/sensor/zigbee/other/config"
 
 
@@ -396,9 +394,6 @@ async def test_a_broker_that_lost_what_it_retained_gets_it_again(broker: Broker)
             broker.start()
             async with home_assistant(broker) as home:
                 await until(lambda: len(home.entities) == 3 and home.is_available("power"))
-
-
-# --- without a broker -----------------------------------------------------------------------------
 
 
 def discovery() -> Discovery:

@@ -126,9 +126,6 @@ def test_json_has_the_id_of_a_reading_that_has_one(kind: str, number: int, tmp_p
     assert ("id" in line) is bool(number)
 
 
-# --- labels of some outputs -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("topic", ["{label.site}/{device}/{name}", "{label.site}/{device}"])
 def test_a_former_topic_is_taken_back_until_that_was_accepted(topic: str) -> None:
     messages = Mqtt("mqtt://127.0.0.1", topic=topic, status="")._messages

@@ -133,9 +133,6 @@ async def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.M
     silent.close()
 
 
-# --- commands ---------------------------------------------------------------------------------
-
-
 @in_real_time
 async def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
     cases: list[tuple[str, bytes, str]] = [
@@ -199,8 +196,6 @@ async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
         assert fleet.statistics.up == 1
 
 
-# --- a message for each poll --------------------------------------------------------------------
-
 TOPIC = "plant/{device}"
 
 
@@ -246,9 +241,6 @@ async def test_polls_above_the_largest_message_are_several(broker: Broker) -> No
         messages = heard_of(heard, "plant/a")
         assert [each["part"] for each in messages] == list(range(1, len(messages) + 1))
         assert sum(len(each["values"]) for each in messages) == 100
-
-
-# --- what cannot be -----------------------------------------------------------------------------
 
 
 BAD_TOPICS: dict[str, list[object]] = {

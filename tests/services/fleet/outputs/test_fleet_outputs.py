@@ -105,9 +105,6 @@ async def test_an_iterator_that_is_not_read_loses_the_oldest_readings() -> None:
         assert len(fleet._receivers._iterated) == 1
 
 
-# --- files ------------------------------------------------------------------------------------
-
-
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("path", ["/dev/full", "/nowhere/at/all", "/proc/version"])
 @in_real_time

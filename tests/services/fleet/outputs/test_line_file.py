@@ -136,8 +136,6 @@ def test_half_a_line_of_a_file_that_cannot_be_read_is_left(tmp_path: Path) -> No
         assert json.loads(pipe.read())["value"] == 1
 
 
-# --- files of others ----------------------------------------------------------------------------
-
 KEY = b"-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2Vw\n"
 
 
@@ -169,9 +167,6 @@ def test_a_file_with_other_columns_is_not_continued(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"does not begin with 'time,.*,reason,site'"):
         written(CsvOutput(str(path), labels=["site"]), reading(2))
     assert path.read_bytes() == before
-
-
-# --- the standard output ------------------------------------------------------------------------
 
 
 def test_a_standard_output_gets_one_header(capfd: pytest.CaptureFixture[str]) -> None:

@@ -64,9 +64,6 @@ def written(output: FakeOutput, devices: str, later: str = "") -> OutputStatisti
     return played(output, play)
 
 
-# --- an output that says what it refuses ----------------------------------------------------------
-
-
 def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -120,9 +117,6 @@ async def test_once_waits_for_a_slow_output_and_ends_after_a_failure(
         await fleet.run(once=True)
     statistics = fleet.statistics.outputs["fake"]
     assert (statistics.written, statistics.dropped) == counts
-
-
-# --- one whose other side ends the connection -----------------------------------------------------
 
 
 @each_case(
@@ -202,9 +196,6 @@ async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
     assert pump.statistics.written >= 4
 
 
-# --- a device that is refused again and again -----------------------------------------------------
-
-
 def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
     """That a poll was refused says nothing about the next ones, if the other side is away."""
     output = FakeOutput(refused="b", error=LOST)
@@ -258,9 +249,6 @@ def test_a_device_that_is_accepted_again_is_believed_again() -> None:
 
     assert played(output, play).dropped == 2
     assert [each.device for each in output.accepted].count("b") == 4
-
-
-# --- NATS -----------------------------------------------------------------------------------------
 
 
 class Denied(Stream):
