@@ -17,8 +17,7 @@ from libmodbus_py.client.history import History, Pair
 from libmodbus_py.client.line import Line
 from libmodbus_py.client.queue import Queue
 
-PARTS = 6
-"""The worlds of four requests with one that is unusual are walked in so many parts."""
+PARTS = 6  # the worlds of four requests with one that is unusual are walked in so many parts
 
 
 @pytest.fixture(autouse=True)

@@ -30,8 +30,7 @@ from tests.support.commands import PAGE_TOKEN, Started
 
 Process = subprocess.Popen[bytes] | Started
 
-PATIENCE = 30.0
-"""Seconds that a command may take: the machine may be busy."""
+PATIENCE = 30.0  # seconds that a command may take: the machine may be busy
 
 _TYPED = re.compile(r"^\$ (.*(?:(?<=\\)\n> .*)*)\n?((?:(?!\$ ).*\n?)*)", re.MULTILINE)
 

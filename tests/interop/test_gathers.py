@@ -20,8 +20,7 @@ from tests.support.interop import HOLDING_REGISTERS, UNIT, holding_register
 from tests.support.peers import FakeServer, mbap
 from tests.support.pymodbus_peers import pymodbus_serving
 
-REGISTER = HOLDING_REGISTERS.start
-"""The register that is written; the reads are of those behind it."""
+REGISTER = HOLDING_REGISTERS.start  # the register that is written; the reads are of those behind it
 
 COUNT = 50
 VALUES = list(range(1, COUNT + 1))

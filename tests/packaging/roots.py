@@ -32,8 +32,7 @@ ROOT = Path(__file__).parents[2]
 CACHE = Path(os.environ.get("ROOTS", ROOT / "build" / "roots"))
 PAGE = ROOT / "docs" / "how-to" / "install.md"
 
-PYTHONS = {"bookworm": "3.11", "trixie": "3.13"}
-"""Releases of Debian, 12 and 13, and their Python."""
+PYTHONS = {"bookworm": "3.11", "trixie": "3.13"}  # releases of Debian, 12 and 13, and their Python
 
 WAYS = {"source": "python3-dev python3-venv", "deb": "packaging/deb.py", "wheel": "./run wheel"}
 """The ways to install, and what only the block of each has."""
@@ -45,8 +44,7 @@ PROGRAMS = ("debootstrap", "unshare", "chroot", "ip", "tar")
 
 USER = "somebody"
 
-LONGEST_S = 3600
-"""Of a block: `./run wheel` builds libmodbus and the wheel twice, and runs tests."""
+LONGEST_S = 3600  # of a block: `./run wheel` builds libmodbus and the wheel twice, and runs tests
 
 SOURCES = """\
 deb http://deb.debian.org/debian {0} main

@@ -21,8 +21,7 @@ EXACT = 2e-6
 # How long a request may be on its way to a gateway.
 ARRIVING = 0.001
 
-Key = tuple[int, bytes]
-"""A unit and a request PDU."""
+Key = tuple[int, bytes]  # a unit and a request PDU
 
 
 class Broken(AssertionError):

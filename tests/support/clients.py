@@ -22,8 +22,7 @@ from tests.simulation.scripted import Scripted
 from tests.support.peers import OnRequest
 from tests.support.urls import url_for
 
-KINDS = ["blocking", "asyncio"]
-"""`Client` and `AsyncClient`."""
+KINDS = ["blocking", "asyncio"]  # `Client` and `AsyncClient`
 
 ALL = pytest.mark.parametrize("kind", KINDS)
 

@@ -38,8 +38,7 @@ ROOT = Path(__file__).parents[2]
 PAGE_TOKEN = {"LIBMODBUS_PY_PAGE_TOKEN": "Bookmarked-by_the-plant-2026"}
 """The environment of a command whose page has a known token."""
 
-PATIENCE = 60.0
-"""Seconds until a command that does not end is a failure."""
+PATIENCE = 60.0  # seconds until a command that does not end is a failure
 
 PR_SET_CHILD_SUBREAPER = 36
 

@@ -22,14 +22,12 @@ MOST_ANSWER = len(adu(ANSWER_MOST))
 KINDS = ["plain", "hooked", "faulty"]
 """Most of the server's ways to answer: in C by the chunk, through hooks, with faults."""
 
-OVER_TCP = [*KINDS, "tls"]
-"""The kinds of servers with connections: the same, and one behind TLS."""
+OVER_TCP = [*KINDS, "tls"]  # the kinds of servers with connections: the same, and one behind TLS
 
 NEVER = Fault("no_answer", function=100)
 """Happens to nobody here, but makes every answer go the way of faults."""
 
-OTHER = "10.255.0.2"
-"""The address of a client that is another one than the usual."""
+OTHER = "10.255.0.2"  # the address of a client that is another one than the usual
 
 # What a request and its answer take on the network in memory, at most.
 ROUND_TRIP = 0.001

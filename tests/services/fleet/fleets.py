@@ -21,11 +21,9 @@ METER = RegisterMap(
     ]
 )
 
-LONGEST = 20.0
-"""Seconds that anything may take on a busy machine."""
+LONGEST = 20.0  # seconds that anything may take on a busy machine
 
-LONGEST_TEST = 180.0
-"""Seconds for all steps of a test together."""
+LONGEST_TEST = 180.0  # seconds for all steps of a test together
 
 LONGEST_SIMULATED = 3600.0
 
@@ -33,8 +31,7 @@ Answer = Callable[[bytes], Awaitable[bytes | None]]
 
 Result = TypeVar("Result")
 
-NETWORK: ContextVar[Network] = ContextVar("NETWORK")
-"""What a test in simulated time runs on."""
+NETWORK: ContextVar[Network] = ContextVar("NETWORK")  # what a test in simulated time runs on
 
 
 def meter(name: str, url: str, **keys: Any) -> DeviceConfig:

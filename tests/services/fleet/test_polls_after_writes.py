@@ -31,8 +31,7 @@ POINTS = RegisterMap(
     ]
 )
 
-PAUSE = 1.0
-"""Simulated seconds, after which a poll that follows a write is over."""
+PAUSE = 1.0  # simulated seconds, after which a poll that follows a write is over
 
 
 class Memory:

@@ -15,8 +15,7 @@ from tests.support.talk import rtu
 
 READ, WRITE = "03 0000 0001", "06 0001 0007"
 
-ANSWERS, SILENT, REFUSES, DAMAGES = 1, 2, 3, 4
-"""What the units on the line do."""
+ANSWERS, SILENT, REFUSES, DAMAGES = 1, 2, 3, 4  # what the units on the line do
 
 DELAY = 0.1
 

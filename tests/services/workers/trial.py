@@ -19,8 +19,7 @@ from tests.simulation.workers import SimulatedWorker, push_fleet
 
 LEASE = 2.0
 INTERVAL = 0.5
-UNITS = 2
-"""Behind each connection."""
+UNITS = 2  # behind each connection
 
 MAP = RegisterMap(
     [
