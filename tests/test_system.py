@@ -9,10 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py.system import (
-    Flag,
-    lock_file,
-)
+from libmodbus_py.system import Flag, lock_file
 from tests.support.cases import each_case
 
 

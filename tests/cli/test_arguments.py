@@ -72,16 +72,10 @@ def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) 
     [
         ("-m enc h", "-m enc: type HOST, udp://HOST, rtu+tcp://HOST:PORT, /dev/ttyUSB0 or"),
         ("h -a 1:3,17", "-a 1:3,17: type -u 1-3,17"),
-        (
-            "h -a 1 -r 11 -c 2",
-            "-a 1: type -u 1; -r 11: type hr 10, because hr counts from 0;",
-        ),
+        ("h -a 1 -r 11 -c 2", "-a 1: type -u 1; -r 11: type hr 10, because hr counts from 0;"),
         ("h -r x", "-r x: type hr N, which"),
         ("h -c 2", "-c 2: type hr N 2"),
-        (
-            "h -t 3",
-            "-t 3: type co, di, ir or hr N for 0, 1, 3 or 4; --hex, or --type,",
-        ),
+        ("h -t 3", "-t 3: type co, di, ir or hr N for 0, 1, 3 or 4; --hex, or --type,"),
         ("h hr 0 -B", "-B: type no --order"),
         ("h hr 0 -1", "-1: type nothing, because a read without --watch polls once"),
         ("h hr 0 -0", "-0: type hr 0, which counts from 0"),
@@ -92,10 +86,7 @@ def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) 
         ("h --port=1502", "--port 1502: type HOST:1502"),
         ("h --slave 3", "--slave 3: type -u 3"),
         ("h --id", "--id: type -u N"),
-        (
-            "h --function 43",
-            "--function 43: type co, di, hr or ir N for 1 to 4, write HOST",
-        ),
+        ("h --function 43", "--function 43: type co, di, hr or ir N for 1 to 4, write HOST"),
         ("--host h hr 0", "--host h: type h without an option"),
     ],
 )

@@ -92,8 +92,7 @@ def url(tmp_path: Path) -> Iterator[str]:
     }
     for unit in (11, 12, 17):
         devices[unit] = Device(
-            Mapping(holding_registers={0: [unit, 0]}),
-            identification={"VendorName": f"ACME {unit}"},
+            Mapping(holding_registers={0: [unit, 0]}), identification={"VendorName": f"ACME {unit}"}
         )
     devices[12].server_id = pdu.ServerId(b"A", None, b"CME")
     for unit, cells in ((30, IRRADIANCE), (31, IRRADIANCE[:-2])):

@@ -127,10 +127,7 @@ ITEMS = [
     ("read h hr 0 --column name=x", "--column, --from and --list need --map"),
     ("read h --group x", "--group needs --map FILE"),
     ("read h hr 0 --group x", "--group needs --map FILE"),
-    (
-        "read h --map FOLDER/meter.csv --group x",
-        "no points of a group 'x'; its groups are fast",
-    ),
+    ("read h --map FOLDER/meter.csv --group x", "no points of a group 'x'; its groups are fast"),
 ]
 
 TYPES = [

@@ -11,12 +11,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    IllegalDataAddress,
-    ModbusConnectionError,
-    ModbusTimeoutError,
-    pdu,
-)
+from libmodbus_py import IllegalDataAddress, ModbusConnectionError, ModbusTimeoutError, pdu
 from libmodbus_py.client.call import Batch, Timeouts, raised
 from libmodbus_py.client.reconnecting import State
 from libmodbus_py.ports.trace import Traced

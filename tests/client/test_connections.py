@@ -27,13 +27,7 @@ from libmodbus_py import (
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
-from tests.support.clients import (
-    ALL,
-    Connect,
-    World,
-    connecting,
-    read,
-)
+from tests.support.clients import ALL, Connect, World, connecting, read
 from tests.support.peers import answer, dead, ignore, peer_at, refusing, until, url_of
 from tests.support.reads import good
 
@@ -44,11 +38,7 @@ NOBODY = "tcp://10.0.0.9:502"
 
 @pytest.mark.parametrize(
     ("host", "number"),
-    [
-        ("no-such-host.invalid", None),
-        ("x" * 300, None),
-        ("255.255.255.255", errno.EACCES),
-    ],
+    [("no-such-host.invalid", None), ("x" * 300, None), ("255.255.255.255", errno.EACCES)],
 )
 def test_connection_error_says_why(connect: Connect, host: str, number: int | None) -> None:
     with pytest.raises(ModbusConnectionError) as caught:

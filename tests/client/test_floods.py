@@ -95,12 +95,7 @@ def pouring(scheme: str, data: bytes) -> Iterator[str]:
 
 @pytest.mark.parametrize("kind", ["blocking", "asyncio"])
 @pytest.mark.parametrize(
-    ("scheme", "data"),
-    [
-        ("tcp", STRANGE * 4096),
-        ("udp", STRANGE),
-        ("rtu+tcp", NOISE * 32),
-    ],
+    ("scheme", "data"), [("tcp", STRANGE * 4096), ("udp", STRANGE), ("rtu+tcp", NOISE * 32)]
 )
 def test_a_flood_that_leaves_no_pause_ends(scheme: str, data: bytes, kind: str) -> None:
     """There is always more to be read: only the clock ends the wait."""

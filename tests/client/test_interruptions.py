@@ -38,11 +38,7 @@ def connecting_here(kind: str) -> Iterator[Connect]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "error"),
-    [
-        ("blocking", Interruption),
-        ("asyncio", ModbusConnectionError),
-    ],
+    ("kind", "error"), [("blocking", Interruption), ("asyncio", ModbusConnectionError)]
 )
 def test_anything_raised_while_it_connects_leaves_a_client_that_can(
     kind: str, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
@@ -209,10 +205,7 @@ def test_close_and_requests_in_a_finalizer_during_a_request() -> None:
 @pytest.mark.filterwarnings("ignore:.*unclosed <socket.*")
 def test_ctrl_c_at_any_moment_fails_no_later_request(place: str) -> None:
     """Each request that is not interrupted is right; none meets what an interrupted one left."""
-    with (
-        peer_at(place, good_at(place)) as peer,
-        Client(peer.url, timeout=0.3) as context,
-    ):
+    with peer_at(place, good_at(place)) as peer, Client(peer.url, timeout=0.3) as context:
         interrupted = 0
         before = signal.signal(signal.SIGALRM, signal.default_int_handler)
         try:
@@ -247,10 +240,7 @@ class Interrupted:
 
 
 def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPatch) -> None:
-    with (
-        TcpPeer(good) as peer,
-        Client(peer.url) as context,
-    ):
+    with TcpPeer(good) as peer, Client(peer.url) as context:
         assert context.read_holding_registers(6, 1) == [6]
         driver = context._driver
         Interrupted(monkeypatch, driver, "_turn")

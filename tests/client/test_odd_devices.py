@@ -4,13 +4,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    InvalidResponse,
-    ModbusConnectionError,
-    ModbusTimeoutError,
-    State,
-    pdu,
-)
+from libmodbus_py import InvalidResponse, ModbusConnectionError, ModbusTimeoutError, State, pdu
 from tests.support.clients import World, read
 from tests.support.peers import Write, answer, ignore, mbap
 from tests.support.reads import good, good_at

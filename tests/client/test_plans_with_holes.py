@@ -5,13 +5,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    IllegalDataAddress,
-    ModbusTimeoutError,
-    Plan,
-    Point,
-    RegisterMap,
-)
+from libmodbus_py import IllegalDataAddress, ModbusTimeoutError, Plan, Point, RegisterMap
 from tests.simulation.scripted import Scripted
 from tests.support.clients import World
 from tests.support.peers import Write, mbap

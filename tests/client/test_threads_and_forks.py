@@ -159,10 +159,7 @@ def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate() -> None:
         assert_read(forgotten, 1)
         forgotten_line = Client(f"rtu://{unit.path}", baudrate=115200)
         assert_read(forgotten_line, 1)
-        for unreachable in (
-            Client("tcp://127.0.0.1:1"),
-            Client("rtu:///dev/null"),
-        ):
+        for unreachable in (Client("tcp://127.0.0.1:1"), Client("rtu:///dev/null")):
             with pytest.raises(ModbusConnectionError):
                 unreachable.connect()
         before = len(os.listdir("/proc/self/fd"))

@@ -8,14 +8,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    AsyncClient,
-    Client,
-    ModbusConnectionError,
-    ModbusTimeoutError,
-    State,
-    pdu,
-)
+from libmodbus_py import AsyncClient, Client, ModbusConnectionError, ModbusTimeoutError, State, pdu
 from libmodbus_py.client.sender import Sender
 from tests.simulation.scripted import Scripted
 from tests.support.clients import ALL, World, asking, read

@@ -35,10 +35,7 @@ def refused_port() -> Iterator[int]:
 
 @NEEDS_IPV6
 def test_url_with_an_ipv6_address(connect: Connect) -> None:
-    with (
-        UdpPeer(good, family=socket.AF_INET6) as server,
-        connect(server.url, unit=3) as context,
-    ):
+    with UdpPeer(good, family=socket.AF_INET6) as server, connect(server.url, unit=3) as context:
         assert context.read_holding_registers(5, 1) == [5]
         assert server.requests[0][2:] == bytes.fromhex("0000 0006 03 03 0005 0001")
 

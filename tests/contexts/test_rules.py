@@ -324,10 +324,7 @@ def test_a_signal_handler_cannot_ask_during_a_call_of_its_thread() -> None:
         except RuntimeError as error:
             errors.append(error)
 
-    with (
-        TcpPeer(good_at("tcp", after=0.2)) as peer,
-        context_at(peer.url) as context,
-    ):
+    with TcpPeer(good_at("tcp", after=0.2)) as peer, context_at(peer.url) as context:
         with on_alarm(handler, 0.1):
             assert context.read_holding_registers(3, 1) == [3]
         assert context.read_holding_registers(4, 1) == [4]
@@ -530,10 +527,7 @@ def test_names_of_hosts_are_names() -> None:
 
 def test_a_broadcast_waits_for_no_answer_and_reads_are_refused() -> None:
     with peer_at("rtu", ignore) as peer, context_at(peer.url, unit=0) as context:
-        for write in (
-            lambda: context.write_register(1, 2),
-            lambda: context.write_coils(0, [True]),
-        ):
+        for write in (lambda: context.write_register(1, 2), lambda: context.write_coils(0, [True])):
             start = time.monotonic()
             write()
             assert 0.09 < time.monotonic() - start < 2
@@ -563,10 +557,7 @@ def test_what_custom_rts_raises_is_the_cause_of_the_error_of_the_call(
         if is_sending is failing and calls == [True, False][: len(calls)]:
             raise LookupError("no line 17")
 
-    with (
-        peer_at("rtu", good_at("rtu")) as peer,
-        context_at(peer.url, timeout=0.1) as context,
-    ):
+    with peer_at("rtu", good_at("rtu")) as peer, context_at(peer.url, timeout=0.1) as context:
         assert isinstance(context, RtuContext)
         context.set_custom_rts(turn)
         calls.append(False)  # nothing fails yet

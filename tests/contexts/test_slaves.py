@@ -72,10 +72,7 @@ def test_a_slave_on_a_line_finds_requests_between_noise() -> None:
 
 @each_transport
 def test_a_context_is_content_with_a_slave_by_hand(transport: str) -> None:
-    with (
-        slave_at(transport, make_device().mapping) as url,
-        context_at(url) as context,
-    ):
+    with slave_at(transport, make_device().mapping) as url, context_at(url) as context:
         check_all(context)  # type: ignore[arg-type]
 
 

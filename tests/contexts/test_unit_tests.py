@@ -267,10 +267,7 @@ ANSWERS: list[tuple[Ask, object]] = [
     (lambda c: c.write_register(first(HOLDING_REGISTERS), 0x1234), None),
     (lambda c: c.read_holding_registers(first(HOLDING_REGISTERS), 1), [0x1234]),
     (lambda c: c.write_registers(first(HOLDING_REGISTERS), [0x022B, 0x0001, 0x0064]), None),
-    (
-        lambda c: c.read_holding_registers(first(HOLDING_REGISTERS), 3),
-        [0x022B, 0x0001, 0x0064],
-    ),
+    (lambda c: c.read_holding_registers(first(HOLDING_REGISTERS), 3), [0x022B, 0x0001, 0x0064]),
     (
         lambda c: c.read_write_registers(
             first(HOLDING_REGISTERS), 3, first(HOLDING_REGISTERS) + 1, [0, 0]

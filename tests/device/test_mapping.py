@@ -364,11 +364,7 @@ class TestTypedValues:
         ],
     )
     def test_errors_change_nothing(
-        self,
-        name: str,
-        access: Callable[[Any], object],
-        error: type[Exception],
-        named: str,
+        self, name: str, access: Callable[[Any], object], error: type[Exception], named: str
     ) -> None:
         made = table(name, 10)
         made[9] = 0xFFFF

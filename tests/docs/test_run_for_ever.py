@@ -10,14 +10,7 @@ from contextlib import ExitStack
 import pytest
 from sybil import Document
 
-from libmodbus_py import (
-    AsyncClient,
-    Client,
-    Device,
-    Mapping,
-    ModbusConnectionError,
-    Server,
-)
+from libmodbus_py import AsyncClient, Client, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.maps.items import NamedValues
 from tests.docs.documents import ROOT, blocks
 from tests.docs.home import own_address

@@ -281,12 +281,7 @@ def tried(
 
 
 def _one(
-    scenario: Scenario,
-    kind: Kind,
-    part: tuple[str, ...],
-    count: int,
-    make: Error,
-    found: list[str],
+    scenario: Scenario, kind: Kind, part: tuple[str, ...], count: int, make: Error, found: list[str]
 ) -> bool:
     """Return whether there was such a call."""
     LOOPS.begin()

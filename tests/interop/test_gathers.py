@@ -120,10 +120,7 @@ def execute_many(url: str, requests: list[Any]) -> tuple[list[Any], Any]:
 
 Ask = Callable[[str, list[Any]], tuple[list[Any], Any]]
 
-CLIENTS: dict[str, Ask] = {
-    "asyncio": gather,
-    "blocking": execute_many,
-}
+CLIENTS: dict[str, Ask] = {"asyncio": gather, "blocking": execute_many}
 
 
 @pytest.mark.parametrize("client", CLIENTS)

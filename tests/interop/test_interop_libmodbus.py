@@ -203,10 +203,7 @@ def test_c_client_leaves_its_writes_in_our_mapping(
 def test_identifier_is_the_same_on_every_transport(transport: str, server_id: pdu.ServerId) -> None:
     device = make_device()
     device.server_id = server_id
-    with (
-        our_server(transport, {UNIT: device}) as place,
-        connected(str(place.end)) as context,
-    ):
+    with our_server(transport, {UNIT: device}) as place, connected(str(place.end)) as context:
         assert context.report_server_id() == server_id
 
 

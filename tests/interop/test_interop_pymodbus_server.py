@@ -211,10 +211,7 @@ class TestWherePymodbusServerErrs:
     @over("client", 8, "pinned", "long", transports=ON_RTU)
     def test_query_data_of_more_than_a_word_are_lost_on_it(self, transport: str) -> None:
         # It takes every message of function 8 for 8 bytes.
-        with (
-            pymodbus_server(transport, timeout=0.2) as context,
-            pytest.raises(ModbusTimeoutError),
-        ):
+        with pymodbus_server(transport, timeout=0.2) as context, pytest.raises(ModbusTimeoutError):
             context.execute(pdu.Diagnostics(0, b"abcd"))
 
     @over("client", 8, "query-most", transports=NOT_RTU)

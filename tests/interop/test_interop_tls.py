@@ -20,15 +20,7 @@ from tests.support import certificates
 from tests.support.attacks import adu
 from tests.support.certificates import Pki
 from tests.support.clients import Connect
-from tests.support.interop import (
-    COILS,
-    TIMEOUT,
-    UNIT,
-    cells,
-    coil,
-    make_device,
-    our_tls_server,
-)
+from tests.support.interop import COILS, TIMEOUT, UNIT, cells, coil, make_device, our_tls_server
 from tests.support.peers import mbap
 from tests.support.pymodbus_peers import pymodbus_serving
 from tests.support.tls import VERSIONS, context

@@ -48,10 +48,7 @@ ASKED: dict[int, tuple[Any, Any]] = {
     15: (lambda c: c.write_multiple_coils(13, [True, False, True]), 3),
     16: (lambda c: c.write_multiple_registers(101, list(range(123))), 123),
     22: (lambda c: c.mask_write_register(250, 0x00F0, 0xA50F), (0x00F0, 0xA50F)),
-    23: (
-        lambda c: c.read_write_multiple_registers(100, 2, 101, [7]),
-        [1100, 7],
-    ),
+    23: (lambda c: c.read_write_multiple_registers(100, 2, 101, [7]), [1100, 7]),
     24: (lambda c: c.read_fifo_queue(100), [440, 4740]),
 }
 
@@ -74,8 +71,7 @@ def ask(pki: Pki, port: int, asked: Any, version: ssl.TLSVersion) -> Any:
 
 @VERSION
 @pytest.mark.parametrize(
-    "function",
-    [pytest.param(each, id=case_id("tmodbus", "server", "tls", each)) for each in ASKED],
+    "function", [pytest.param(each, id=case_id("tmodbus", "server", "tls", each)) for each in ASKED]
 )
 def test_its_client_and_our_server_agree(pki: Pki, function: int, version: ssl.TLSVersion) -> None:
     asked, expected = ASKED[function]

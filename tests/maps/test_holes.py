@@ -6,11 +6,7 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.errors import (
-    IllegalDataAddress,
-    ModbusError,
-    ModbusTimeoutError,
-)
+from libmodbus_py.errors import IllegalDataAddress, ModbusError, ModbusTimeoutError
 from libmodbus_py.maps.plan import Plan, unreadable_of
 from tests.maps.refusing import H, Polls, Registers, lost, singles
 from tests.support.cases import each_case

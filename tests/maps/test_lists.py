@@ -138,12 +138,7 @@ LISTS: list[tuple[str, dict[str, Any], list[str], list[Registers]]] = [
             ("T", [0x0041, 0x20AC, 0, 0x0042], "A\u20ac"),
         ],
     ),
-    (
-        COILS,
-        {"table": "coils"},
-        ["table="],
-        [("Überspannung", [1], True)],
-    ),
+    (COILS, {"table": "coils"}, ["table="], [("Überspannung", [1], True)]),
     (
         TWO_UNITS,
         {"first_address": "reference", "only": {"deviceId": "200"}},
@@ -184,12 +179,7 @@ LISTS: list[tuple[str, dict[str, Any], list[str], list[Registers]]] = [
             ("/Relay/0/State", [1], "Closed"),
         ],
     ),
-    (
-        VICTRON_LIST,
-        {},
-        [],
-        [("Battery voltage", [5312], 53.12), ("Relay status", [0], "Open")],
-    ),
+    (VICTRON_LIST, {}, [], [("Battery voltage", [5312], 53.12), ("Relay status", [0], "Open")]),
     (
         MODPOLL.replace("ref,coil01-08,0,bool8,rw\n", ""),
         {"origin": "modpoll"},
@@ -409,11 +399,7 @@ MEANINGS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     (f"{HEAD}\na,holding,7,u16\n{HEAD}\n", {}, {"address": 7}),  # headings of two pages
     ("name,address,type\na,40001-40002,int32\n", {}, {"address": 0, "type": "int32"}),
     ("name,address,type\na,3x0012,u16\n", {}, {"table": "input_registers", "address": 11}),
-    (
-        "signalName,registerAddress,dataType\na,40008,INT32\n",
-        {},
-        {"type": "int32"},
-    ),
+    ("signalName,registerAddress,dataType\na,40008,INT32\n", {}, {"type": "int32"}),
     ("Data,Modbus,\nName,Address,Type\na,40008,s16\n", {}, {"type": "int16", "address": 7}),
     (
         f"{HEAD},Unit\na,holding,0,u16,1/10 V\n",

@@ -60,11 +60,7 @@ REQUESTS: list[tuple[list[Any], dict[str, Any], list[tuple[str, int, int]]]] = [
     ([(C, 8, 2), (C, 5, 4)], {}, [(C, 5, 5)]),
     ([(C, 5, 3), (C, 9, 2)], {}, [(C, 5, 3), (C, 9, 2)]),
     ([(C, 5, 3), (C, 9, 2)], {"gap": 1}, [(C, 5, 6)]),
-    (
-        [(C, 5, 3), (C, 9, 2)],
-        {"gap": 9, "forbidden": [(C, range(8, 9))]},
-        [(C, 5, 3), (C, 9, 2)],
-    ),
+    ([(C, 5, 3), (C, 9, 2)], {"gap": 9, "forbidden": [(C, range(8, 9))]}, [(C, 5, 3), (C, 9, 2)]),
     (
         [(C, 5, 3), (C, 9, 2)],
         {"gap": 9, "forbidden": [("discrete_inputs", range(8, 9)), (C, range(8, 8))]},

@@ -177,10 +177,7 @@ def test_a_client_connects_from_its_source_and_again_at_once(
         assert plc.read_holding_registers(0, 1) == [0]
 
 
-@each_case(
-    ("source", "number"),
-    [("192.0.2.5", errno.EADDRNOTAVAIL), ("::1", errno.EAFNOSUPPORT)],
-)
+@each_case(("source", "number"), [("192.0.2.5", errno.EADDRNOTAVAIL), ("::1", errno.EAFNOSUPPORT)])
 def test_a_source_that_cannot_reach_the_host_is_named(source: str, number: int) -> None:
     with pytest.raises(ModbusConnectionError, match=f"\\(from .*{source}.*:0\\)") as caught:
         Client("tcp://127.0.0.1:1", source=source).connect()

@@ -178,12 +178,7 @@ class TestSettingsOfTheDriver:
         ],
     )
     def test_a_rate_within_2_percent_is_taken(
-        self,
-        asked: int,
-        actual: int,
-        is_taken: bool,
-        rate: Callable[[int], None],
-        wire: SerialWire,
+        self, asked: int, actual: int, is_taken: bool, rate: Callable[[int], None], wire: SerialWire
     ) -> None:
         rate(actual)
         made = SerialPort(wire.client, baudrate=asked)

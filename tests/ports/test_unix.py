@@ -52,10 +52,7 @@ def stale(path: str) -> None:
 
 
 def test_a_blocking_client_reads_and_writes(path: str) -> None:
-    with (
-        server().background(f"unix://{path}") as running,
-        Client(f"unix://{path}") as client,
-    ):
+    with server().background(f"unix://{path}") as running, Client(f"unix://{path}") as client:
         assert running.urls == [f"unix://{path}"]
         client.write_register(1, 7)
         assert client.read_holding_registers(0, 3) == [1, 7, 3]
@@ -160,10 +157,7 @@ def test_a_server_ends_although_its_folder_is_gone(path: str) -> None:
 
 
 def test_who_is_connected_stays_with_its_server_when_the_path_gets_another(path: str) -> None:
-    with (
-        server().background(f"unix://{path}"),
-        Client(f"unix://{path}") as first,
-    ):
+    with server().background(f"unix://{path}"), Client(f"unix://{path}") as first:
         os.unlink(path)
         with server().background(f"unix://{path}"), Client(f"unix://{path}") as second:
             second.write_register(0, 9)

@@ -17,16 +17,7 @@ import pytest
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.ports.hosts import Resolve
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
-from libmodbus_py.ports.waiting import (
-    READ,
-    WRITE,
-    Ready,
-    Steps,
-    Waker,
-    Woken,
-    milliseconds,
-    run,
-)
+from libmodbus_py.ports.waiting import READ, WRITE, Ready, Steps, Waker, Woken, milliseconds, run
 from libmodbus_py.ports.waiting_async import Alarm, run_async
 from tests.simulation.loop import VirtualLoop
 from tests.simulation.network import Network

@@ -8,11 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py.protocol.values import (
-    ORDERS,
-    readings,
-    value_type,
-)
+from libmodbus_py.protocol.values import ORDERS, readings, value_type
 from tests.support.cases import each_case
 from tests.support.values import (
     LIMITS,

@@ -4,12 +4,7 @@ import struct
 
 import pytest
 
-from libmodbus_py.protocol.mistakes import (
-    close_option,
-    close_to,
-    named_arguments,
-    unknown_option,
-)
+from libmodbus_py.protocol.mistakes import close_option, close_to, named_arguments, unknown_option
 from libmodbus_py.protocol.values import readings
 from tests.support.cases import each_case
 

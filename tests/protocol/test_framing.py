@@ -38,13 +38,7 @@ from tests.support.framing import (
     single_bytes,
     take,
 )
-from tests.support.vectors import (
-    CHECKSUMS,
-    FRAMES,
-    Checksum,
-    FrameVector,
-    rows,
-)
+from tests.support.vectors import CHECKSUMS, FRAMES, Checksum, FrameVector, rows
 
 
 def _role(vector: FrameVector) -> str:

@@ -55,10 +55,7 @@ AROUND = {
     ),
     "coils": (rtu("02 01 0000 0040"), with_data("02 01 08", WRITE)),
     "a server id": (rtu("02 11"), with_data("02 11 0A", b"\7\xff", WRITE)),
-    "a file": (
-        rtu("02 14 07 06 0004 0001 0004"),
-        with_data("02 14 0A 09 06", WRITE),
-    ),
+    "a file": (rtu("02 14 07 06 0004 0001 0004"), with_data("02 14 0A 09 06", WRITE)),
     "loopback": (with_data("02 08 0000", WRITE), with_data("02 08 0000", WRITE)),
     "long loopback": (with_data("02 08 0000", WRITE * 20), with_data("02 08 0000", WRITE * 20)),
     "canopen": (with_data("02 2B 0D 01", WRITE), with_data("02 2B 0D 01", WRITE)),

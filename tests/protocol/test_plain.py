@@ -48,10 +48,7 @@ from tests.support.cases import each_case
         ([1, (b"\x02", float("inf"))], [1, ["02", None]]),
         ({1: b"\x03"}, {"1": "03"}),
         (pdu.ServerId(b"\x01", True, b""), {"identifier": "01", "running": True, "additional": ""}),
-        (
-            pdu.ServerId(b"A", None, b"C"),
-            {"identifier": "41", "running": None, "additional": "43"},
-        ),
+        (pdu.ServerId(b"A", None, b"C"), {"identifier": "41", "running": None, "additional": "43"}),
         (pdu.SubFunction.CLEAR_COUNTERS, 10),
         (State.CONNECTED, "connected"),
         (
@@ -237,8 +234,7 @@ def test_a_time_has_a_time_zone(text: str) -> None:
 
 
 @each_case(
-    ("text", "units"),
-    [("1", [1]), (" 0 , 255", [0, 255]), ("3-5,4", [3, 4, 5, 4]), ("7 - 7", [7])],
+    ("text", "units"), [("1", [1]), (" 0 , 255", [0, 255]), ("3-5,4", [3, 4, 5, 4]), ("7 - 7", [7])]
 )
 def test_units_are_numbers_and_ranges(text: str, units: list[int]) -> None:
     assert units_of(text) == units

@@ -9,11 +9,7 @@ from hypothesis import strategies as st
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.protocol.framing import (
-    Frame,
-    RtuFramer,
-    crc16,
-)
+from libmodbus_py.protocol.framing import Frame, RtuFramer, crc16
 from tests.support.cases import each_case
 from tests.support.framing import (
     ANSWER,

@@ -8,16 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import values
-from libmodbus_py.protocol.values import (
-    ORDERS,
-    value_type,
-)
+from libmodbus_py.protocol.values import ORDERS, value_type
 from tests.support.cases import each_case
-from tests.support.values import (
-    decode,
-    encode,
-    words,
-)
+from tests.support.values import decode, encode, words
 
 
 class TestText:

@@ -226,10 +226,7 @@ class TestValueType:
         assert (kind.name, kind.registers) == (f"string:{size}", registers)
         assert kind.is_text
 
-    @each_case(
-        "name",
-        ["", "int12", "long", "bool", "string", "string:", "string:-1", "string:8x"],
-    )
+    @each_case("name", ["", "int12", "long", "bool", "string", "string:", "string:-1", "string:8x"])
     def test_no_such_type(self, name: str) -> None:
         with pytest.raises(ValueError, match=r"type must be one of .*eui48, string:N") as e:
             value_type(name)

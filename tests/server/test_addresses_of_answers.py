@@ -103,10 +103,7 @@ def sent(client: socket.socket, request: bytes, port: int, interface: int) -> bo
 
 def test_empty_datagrams_say_nothing(device: Device) -> None:
     server = Server({UNIT: device})
-    with (
-        served(server, "udp") as port,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
-    ):
+    with served(server, "udp") as port, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         for _ in range(100):
             other.sendto(b"", ("127.0.0.1", port))
         assert values_of("udp", "127.0.0.1", port) == [1000, 1001]

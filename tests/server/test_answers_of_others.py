@@ -91,8 +91,7 @@ def damaged(frame: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "scheme",
-    [each for each, (made, rules) in LINES.items() if made is rtu and not rules.is_serial],
+    "scheme", [each for each, (made, rules) in LINES.items() if made is rtu and not rules.is_serial]
 )
 def test_answers_of_others_in_one_connection_count_no_error(stage: Stage, scheme: str) -> None:
     """As a serial device server passes them on that hears its own line."""

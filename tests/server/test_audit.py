@@ -78,10 +78,7 @@ def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
     with served.background(url) as one, closed.background(url) as other:
         with Client(one.urls[0], unit=5, timeout=20) as client:
             client.write_register(0, 1)
-        with (
-            Client(other.urls[0], unit=5, timeout=0.1) as client,
-            pytest.raises(ModbusError),
-        ):
+        with Client(other.urls[0], unit=5, timeout=0.1) as client, pytest.raises(ModbusError):
             client.write_register(0, 1)
     assert {each.event for each in events} == {"write", "disallowed"}
     for peer in (*told, *(each.peer for each in events)):
@@ -113,9 +110,7 @@ def test_each_write_is_recorded_with_old_and_new_values(transport: str, events: 
     assert first["data"] == "10000100020400140" + "01e"
 
 
-def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(
-    events: Events,
-) -> None:
+def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(events: Events) -> None:
     rules = Rules({None: Allow(read=["coils"], write=["holding_registers"])})
     with asking(Server(device(authorize=rules), audit=events.append)) as plc:
         plc.read_coils(0, 1)

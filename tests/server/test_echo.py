@@ -322,9 +322,7 @@ def test_an_answer_that_trickles_comes_back_as_it_leaves(stage: Stage, scheme: s
             assert len(writes) == count
 
 
-def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(
-    stage: Stage,
-) -> None:
+def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(stage: Stage) -> None:
     """Status 41h: the answer to function 7 is its request and a zero byte."""
     device = Device(Mapping(holding_registers=4), exception_status=0x41)
     for url in (f"rtu://{LINE}", f"rtu+tcp://{TCP}"):

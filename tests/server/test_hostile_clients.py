@@ -12,14 +12,7 @@ from libmodbus_py import Client, Device, Limits, Mapping, Server, framing
 from libmodbus_py.server.peer import READ_BYTES
 from tests.simulation.attackers import Attackers, Innocent
 from tests.simulation.stage import Stage
-from tests.support.attacks import (
-    ATTACKS,
-    UNIT,
-    Attack,
-    adu,
-    ask,
-    connect,
-)
+from tests.support.attacks import ATTACKS, UNIT, Attack, adu, ask, connect
 from tests.support.certificates import Pki
 
 READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
@@ -106,10 +99,7 @@ def test_random_bytes_change_nothing(stage: Stage, scheme: str, device: Device) 
         assert contents(device) == before
 
 
-@settings(
-    max_examples=60,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(body=st.binary(min_size=1, max_size=253), transaction=st.integers(0, 0xFFFF))
 def test_any_request_gets_one_answer_or_none(port: int, body: bytes, transaction: int) -> None:
     with connect(port) as connection:

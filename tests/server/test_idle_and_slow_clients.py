@@ -150,10 +150,7 @@ def test_clients_of_the_system_are_closed_in_time(sent: bytes) -> None:
     """The real copy of what this file shows in simulated seconds."""
     limits = Limits(frame_timeout=0.1, idle_timeout=0.2)
     server = Server({17: Device(Mapping(holding_registers=1))}, limits=limits)
-    with (
-        server.background("tcp://127.0.0.1:0") as running,
-        connect(running.urls[0]) as client,
-    ):
+    with server.background("tcp://127.0.0.1:0") as running, connect(running.urls[0]) as client:
         client.sendall(sent)
         assert client.recv(1) == b""
     assert (server.statistics.closed_slow, server.statistics.closed_idle) == (

@@ -323,12 +323,7 @@ def test_a_session_over_tcp_is_counted(stage: Stage, kind: str) -> None:
         first.close()
         assert server.counts(connections=0)
         assert_counted(
-            server.statistics,
-            accepted=2,
-            requests=8,
-            refused=3,
-            bad_frames=2,
-            closed_out_of_step=1,
+            server.statistics, accepted=2, requests=8, refused=3, bad_frames=2, closed_out_of_step=1
         )
 
 

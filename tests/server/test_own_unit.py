@@ -36,10 +36,7 @@ def answers(server: Server, scheme: str, units: list[int]) -> list[int | bytes |
     frames = [adu(READ_ONE, at, unit) for at, unit in enumerate(units)]
     # Unit 1 always answers, and so tells that nothing more comes.
     frames.append(adu(READ_ONE, 999, 1))
-    with (
-        server.background(f"{scheme}://127.0.0.1:0") as running,
-        connect(running.urls[0]) as peer,
-    ):
+    with server.background(f"{scheme}://127.0.0.1:0") as running, connect(running.urls[0]) as peer:
         together = asked(peer, [b"".join(frames)] if scheme == "tcp" else frames)
         assert together == asked(peer, frames)
     return [together.get(at) for at in range(len(units))]
@@ -122,11 +119,7 @@ def test_lines_know_no_such_units() -> None:
 @both
 @pytest.mark.parametrize(
     ("faults", "codes"),
-    [
-        ({1: 6}, [6, 6]),
-        ({255: 5}, [None, 5]),
-        ({1: 6, 255: 5}, [6, 5]),
-    ],
+    [({1: 6}, [6, 6]), ({255: 5}, [None, 5]), ({1: 6, 255: 5}, [6, 5])],
     ids=str,
 )
 def test_faults_happen_to_whom_the_server_is(

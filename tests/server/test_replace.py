@@ -37,10 +37,7 @@ def holding(value: int) -> Device:
 @contextmanager
 def connected(transport: str, server: Server) -> Iterator[Client]:
     """A client of unit 1."""
-    with (
-        serving(transport, server) as url,
-        Client(url, unit=1, timeout=2) as client,
-    ):
+    with serving(transport, server) as url, Client(url, unit=1, timeout=2) as client:
         yield client
 
 

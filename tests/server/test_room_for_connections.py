@@ -137,10 +137,7 @@ def test_hosts_outside_are_closed_at_once(stage: Stage, kind: str) -> None:
 @pytest.mark.parametrize(("allow", "allowed"), [("::1", True), ("2001:db8::/32", False)])
 def test_hosts_of_ipv6(allow: str, allowed: bool) -> None:
     server = Server(Device(Mapping(holding_registers=1)), limits=Limits(allow=[allow]))
-    with (
-        server.background("tcp://[::1]:0") as running,
-        connect(running.urls[0]) as connection,
-    ):
+    with server.background("tcp://[::1]:0") as running, connect(running.urls[0]) as connection:
         if allowed:
             connection.sendall(adu(READ_ONE))
             assert receive(connection, ONE_ANSWER) == adu(ANSWER_ONE)

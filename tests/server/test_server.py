@@ -53,10 +53,7 @@ def test_a_port_that_is_taken_is_a_clear_error(device: Device) -> None:
 def test_an_endpoint_that_cannot_be_opened_is_a_clear_error(
     device: Device, url: str, named: str
 ) -> None:
-    with (
-        pytest.raises(ModbusConnectionError, match=named),
-        Server(device).background(url),
-    ):
+    with pytest.raises(ModbusConnectionError, match=named), Server(device).background(url):
         pass
 
 

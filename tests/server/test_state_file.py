@@ -270,10 +270,7 @@ def test_a_file_that_cannot_be_written_is_told_once(
 
 @each_case("number", [errno.EACCES, errno.EROFS, errno.ENOSPC])
 def test_a_folder_that_takes_no_files(
-    number: int,
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    number: int, folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.clear()
     (folder / "state").unlink(missing_ok=True)

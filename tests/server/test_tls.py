@@ -71,12 +71,7 @@ GCM = "AES128-GCM-SHA256"
     ],
 )
 def test_the_suites_that_must_be_there_are(
-    stage: Stage,
-    pki: Pki,
-    key: str,
-    version: str,
-    ciphers: str | None,
-    negotiated: str,
+    stage: Stage, pki: Pki, key: str, version: str, ciphers: str | None, negotiated: str
 ) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = pki.security(certificates.server(**keys))
@@ -321,10 +316,7 @@ def test_what_a_pinned_one_has_signed_is_not_pinned(
 ) -> None:
     """OpenSSL takes it, for the pinned one is what it trusts."""
     security = pki.server(pin=pki.authority(certificates.authority()))
-    with (
-        caplog.at_level(logging.INFO),
-        talking(stage, pki, security=security) as (server, client),
-    ):
+    with caplog.at_level(logging.INFO), talking(stage, pki, security=security) as (server, client):
         assert client.ask(ONE, 1) == b""
         assert (server.statistics.handshakes, server.statistics.handshakes_refused) == (0, 1)
     assert "none of the pins" in caplog.text
@@ -396,10 +388,7 @@ def test_a_certificate_that_expired_meanwhile_resumes_nothing(
         session = client.tls.session
     later = SimpleNamespace(time=lambda: end.timestamp() + 1)
     monkeypatch.setattr("libmodbus_py.security.tunnel.time", later)
-    with (
-        caplog.at_level(logging.INFO),
-        TlsClient(port, told, session, stage=stage) as client,
-    ):
+    with caplog.at_level(logging.INFO), TlsClient(port, told, session, stage=stage) as client:
         client.handshake()
         assert client.tls.session_reused
         assert client.ask(ONE, 1) == b""

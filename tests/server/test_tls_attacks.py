@@ -81,11 +81,7 @@ GARBAGE: dict[str, Callable[[], bytes]] = {
 @pytest.mark.parametrize("what", GARBAGE)
 @pytest.mark.parametrize("behind", ["at once", "behind a hello"])
 def test_what_is_no_tls_ends_the_connection(
-    stage: Stage,
-    pki: Pki,
-    what: str,
-    behind: str,
-    caplog: pytest.LogCaptureFixture,
+    stage: Stage, pki: Pki, what: str, behind: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     sent = (hello(pki) if behind != "at once" else b"") + GARBAGE[what]()
     limits = Limits(handshake_timeout=1)
@@ -162,11 +158,7 @@ AFTER: dict[str, Callable[[TlsClient], bytes]] = {
 @VERSION
 @pytest.mark.parametrize("what", AFTER)
 def test_what_is_no_record_ends_the_connection_but_no_other(
-    stage: Stage,
-    pki: Pki,
-    what: str,
-    version: ssl.TLSVersion,
-    caplog: pytest.LogCaptureFixture,
+    stage: Stage, pki: Pki, what: str, version: ssl.TLSVersion, caplog: pytest.LogCaptureFixture
 ) -> None:
     with (
         nothing_loud(caplog),

@@ -55,8 +55,7 @@ def answers(count: int) -> bytes:
 
 @VERSION
 @pytest.mark.parametrize(
-    "cut",
-    ["a record", "a byte in a record", "a record in bytes", "two records", "one and a half"],
+    "cut", ["a record", "a byte in a record", "a record in bytes", "two records", "one and a half"]
 )
 def test_records_may_cut_requests_anywhere(
     stage: Stage, pki: Pki, way: dict[str, Any], cut: str, version: ssl.TLSVersion
@@ -131,10 +130,7 @@ def test_requests_in_the_last_flight_of_the_handshake_are_answered(
     stage: Stage, pki: Pki, version: ssl.TLSVersion
 ) -> None:
     told = context(pki, certificates.client(), version)
-    with (
-        serving(pki) as (_, port),
-        TlsClient(port, told, stage=stage) as client,
-    ):
+    with serving(pki) as (_, port), TlsClient(port, told, stage=stage) as client:
         client.socket.sendall(client.hello())
         # The client's own end of the handshake, and 50 requests behind it, in one segment.
         while True:

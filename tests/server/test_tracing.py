@@ -221,10 +221,7 @@ def test_a_gateway_tells_what_its_clients_say() -> None:
     told: list[Traced] = []
     with Server({5: made_device()}).background("tcp://127.0.0.1:0") as behind:
         gateway = Gateway([Route(behind.urls[0], "17", 5)], trace=told.append)
-        with (
-            gateway.background("tcp://127.0.0.1:0") as running,
-            connect(running.urls[0]) as one,
-        ):
+        with gateway.background("tcp://127.0.0.1:0") as running, connect(running.urls[0]) as one:
             ask(one, READ, ANSWER)
     assert said(told) == [("received", READ), ("sent", ANSWER)]
     assert {each.endpoint for each in told} == set(running.urls)

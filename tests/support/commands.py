@@ -60,9 +60,7 @@ class Done(NamedTuple):
 
 
 def run(
-    *arguments: object,
-    out: TextIO | None = None,
-    environment: Mapping[str, str] | None = None,
+    *arguments: object, out: TextIO | None = None, environment: Mapping[str, str] | None = None
 ) -> Done:
     """
     Call the command line in this process.

@@ -35,10 +35,7 @@ def plant(tmp_path: Path) -> Path:
 @each_case("end", [signal.SIGTERM, signal.SIGINT])
 def test_values_of_plain_tables_survive(end: signal.Signals, tmp_path: Path) -> None:
     state = tmp_path / f"state-{end}"
-    with (
-        serving(*SERVE, "--state", state, end=end) as (_, url),
-        Client(url, unit=9) as plc,
-    ):
+    with serving(*SERVE, "--state", state, end=end) as (_, url), Client(url, unit=9) as plc:
         plc.write_registers(65534, [7, 8])
         plc.write_coil(3, True)
         plc.write_file_records([(10, 9999, [42])])

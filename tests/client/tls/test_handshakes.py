@@ -181,9 +181,7 @@ def test_a_forked_child_leaves_the_connection_alone(pki: Pki) -> None:
         assert server.statistics.handshakes == 2
 
 
-def test_an_asyncio_client_that_ends_in_a_child_leaves_the_connection_alone(
-    pki: Pki,
-) -> None:
+def test_an_asyncio_client_that_ends_in_a_child_leaves_the_connection_alone(pki: Pki) -> None:
     async def main(url: str) -> None:
         async with AsyncClient(url, timeout=LONG) as plc:
             await plc.write_register(0, 7)

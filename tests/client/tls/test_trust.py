@@ -19,13 +19,7 @@ import pytest
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.tools.certificates import Identity
 from tests.support import certificates
-from tests.support.certificates import (
-    Pki,
-    expired,
-    foreign_authority,
-    not_yet_valid,
-    self_signed,
-)
+from tests.support.certificates import Pki, expired, foreign_authority, not_yet_valid, self_signed
 from tests.support.clients import Connect
 from tests.support.names import NEEDS_IPV6, resolve
 from tests.support.peers import until

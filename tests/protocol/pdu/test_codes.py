@@ -7,10 +7,7 @@ import pytest
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.pdu import RawRequest, ReadDeviceIdentification
-from libmodbus_py.protocol.pdu.interface import (
-    MeiType,
-    ReadDeviceIdCode,
-)
+from libmodbus_py.protocol.pdu.interface import MeiType, ReadDeviceIdCode
 from libmodbus_py.protocol.pdu.request import IN_C
 from libmodbus_py.services.gateway.line import request_of
 from tests.protocol.pdu.examples import EXAMPLES, Doubled, tells_its_length

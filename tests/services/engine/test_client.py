@@ -170,10 +170,7 @@ async def test_a_greeting_that_cannot_be_read_is_followed_by_another_attempt() -
     def greet(number: int) -> tuple[dict[str, Any], None]:
         return (INFO if number != 1 else {**INFO, "connect_urls": ["x" * 70_000]}), None
 
-    async with (
-        serving(greet) as (server, port),
-        connection(f"nats://127.0.0.1:{port}") as client,
-    ):
+    async with serving(greet) as (server, port), connection(f"nats://127.0.0.1:{port}") as client:
         server.writers[-1].close()
         await until(lambda: len(server.heard) == 3 and client.is_connected)
 

@@ -297,10 +297,7 @@ ROWS = "name,url,unit,map\na,tcp://h,1,meter.csv\n"
         (ROWS + "#12,tcp://i,1,meter.csv\n", "line 3: quote '#12' if it is a name, or put a"),
         ("name,url,map,interval\na,tcp://h,meter.csv,1_0\n", "interval must be a number such"),
         ('name,url,map,interval\na,tcp://h,meter.csv,"1,5"\n', "with a point, not a comma, not"),
-        (
-            "name,url,map\na,tcp://h,\x1bmeter.csv\n",
-            "line 2: contains the control character 0x1b",
-        ),
+        ("name,url,map\na,tcp://h,\x1bmeter.csv\n", "line 2: contains the control character 0x1b"),
     ],
 )
 def test_a_wrong_cell_in_a_list_of_devices_is_named(tmp_path: Path, csv: str, said: str) -> None:

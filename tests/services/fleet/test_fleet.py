@@ -229,10 +229,7 @@ async def test_a_wrong_list_of_devices_changes_nothing() -> None:
         before = fleet.devices["a"]
         for bad, text in (
             (meter("a", peer.url, unit=5), "'a' is also the name of another"),
-            (
-                meter("b", f"{peer.url}?timeout=3", unit=5),
-                "has other options for",
-            ),
+            (meter("b", f"{peer.url}?timeout=3", unit=5), "has other options for"),
         ):
             with pytest.raises(ValueError, match=text):
                 fleet.add([bad])

@@ -19,12 +19,7 @@ from libmodbus_py import (
     RegisterMap,
 )
 from libmodbus_py.fleet import DeviceConfig, Reading
-from libmodbus_py.services.fleet.outputs.forms import (
-    as_csv,
-    as_json,
-    object_text,
-    poll_messages,
-)
+from libmodbus_py.services.fleet.outputs.forms import as_csv, as_json, object_text, poll_messages
 from libmodbus_py.services.fleet.poller import Poller
 from libmodbus_py.services.fleet.readings import Changes, classified, is_down
 from tests.support.cases import each_case

@@ -59,11 +59,7 @@ def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(
     stage: Stage, stays: bool
 ) -> None:
     """A line stays if its URL does, whatever else of its routes changes."""
-    with (
-        gated(stage) as (gate, _, url, made),
-        stage.talk(url) as client,
-        stage.talk(url) as other,
-    ):
+    with gated(stage) as (gate, _, url, made), stage.talk(url) as client, stage.talk(url) as other:
         client.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2))
         assert stage.until(lambda: gate.asked)
         to = f"{LINE}?timeout={1000 if stays else 999}"

@@ -195,7 +195,7 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.Monk
                 read = "3 read holding registers"
                 visitor.receive(lambda: len(visitor.rows("rows")) == 4)
                 assert [name_of(each)[-1] for each in visitor.rows("rows")] == [
-                    *("unit 2", gone, f"unit 2, {read}", f"unit 9, {read}"),
+                    *("unit 2", gone, f"unit 2, {read}", f"unit 9, {read}")
                 ]
                 rate = visitor.history(["", there], 60, "rate")
                 assert (rate["units"], rate["values"] != []) == ("requests/s", True)

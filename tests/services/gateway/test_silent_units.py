@@ -105,10 +105,7 @@ def test_late_answers_are_never_anybody_elses(stage: Stage) -> None:
     with gateway([Route(f"{LINE}?timeout=0.5")]) as (made, url):
 
         async def all_of_them() -> list[tuple[int, int]]:
-            async with (
-                AsyncClient(url, timeout=10) as one,
-                AsyncClient(url, timeout=10) as other,
-            ):
+            async with AsyncClient(url, timeout=10) as one, AsyncClient(url, timeout=10) as other:
                 jobs = [poll(one, 1, 0), poll(one, 2, 300), poll(other, 3, 500), poll(other, 2, 7)]
                 return await asyncio.gather(*jobs)
 

@@ -243,11 +243,7 @@ def test_names_tell_servers_apart_and_equal_ones_add_up(registry: CollectorRegis
     collect(servers[4], name="pumps", registry=registry)
     name = "modbus_server_accepted_total"
     found = {labels: value for (each, labels), value in values(registry).items() if each == name}
-    assert found == {
-        (): 11,
-        (("server", "boilers"),): 1100,
-        (("server", "pumps"),): 10000,
-    }
+    assert found == {(): 11, (("server", "boilers"),): 1100, (("server", "pumps"),): 10000}
 
 
 def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorRegistry) -> None:
@@ -472,10 +468,7 @@ ARGUMENTS = ["serve", "tcp://127.0.0.1:0"]
 
 @pytest.mark.parametrize(
     ("address", "stop"),
-    [
-        ("127.0.0.1:0", signal.SIGTERM),
-        pytest.param("[::1]:0", signal.SIGINT, marks=NEEDS_IPV6),
-    ],
+    [("127.0.0.1:0", signal.SIGTERM), pytest.param("[::1]:0", signal.SIGINT, marks=NEEDS_IPV6)],
 )
 def test_serve_exposes_its_metrics(address: str, stop: int) -> None:
     with Started(*ARGUMENTS, "--metrics", address) as process:

@@ -8,12 +8,7 @@ import pytest
 from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.workers.decisions import step
 from libmodbus_py.services.workers.messages import refusal
-from libmodbus_py.services.workers.records import (
-    SETTINGS,
-    Connection,
-    FleetSettings,
-    Member,
-)
+from libmodbus_py.services.workers.records import SETTINGS, Connection, FleetSettings, Member
 from libmodbus_py.services.workers.worker import Worker
 from tests.services.workers.simulated import LEASE, OneWorker, every, written
 from tests.support.cases import each_case

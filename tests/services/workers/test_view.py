@@ -3,12 +3,7 @@
 from typing import Any
 
 from libmodbus_py.services.engine.buckets import Change
-from libmodbus_py.services.workers.records import (
-    BucketView,
-    Connection,
-    FleetSettings,
-    Member,
-)
+from libmodbus_py.services.workers.records import BucketView, Connection, FleetSettings, Member
 from tests.services.workers.simulated import encode_holder
 from tests.support.cases import each_case
 

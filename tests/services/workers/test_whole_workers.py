@@ -110,9 +110,7 @@ async def test_without_the_engine_nobody_asks_beyond_the_lease(
 
 
 @tried(2, "a", settings=FleetSettings(LEASE, "continue"))
-async def test_a_worker_polls_on_without_the_engine_if_its_settings_say_so(
-    trial: Trial,
-) -> None:
+async def test_a_worker_polls_on_without_the_engine_if_its_settings_say_so(trial: Trial) -> None:
     trial.engine.stop()
     gone = trial.now
     await asyncio.sleep(10)
@@ -166,8 +164,7 @@ async def test_the_time_of_day_may_be_set_to_any_time(
 
 @tried(6, "a", "b", "c")
 async def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(
-    trial: Trial,
-    caplog: pytest.LogCaptureFixture,
+    trial: Trial, caplog: pytest.LogCaptureFixture
 ) -> None:
     trial.engine.delete_bucket()
     since = trial.now

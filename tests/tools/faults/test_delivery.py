@@ -9,12 +9,7 @@ import pytest
 
 from libmodbus_py import Client, ModbusConnectionError, Server
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
-from libmodbus_py.server.faults import (
-    MAX_WAITING_BYTES,
-    Faults,
-    FaultyAnswers,
-    Fragment,
-)
+from libmodbus_py.server.faults import MAX_WAITING_BYTES, Faults, FaultyAnswers, Fragment
 from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage, Talker
 from tests.support.certificates import Pki, secured
@@ -225,10 +220,7 @@ def test_garbage_and_disconnects_of_datagrams(stage: Stage) -> None:
 
 def test_a_disconnect_closes_a_tunnel(tmp_path: Path) -> None:
     server = Server({1: made_device()}, faults={1: [Fault("disconnect", every=2, length=5)]})
-    with (
-        secured(server, Pki(tmp_path)) as url,
-        Client(url, unit=1, timeout=5) as client,
-    ):
+    with secured(server, Pki(tmp_path)) as url, Client(url, unit=1, timeout=5) as client:
         assert client.read_holding_registers(0, 1) == [555]
         with pytest.raises(ModbusConnectionError):
             client.read_holding_registers(0, 1)

@@ -106,10 +106,7 @@ def test_a_refused_write_is_not_executed_and_all_others_are(stage: Stage) -> Non
         settings: dict[str, Any] = {"code": 6} if kind == "exception" else {}
         settings |= {"length": 3} if kind in ("truncate", "garbage") else {}
         fault = Fault(kind, **settings)
-        with (
-            serving(stage, "tcp", fault, units={1: device}) as url,
-            stage.talk(url) as connection,
-        ):
+        with serving(stage, "tcp", fault, units={1: device}) as url, stage.talk(url) as connection:
             connection.sendall(adu(b"\x06\0\0\0\x09"))
             with suppress(OSError):  # what closes may have closed before
                 connection.shutdown(socket.SHUT_WR)

@@ -182,8 +182,7 @@ class TestPort:
             assert hearing.wait_for(3)[2].kind == "answered"
 
     @pytest.mark.parametrize(
-        ("path", "what"),
-        [("/dev/nowhere", "No such file"), ("/dev/null", "not a serial port")],
+        ("path", "what"), [("/dev/nowhere", "No such file"), ("/dev/null", "not a serial port")]
     )
     def test_a_path_that_is_no_serial_port_is_an_error(self, path: str, what: str) -> None:
         with pytest.raises(ModbusConnectionError, match=what):

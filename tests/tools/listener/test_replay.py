@@ -19,13 +19,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.listen import listen
 from libmodbus_py.tools.listener.replay import differences, replayed_devices
-from tests.tools.listener.test_network_captures import (
-    ANSWERED,
-    ASKED,
-    TWO,
-    packet,
-    pcap,
-)
+from tests.tools.listener.test_network_captures import ANSWERED, ASKED, TWO, packet, pcap
 
 
 @pytest.fixture

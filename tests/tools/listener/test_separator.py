@@ -210,7 +210,7 @@ def test_the_limit_is_learnt(
 def test_repeats_are_counted_and_late_answers_named() -> None:
     done = listen([(0.0, ASK), (1.0, ASK), (2.0, ASK), (2.1, ANSWER)])
     assert [(each.kind, each.repeats) for each in done] == [
-        *(("unanswered", 0), ("unanswered", 1), ("answered", 2)),
+        *(("unanswered", 0), ("unanswered", 1), ("answered", 2))
     ]
     _, late, _ = listen([(0.0, ASK), (1.0, OTHER), (1.1, ANSWER)])
     assert (late.kind, late.unit, late.response) == ("late", 1, [7, 9])

@@ -89,12 +89,7 @@ def test_a_coil_blinks_and_a_bit_is_a_number() -> None:
 LIMITS = {name: kind.limits for name, kind in values.TYPES.items() if kind.limits is not None}
 
 
-@given(
-    kind=st.sampled_from(sorted(LIMITS)),
-    start=numbers,
-    step=numbers,
-    moment=st.floats(0, 1e9),
-)
+@given(kind=st.sampled_from(sorted(LIMITS)), start=numbers, step=numbers, moment=st.floats(0, 1e9))
 def test_counters_stay_in_their_type(kind: str, start: float, step: float, moment: float) -> None:
     clock = Clock()
     low, high = LIMITS[kind]

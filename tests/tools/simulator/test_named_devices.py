@@ -289,10 +289,7 @@ FORMS: dict[str, tuple[str, Callable[[Path], Any]]] = {
         '[[unit]]\nid = 1\nmap = "{name}"\n',
         lambda path: device_file.load(path).devices[1].points,
     ),
-    "list of devices": (
-        'devices = "list.csv"\n',
-        lambda path: load_fleet(path).devices[0].map,
-    ),
+    "list of devices": ('devices = "list.csv"\n', lambda path: load_fleet(path).devices[0].map),
 }
 
 

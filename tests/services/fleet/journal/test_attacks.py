@@ -22,19 +22,9 @@ from libmodbus_py.fleet import Journal, Reading
 from libmodbus_py.services.fleet.journal import journal as journal_module
 from libmodbus_py.services.fleet.journal import place as recent
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
-from libmodbus_py.services.fleet.journal.schema import (
-    JournalDamaged,
-    JournalError,
-)
+from libmodbus_py.services.fleet.journal.schema import JournalDamaged, JournalError
 from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
-from tests.services.fleet.fleets import (
-    NETWORK,
-    Peer,
-    in_real_time,
-    in_simulated_time,
-    meter,
-    until,
-)
+from tests.services.fleet.fleets import NETWORK, Peer, in_real_time, in_simulated_time, meter, until
 from tests.services.fleet.journal.journals import (
     Failing,
     asked,

@@ -19,13 +19,7 @@ from libmodbus_py.services.fleet.journal import place as recent
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
-from tests.services.fleet.fleets import (
-    Peer,
-    in_real_time,
-    in_simulated_time,
-    meter,
-    until,
-)
+from tests.services.fleet.fleets import Peer, in_real_time, in_simulated_time, meter, until
 from tests.services.fleet.journal.journals import asked, in_journal, journal_of, readings, run_for
 from tests.support.outputs import FakeOutput
 

@@ -87,8 +87,7 @@ def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
 
 def test_a_question_about_one_device_uses_the_index(file: JournalFile) -> None:
     plan = asked(
-        file.path,
-        "EXPLAIN QUERY PLAN SELECT * FROM reading WHERE device = 'a' AND seconds > 5",
+        file.path, "EXPLAIN QUERY PLAN SELECT * FROM reading WHERE device = 'a' AND seconds > 5"
     )
     assert any("poll_of_device (device=? AND time>?)" in str(row) for row in plan), plan
 

@@ -260,7 +260,7 @@ BAD_STATES: dict[str, list[object]] = {
     "device_status must hold {device} once": ["states", "{device}/{name}", "{device}/{device}"],
     "device_status: each level must have one {name}": ["x{/{device}"],
     "device_status must not be another topic": [
-        *("{device}/a/b", "modbus/{device}/x/set/result", "modbus/{device}"),
+        *("{device}/a/b", "modbus/{device}/x/set/result", "modbus/{device}")
     ],
     "device_status must be a topic without + and #": ["#/{device}"],
     "device_status must be text": [7],

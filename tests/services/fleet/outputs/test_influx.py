@@ -187,13 +187,7 @@ def test_an_answer_without_end_is_not_read_to_the_end(answer: Answer) -> None:
         write(answer)
 
 
-@each_case(
-    "answer",
-    [
-        [b"HTTP/1.1 204 No", b""],
-        [b"HTTP/1.1 204 No Content\r\n", b"X: y\r\n"],
-    ],
-)
+@each_case("answer", [[b"HTTP/1.1 204 No", b""], [b"HTTP/1.1 204 No Content\r\n", b"X: y\r\n"]])
 def test_an_answer_that_never_comes_takes_the_timeout(answer: Answer) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(influx, "TIMEOUT_S", 0.2)

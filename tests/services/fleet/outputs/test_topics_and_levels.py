@@ -127,10 +127,7 @@ async def test_a_command_goes_to_the_own_topic_of_a_point_only(
         states = "states/{label.site}/{device}"
         output = Mqtt(broker.url, topic=template, device_status=states, status="", commands=True)
         north = meter("north", served.urls[0], labels={"site": "Halle 1"})
-        async with (
-            hearing(broker, "#") as heard,
-            Fleet([north], outputs=[output]),
-        ):
+        async with hearing(broker, "#") as heard, Fleet([north], outputs=[output]):
             await until(lambda: heard_of(heard, reading))
             await until(lambda: heard_of(heard, "states/Halle 1/north") == ["online"])
             await publish(broker, other, b"25")
