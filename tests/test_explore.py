@@ -1,7 +1,5 @@
 """The explorer of connections finds nothing, and finds each rule that is broken on purpose."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Callers in bytes and times: who is told what, who leaves, who is interrupted."""
 
-from __future__ import annotations
-
 import asyncio
 import errno
 import itertools

@@ -1,7 +1,5 @@
 """Callers that leave, at any step of the loop, while they wait. Nobody else notices."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import random

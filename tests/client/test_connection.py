@@ -1,7 +1,5 @@
 """Timeouts, pauses, broadcasts, and connections that die and are made again, in bytes and times."""
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, pdu

@@ -1,7 +1,5 @@
 """Which answer is whose where frames carry transaction ids, told in bytes and times."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -1,7 +1,5 @@
 """What is known of a line outlives its client; and a line of which nothing is known."""
 
-from __future__ import annotations
-
 import gc
 import os
 import random

@@ -1,7 +1,5 @@
 """Each row of the table at the head of `line.py`, by bytes and times, and where rows meet."""
 
-from __future__ import annotations
-
 import pytest
 
 from libmodbus_py import (

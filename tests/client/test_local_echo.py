@@ -1,7 +1,5 @@
 """Lines that return each request (local echo), at a client: an echo is never a value."""
 
-from __future__ import annotations
-
 import logging
 from typing import Any
 

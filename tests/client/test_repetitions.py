@@ -1,7 +1,5 @@
 """Requests that are sent again, in bytes and times: when, and what becomes of those beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Whatever happens to a connection: no wrong value, no endless wait, no lost slot."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

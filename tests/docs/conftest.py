@@ -1,7 +1,5 @@
 """What a document has when it runs."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -13,8 +13,6 @@ libmodbus-py certificates          the server's has this address, too
 =================================  =============================================================
 """
 
-from __future__ import annotations
-
 import re
 from contextlib import ExitStack
 from functools import cached_property

@@ -12,8 +12,6 @@ anything else                       is for readers
 ==================================  ============================================================
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import re

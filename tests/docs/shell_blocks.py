@@ -11,8 +11,6 @@ bash runs the commands; a ``libmodbus-py`` without anything that is the shell's 
 process that has imported the package, which takes a tenth of the time.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -3,8 +3,6 @@ The pages of the API, which packaging/docs/reference.py makes: each public name 
 what a program constructs or calls comes first.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import inspect
 import re

@@ -1,7 +1,5 @@
 """How the documentation is built from its pages: links, copy buttons, search, pictures."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy

@@ -4,8 +4,6 @@ The pages for who comes from a peer: pairs of programs, which do the same, and t
 That both sides run, and give what they say, is seen where all documents run.
 """
 
-from __future__ import annotations
-
 import ast
 import asyncio
 import importlib.util

@@ -1,7 +1,5 @@
 """The default values that docstrings and pages name are those of the code."""
 
-from __future__ import annotations
-
 import ast
 import pydoc
 import re

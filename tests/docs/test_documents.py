@@ -1,7 +1,5 @@
 """What README.md and docs say runs, and gives what it says it does."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """The runner of documents: what it takes, and what it does not let pass."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The frames that pages show are worked examples, and those this package makes."""
 
-from __future__ import annotations
-
 import re
 
 from sybil import Document

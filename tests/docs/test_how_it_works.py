@@ -1,7 +1,5 @@
 """What the page about the code says is there: files, and named exceptions."""
 
-from __future__ import annotations
-
 import re
 
 from fuzz.explore import EXCEPTIONS

@@ -1,7 +1,5 @@
 """The table of messages of the log: each message of the package with its level, and no other."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The tables of options for who comes from another tool: each option of ours exists."""
 
-from __future__ import annotations
-
 import errno
 import re
 import shutil

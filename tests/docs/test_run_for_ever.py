@@ -1,7 +1,5 @@
 """Loops of the page about programs that run for ever go on while a device is down."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 from collections.abc import Callable, Iterator

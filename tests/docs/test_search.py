@@ -1,7 +1,5 @@
 """What people type into the search of the documentation leads to a page that answers it."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy

@@ -1,7 +1,5 @@
 """The tables of requirements: whole, and what is met is shown by a test."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

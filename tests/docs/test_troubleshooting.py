@@ -1,7 +1,5 @@
 """The messages that the page on troubleshooting explains are those a client makes of such lines."""
 
-from __future__ import annotations
-
 import os
 import re
 import socket

@@ -7,8 +7,6 @@ source), of NIBE's ModbusManager and menus (values as the package nibe decodes t
 register list and attributes.csv, of modpoll's examples, and of lists on vendors' pages.
 """
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Poll plans: against a table of cells, against the fewest requests, on every transport."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """Plans of devices that fail in other ways, or change: no hole is made up, no value is wrong."""
 
-from __future__ import annotations
-
 import random
 from typing import Any
 

@@ -3,8 +3,6 @@ Tables, types and orders are taken as vendors and other tools write them, and ar
 the names of this package.
 """
 
-from __future__ import annotations
-
 from typing import Any, get_args
 
 import pytest

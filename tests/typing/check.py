@@ -6,8 +6,6 @@ wrong.py that is marked so, and pyright must know the types of what the package 
 Part of ./run lint; it ends with 1 and says where a checker disagrees.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

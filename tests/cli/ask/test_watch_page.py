@@ -1,7 +1,5 @@
 """read --watch --page: the values in a browser too, while they are printed as without it."""
 
-from __future__ import annotations
-
 import signal
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The option --hooks of serve: functions of a file of Python, read again on SIGHUP."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """poll on a terminal and on a page: values and what is down, within the size of the terminal."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal

@@ -1,7 +1,5 @@
 """Captures on the command line: serve --replay answers as it did, listen --compare-with asks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The option --state of serve: written values survive a restart, however the server ended."""
 
-from __future__ import annotations
-
 import re
 import signal
 from pathlib import Path

@@ -3,8 +3,6 @@ A fleet as a page shows it: outputs, values with their age, devices that are dow
 why, and devices that come and go while somebody looks.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import re

@@ -1,7 +1,5 @@
 """A gateway on a page: its lines and their queues, silent units, and who asks what."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -7,8 +7,6 @@ of them malformed. What is damaged it hands to Modbus RTU, which shows these thr
 they do not even look like frames.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools

@@ -1,7 +1,5 @@
 """A capture replayed as a device, and as a master: what pymodbus and a device said at a tap."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A page of tables with values that a test puts."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Iterator

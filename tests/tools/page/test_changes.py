@@ -1,7 +1,5 @@
 """Values typed on a page: set, or refused with the reason; held values; and faults."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path

@@ -3,8 +3,6 @@ Who wrote last, and the log of requests: it names points, is filtered, and is sa
 spreadsheet takes for formulas.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io

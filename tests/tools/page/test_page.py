@@ -1,7 +1,5 @@
 """A page as a whole: what it shows first, what changes on it, other pages, and its end."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

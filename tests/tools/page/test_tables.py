@@ -1,7 +1,5 @@
 """Pages with a table: rows that are looked at, searches, problems, history, hostile names."""
 
-from __future__ import annotations
-
 import math
 import time
 from typing import Any

@@ -1,7 +1,5 @@
 """Bits in device files: by number, by range, and by name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

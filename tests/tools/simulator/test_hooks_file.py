@@ -1,7 +1,5 @@
 """Hooks in a file of Python: what devices call, and what is said of a file with a mistake."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
