@@ -65,13 +65,6 @@ def test_a_bad_quality_is_reported_when_it_begins_and_when_it_ends(options: Any)
     assert told([7, down, 7], **options) == [7, down, 7]
 
 
-def test_points_are_told_for_themselves() -> None:
-    changes = Changes(False, [1.0, None])
-    assert list(changes.pick([10, 5])) == [0, 1]
-    assert list(changes.pick([10.5, 5])) == [1]
-    assert list(changes.pick([12, 5])) == [0, 1]
-
-
 DOWN = ModbusTimeoutError("no answer")
 
 

@@ -6,7 +6,7 @@ import logging
 import pytest
 
 from libmodbus_py.services.gateway import line as gateway_line
-from libmodbus_py.services.gateway.line import BUSY, MOST_CACHED, NO_ANSWER, Cache, Forwarded
+from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Cache, Forwarded
 from tests.services.gateway.gates import (
     INPUTS,
     LINE,
@@ -251,19 +251,6 @@ async def test_a_write_whose_client_goes_while_it_is_sent_makes_what_was_read_be
     assert not plant.has_cached(1)
 
 
-def test_the_answer_that_was_kept_first_is_dropped_for_one_too_many() -> None:
-    cache = Cache()
-    for number in range(MOST_CACHED):
-        cache.keep(1, bytes([3, *divmod(number, 256)]), b"old", 1.0)
-    first, second = b"\3\0\0", b"\3\0\1"
-    assert cache.get(1, first, 9.0, 1.0) == b"old"
-    cache.keep(1, first, b"new", 2.0)
-    cache.keep(1, b"one more", b"new", 2.0)
-    assert cache.get(1, first, 9.0, 2.0) == b"new"
-    assert cache.get(1, second, 9.0, 2.0) is None
-    assert cache.get(1, b"\3\0\2", 9.0, 2.0) == b"old"
-
-
 def test_an_answer_is_that_of_its_unit_and_request_and_no_older_than_wanted() -> None:
     cache = Cache()
     cache.keep(1, b"ask", b"answer", 10.0)
@@ -272,21 +259,6 @@ def test_an_answer_is_that_of_its_unit_and_request_and_no_older_than_wanted() ->
         *((2, b"ask", 10.0, None), (1, b"other", 10.0, None)),
     ):
         assert cache.get(unit, request, 0.5, now) == found
-
-
-def test_a_write_to_one_unit_leaves_the_others_and_a_broadcast_none() -> None:
-    cache = Cache()
-    units = (0, 1, 2, 255)
-    for now, written, left in ((2.0, 1, {0, 2, 255}), (4.0, 0, set())):
-        for unit in units:
-            cache.keep(unit, b"ask", b"answer", now - 1)
-        cache.forget(written, now)
-        assert {unit for unit in units if cache.get(unit, b"ask", 9.0, now)} == left
-        for unit in units:  # an answer that was on its way
-            cache.keep(unit, b"ask", b"answer", now)
-        assert {unit for unit in units if cache.get(unit, b"ask", 9.0, now)} == left
-    cache.keep(1, b"ask", b"answer", 4.1)
-    assert cache.get(1, b"ask", 9.0, 5.0) == b"answer"
 
 
 @each_case(

@@ -314,32 +314,6 @@ def test_a_registry_has_one_collector_and_knows_its_names(registry: CollectorReg
         registry.register(Collector())
 
 
-def test_a_scrape_may_meet_results_that_are_new(registry: CollectorRegistry) -> None:
-    """A dictionary that grows cannot be gone through."""
-
-    def grow() -> None:
-        while not done.is_set():
-            for function in range(1000):
-                plc.statistics.note(function, "lost")
-            plc.statistics._others.clear()
-
-    done = threading.Event()
-    plc = Client("tcp://127.0.0.1:1")
-    collect(plc, registry=registry)
-    thread = threading.Thread(target=grow)
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(1e-5)
-    try:
-        thread.start()
-        for _ in range(50):
-            generate_latest(registry)
-    finally:
-        sys.setswitchinterval(interval)
-        done.set()
-        thread.join()
-    plc.close()
-
-
 def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegistry) -> None:
     """Two threads ask, two scrape."""
 

@@ -6,18 +6,16 @@ how it begins and ends.
 import asyncio
 import threading
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from libmodbus_py import Fleet
-from libmodbus_py.fleet import Journal, JournalError, Reading
+from libmodbus_py.fleet import Journal, JournalError
 from libmodbus_py.services.fleet.journal import journal as journal_module
 from libmodbus_py.services.fleet.journal import place as recent
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
-from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from tests.services.fleet.fleets import Peer, in_real_time, in_simulated_time, meter, until
 from tests.services.fleet.journal.journals import asked, in_journal, journal_of, readings, run_for
@@ -231,29 +229,3 @@ async def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.M
 def test_wrong_arguments_are_named(wrong: dict[str, Any]) -> None:
     with pytest.raises((TypeError, ValueError), match="must be"):
         Journal(**{"path": "fleet.db", **wrong})
-
-
-@in_simulated_time
-async def test_an_output_that_is_fast_and_behind_gets_larger_batches(
-    path: str, inline: None
-) -> None:
-    sizes: list[int] = []
-
-    class Fast(FakeOutput):
-        async def write_readings(self, readings: Sequence[Reading]) -> None:
-            sizes.append(len(readings))
-            await super().write_readings(readings)
-
-    journal = Journal(path)
-    [place] = await journal.open(["broker"])
-    for at in range(1000):  # 30 do not divide 500
-        journal.put_readings(readings("a", 1_700_000_000.0 + at, 30))
-    output = Fast()
-    pump = pumps.Pump(output, waiting=place)
-    pump.start()
-    await until(lambda: len(output.ids) == 30_000)
-    pump.close_pump()
-    await pump.task
-    await journal.close()
-    assert sizes[:4] == [480, 990, 1980, 3990]
-    assert max(sizes) in range(4900, 5100)

@@ -92,65 +92,11 @@ def test_a_question_about_one_device_uses_the_index(file: JournalFile) -> None:
     assert any("poll_of_device (device=? AND time>?)" in str(row) for row in plan), plan
 
 
-def test_points_keep_their_rows_in_other_runs(path: str) -> None:
-    for first in (1, 100):
-        file = opened(path)
-        file.write_polls(polls(first, 1), {}, 0)
-        file.close()
-    file = opened(path)
-    changed = [each._replace(units="mV") for each in readings()]
-    file.write_polls(list(numbered(changed, 200)), {}, 0)
-    file.close()
-    assert asked(path, "SELECT points, unit FROM point ORDER BY id") == [
-        *[(1, "V"), (1, "V")],
-        *[(3, "mV"), (3, "mV"), (3, "V"), (3, "V")],
-    ]
-    assert {unit for (unit,) in asked(path, "SELECT unit FROM reading WHERE id < 200")} == {"V"}
-
-
 def some(first: int, *names: str, site: str = "north") -> list[JournalPoll]:
     """A poll of a device in which only these points have changed."""
     labels = {"site": site}
     changed = [Reading(first / 1e3, "a", name, first, "V", "good", labels=labels) for name in names]
     return list(numbered(changed, first))
-
-
-def test_polls_of_the_points_that_have_changed_add_no_lists_of_points(
-    file: JournalFile, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """After a change of labels, after a failed transaction, or in the next run."""
-    names = [f"p{at}" for at in range(12)]
-    number = 1
-
-    def write_changes(site: str) -> None:
-        nonlocal number
-        for at in range(100):
-            chosen = [name for bit, name in enumerate(names) if (at * 41) >> bit & 1] or names[:1]
-            file.write_polls(some(number, *chosen, site=site), {}, 0)
-            number += len(chosen)
-
-    file.write_polls(some(number, *names), {}, 0)
-    number += len(names)
-    write_changes("north")
-    assert asked(file.path, "SELECT count(*) FROM point") == [(12,)]
-    with monkeypatch.context() as failing:
-        failing.setattr(journal_file, "SET_PLACE", "no SQL")
-        with pytest.raises(JournalError):
-            file.write_polls(some(number, "p3"), {"a": 1}, 0)
-    write_changes("north")
-    file.close()
-    file.open([])
-    write_changes("north")
-    assert asked(file.path, "SELECT count(*) FROM point") == [(12,)]
-    write_changes("south")
-    sizes = asked(file.path, "SELECT count(*) FROM point WHERE device = 2 GROUP BY points")
-    assert sizes == sorted({*sizes})  # each list has all points of those before it
-    assert len(history(file.path, "a", "p11", 0, 1e9)) == sum(
-        1 for (name,) in asked(file.path, "SELECT name FROM reading") if name == "p11"
-    )
-    read = [one for poll in file.read_polls(0, 10_000) for one in poll.readings]
-    assert len(read) == number - 1
-    assert all(each.value in range(each.id - 11, each.id + 1) for each in read)
 
 
 def test_readings_keep_the_labels_of_their_time(file: JournalFile) -> None:
