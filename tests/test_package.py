@@ -491,9 +491,7 @@ def copied_modules(package: Path) -> Path:
 
 class TestImportErrors:
     @pytest.mark.parametrize("missing", ["protocol/_scan", "binding/_libmodbus"])
-    def test_without_a_compiled_module_it_says_what_to_install(
-        self, tmp_path: Path, missing: str
-    ) -> None:
+    def test_without_a_compiled_module_it_says_what_to_install(self, tmp_path, missing) -> None:
         package = copied_package(tmp_path)
         copied_modules(package)
         for built in package.glob(f"{missing}.*"):

@@ -100,9 +100,7 @@ def _forget() -> None:
         )
     ],
 )
-def test_the_reason_is_shown_when_the_module_of_a_name_fails(
-    package: Path, way: str, home: str, told: str
-) -> None:
+def test_the_reason_is_shown_when_the_module_of_a_name_fails(package: Path, way, home, told):
     (package / "home.py").write_text(home)
     _forget()
     with pytest.raises(ImportError, match=rf"^cannot import {PACKAGE}\.home: {told}$") as caught:

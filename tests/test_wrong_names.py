@@ -79,9 +79,7 @@ def test_a_wrong_name_of_an_argument(make: Callable[..., Any], named: str, meant
         (search, "stopbits", "rtu:///dev/ttyUSB0?stop_bits=..."),
     ],
 )
-def test_a_wrong_name_of_an_argument_of_a_function(
-    function: Callable[..., Any], named: str, meant: str
-) -> None:
+def test_a_wrong_name_of_an_argument_of_a_function(function, named, meant) -> None:
     with pytest.raises(TypeError) as raised:
         function(URL, **{named: 1})
     assert str(raised.value).startswith(f"'{named}' must be one of ")

@@ -49,9 +49,7 @@ def test_a_gateway_has_options_for_its_devices_and_prints_frames(device: str) ->
     ("query", "options", "unit"),
     [("?unit=7&timeout=5", [], 7), ("?unit=7", ["--unit", "9"], 9), ("", [], 1)],
 )
-def test_the_unit_is_that_of_the_url_unless_it_is_told(
-    query: str, options: list[str], unit: int
-) -> None:
+def test_the_unit_is_that_of_the_url_unless_it_is_told(query, options, unit) -> None:
     devices = {each: Device(Mapping(coils=each)) for each in (1, 7, 9)}
     with Server(devices).background("tcp://127.0.0.1:0") as running:
         where = [running.urls[0] + query, "coils", str(unit - 1)]
@@ -91,9 +89,7 @@ def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) 
     ],
 )
 @each_case("command", ["read", "write", "identify"])
-def test_an_option_of_another_program_has_its_equivalent(
-    command: str, words: str, said: str
-) -> None:
+def test_an_option_of_another_program_has_its_equivalent(command, words, said) -> None:
     if command == "write" and words.endswith(("-1", "-0")):  # there these are values
         return
     done = run(command, *words.split())

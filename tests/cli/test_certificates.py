@@ -7,7 +7,6 @@ import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-import pytest
 from cryptography import x509
 
 from libmodbus_py.protocol.extras import how_to_add
@@ -68,9 +67,7 @@ def test_options(tmp_path: Path) -> None:
     assert timedelta(days=6) < left < timedelta(days=7)
 
 
-def test_without_cryptography_it_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_cryptography_it_says_what_to_install(tmp_path, monkeypatch) -> None:
     missing = [name for name in sys.modules if name.startswith("libmodbus_py.tools.certificates")]
     for name in missing:
         monkeypatch.delitem(sys.modules, name)
@@ -144,9 +141,7 @@ def test_an_authority_without_its_key_is_named(left: str | None, tmp_path: Path)
     assert not (tmp_path / "n2").exists()
 
 
-def test_what_cannot_be_written_leaves_no_half(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_written_leaves_no_half(tmp_path, monkeypatch) -> None:
     def full(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 

@@ -101,9 +101,7 @@ def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls", "udp", "unix"])
-def test_an_exception_whose_length_counts_a_byte_too_much_is_taken(
-    world: World, scheme: str
-) -> None:
+def test_an_exception_whose_length_counts_a_byte_too_much_is_taken(world: World, scheme) -> None:
     """wlcrs/tmodbus#146: exceptions of 9 bytes whose header says 4 in place of 3."""
     refused = tcp(b"\x83\x02", length=4)
     peer = world.peer(scheme, answering(refused, refused, good_tcp))
@@ -277,9 +275,7 @@ STRAYS: dict[str, Callable[[bytes], bytes]] = {
 
 @pytest.mark.parametrize("pause", [0, 0.03])
 @pytest.mark.parametrize("stray", STRAYS)
-def test_what_stands_before_each_answer_on_a_line_harms_none(
-    stray: str, pause: float, world: World
-) -> None:
+def test_what_stands_before_each_answer_on_a_line_harms_none(stray, pause, world: World) -> None:
     """A transceiver that turns round makes bytes; a pause is longer than the framer's silence."""
 
     def strayed(request: bytes, write: Write) -> None:

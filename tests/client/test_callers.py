@@ -84,9 +84,7 @@ class Failing(pdu.ReadHoldingRegisters):
 @pytest.mark.parametrize(
     "error", [ZeroDivisionError(), ValueError(), KeyboardInterrupt(), asyncio.CancelledError()]
 )
-def test_what_a_request_class_raises_reaches_its_own_caller_only(
-    url: str, error: BaseException
-) -> None:
+def test_what_a_request_class_raises_reaches_its_own_caller_only(url: str, error) -> None:
     kind = type("Kind", (Failing,), {"__slots__": (), "error": error})
     talk = Talk(url)
     for go_on in (True, False):

@@ -89,9 +89,7 @@ def test_a_pause(options: dict[str, Any]) -> None:
 
 @each_case("url", [LINE, TCP])
 @each_case("order", ["as given", "reverse", "random"])
-def test_many_that_wait_cost_few_steps_each(
-    url: str, order: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_many_that_wait_cost_few_steps_each(url, order, monkeypatch) -> None:
     """Comparisons of requests are counted: removed one by one from a list, millions."""
     talk, compared = Talk(url, max_in_flight=1), 0
 

@@ -319,9 +319,7 @@ def test_a_batch_without_requests_is_over_at_once_on_a_connection_that_stands() 
 @each_case(
     ("most", "batches", "halves"), [(16, 1, [8, 8, 0]), (2, 1, [1, 1, 0]), (16, 20, [8, 8, 0])]
 )
-def test_up_to_half_of_what_may_be_in_flight_is_sent_at_once(
-    most: int, batches: int, halves: list[int]
-) -> None:
+def test_up_to_half_of_what_may_be_in_flight_is_sent_at_once(most, batches, halves) -> None:
     """The server works on one half while the answers to the other one are decoded."""
     talk = Talk(max_in_flight=most)
     for _ in range(batches):

@@ -139,9 +139,7 @@ def test_nothing_is_sent_of_a_call_that_a_context_was_thrown_out_of(
         *((scheme, KeyboardInterrupt()) for scheme in ("rtu", "udp")),
     ],
 )
-def test_nothing_is_sent_of_an_interrupted_call_on_a_real_port(
-    scheme: str, error: BaseException
-) -> None:
+def test_nothing_is_sent_of_an_interrupted_call_on_a_real_port(scheme, error) -> None:
     with peer_at(scheme, replying(scheme)) as peer:
         # On a line a unit that owes an answer is left alone for one timeout, in real seconds.
         options, step = ({"timeout": 0.25}, 15) if scheme == "rtu" else ({}, 1)

@@ -11,7 +11,7 @@ from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError
 from libmodbus_py.client.outcomes import explain, explain_end
 from tests.support.cases import each_case
 from tests.support.clients import ALL, World, asking, read
-from tests.support.peers import Answer, FakeServer, answering, mbap
+from tests.support.peers import FakeServer, answering, mbap
 from tests.support.talk import Talk, ascii_frame, rtu, tcp
 
 NOISE = bytes(range(0x70, 0xF0))
@@ -88,9 +88,7 @@ ALERT = bytes.fromhex("15 0303 0002 0246")  # RFC 8446, 5.1 and 6: protocol_vers
     ],
     ids=["an alert", "an end"],
 )
-def test_a_server_that_wants_tls_is_recognised(
-    kind: str, answer: Answer | None, error: type[ModbusError], said: str
-) -> None:
+def test_a_server_that_wants_tls_is_recognised(kind: str, answer, error, said) -> None:
     with (
         FakeServer(answer) as server,
         asking(kind, server.url, timeout=5) as plc,

@@ -131,9 +131,7 @@ def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
         ([pdu.ReadCoils], {}, TypeError, r"requests\[0\] must be a request object of pdu"),
     ],
 )
-def test_nothing_is_sent_for_bad_arguments(
-    world: World, requests: Any, options: Any, kind: type[Exception], named: str
-) -> None:
+def test_nothing_is_sent_for_bad_arguments(world: World, requests, options, kind, named) -> None:
     peer = world.peer("tcp", good)
     with world.connect(peer.url, max_in_flight=16) as context:
         with pytest.raises(kind, match=named):

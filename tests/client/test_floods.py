@@ -127,9 +127,7 @@ def test_a_line_that_is_never_quiet_ends_the_wait(pause: float, scheme: str, wor
         ("rtu", bytes(range(0x80, 0x90)) * 16, 0.03),
     ],
 )
-def test_an_idle_client_leaves_a_flood_unread(
-    scheme: str, data: bytes, pause: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_idle_client_leaves_a_flood_unread(scheme, data, pause, monkeypatch) -> None:
     """An event loop that is told of each byte would do nothing else."""
     with (
         making("asyncio") as world,

@@ -40,9 +40,7 @@ def connecting_here(kind: str) -> Iterator[Connect]:
 @pytest.mark.parametrize(
     ("kind", "error"), [("blocking", Interruption), ("asyncio", ModbusConnectionError)]
 )
-def test_anything_raised_while_it_connects_leaves_a_client_that_can(
-    kind: str, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_anything_raised_while_it_connects_leaves_a_client_that_can(kind, error, monkeypatch):
     def interrupt(*_: object) -> None:
         raise Interruption
 
@@ -252,9 +250,7 @@ def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPa
         assert context.statistics.connects == 2
 
 
-def test_a_client_that_was_closed_meanwhile_is_closed_by_the_next_request(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_client_that_was_closed_meanwhile_is_closed_by_the_next_request(monkeypatch) -> None:
     with TcpPeer(good) as peer:
         context = Client(peer.url)
         assert context.read_holding_registers(6, 1) == [6]

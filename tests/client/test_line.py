@@ -79,9 +79,7 @@ def test_noise_alone_is_a_frame_error_at_the_end_that_says_so() -> None:
         (rtu("01 84 02"), "function 4 was answered, not 3"),
     ],
 )
-def test_what_answers_another_request_does_not_end_the_wait_and_is_named_at_its_end(
-    frame: bytes, reason: str
-) -> None:
+def test_what_answers_another_request_does_not_end_the_wait_and_is_named_at_its_end(frame, reason):
     talk = Talk(LINE, timeout=1)
     batch = talk.ask(5)
     talk.come(frame)
@@ -124,9 +122,7 @@ NOISY = [
 
 @each_case(("before", "frame", "behind"), NOISY)
 @each_case("url", [LINE, "rtu+tcp://192.0.2.1"])
-def test_an_answer_between_noise_is_taken_as_soon_as_the_line_is_quiet(
-    before: str, frame: bytes, behind: str, url: str
-) -> None:
+def test_an_answer_between_noise_is_taken_as_soon_as_the_line_is_quiet(before, frame, behind, url):
     talk = Talk(url, timeout=1)
     batch = talk.ask(1, unit=4)
     talk.come(bytes.fromhex(before) + frame + bytes.fromhex(behind))

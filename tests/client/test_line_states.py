@@ -113,9 +113,7 @@ def repeating() -> Talk:
     return talk
 
 
-def test_asked_and_an_answer_equal_to_the_last_one_to_another_is_held_where_one_came_twice() -> (
-    None
-):
+def test_asked_and_an_answer_equal_to_the_last_one_to_another_is_held_where_one_came_twice():
     for talk, is_held in ((used(), False), (repeating(), True)):
         for number in range(20, 60):
             usual(talk, number)

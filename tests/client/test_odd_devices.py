@@ -93,9 +93,7 @@ def closing(after: float) -> Any:
 
 
 @pytest.mark.parametrize("after", [0.0, 0.0001, 0.05])
-def test_a_device_that_closes_after_each_answer_is_read_without_retries(
-    world: World, after: float
-) -> None:
+def test_a_device_that_closes_after_each_answer_is_read_without_retries(world: World, after):
     """The close comes when the next request is under way, and when none is."""
     peer = world.peer("tcp", closing(after))
     with world.connect(peer.url, timeout=1) as plc:
@@ -183,9 +181,7 @@ def test_an_answer_that_takes_longer_than_idle_close_is_awaited(world: World) ->
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])
 @pytest.mark.parametrize("heartbeat", [b"\xff", b"\xff\xff"])
-def test_heartbeats_between_answers_are_dropped(
-    world: World, scheme: str, heartbeat: bytes
-) -> None:
+def test_heartbeats_between_answers_are_dropped(world: World, scheme, heartbeat) -> None:
     """node-modbus/stream#17: a modem sends FF between the answers of its device."""
 
     def on_request(request: bytes, write: Write) -> None:

@@ -165,9 +165,7 @@ def test_a_bad_argument_of_a_client_is_named(url: Any, options: dict[str, Any], 
         ("ascii:///dev/ttyS0?unit=7", {"data_bits": 8, "timeout": 0.5}, "data_bits=8"),
     ],
 )
-def test_a_client_takes_the_settings_of_serial_ports(
-    url: str, options: dict[str, Any], settings: str
-) -> None:
+def test_a_client_takes_the_settings_of_serial_ports(url, options, settings) -> None:
     client = Client(url, **options)
     assert settings in client.url
 

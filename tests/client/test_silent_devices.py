@@ -52,9 +52,7 @@ def values(found: dict[str, Any]) -> set[str]:
 
 @each_case("scheme", ["tcp", "rtu", "rtu+tcp", "udp"])
 @each_case("read", READS)
-def test_a_silent_device_costs_one_timeout(
-    world: World, scheme: str, read: Callable[[Any], dict[str, Any]]
-) -> None:
+def test_a_silent_device_costs_one_timeout(world: World, scheme, read) -> None:
     forget_lines()
     peer = world.peer(scheme, ignore)
     with world.connect(peer.url, timeout=0.5) as plc:
@@ -101,9 +99,7 @@ def test_a_gateway_that_answers_for_a_silent_unit_is_asked_once(world: World) ->
     assert len(peer.requests) == 1
 
 
-def test_a_device_that_is_silent_about_its_first_registers_is_asked_for_the_others(
-    world: World,
-) -> None:
+def test_a_device_that_is_silent_about_its_first_registers_is_asked_for_the_others(world: World):
     with world.client_of("tcp", silent_about(0), timeout=0.5) as plc:
         assert not values(plc.read_map(POINTS, return_exceptions=True))
         for _ in range(3):

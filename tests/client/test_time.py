@@ -4,7 +4,6 @@ import asyncio
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any
 
 import pytest
 
@@ -103,9 +102,7 @@ UNITS = [
 
 @ALL
 @pytest.mark.parametrize(("unit", "error"), UNITS)
-def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(
-    kind: str, unit: Any, error: type[Exception]
-) -> None:
+def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(kind: str, unit, error) -> None:
     with peer_at("tcp", good) as peer, asking(kind, peer.url) as client:
         with pytest.raises(error, match=r"unit must be .*0\.\.255"):
             client.unit = unit
@@ -114,9 +111,7 @@ def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(
 
 
 @pytest.mark.parametrize(("unit", "error"), UNITS)
-def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(
-    unit: Any, error: type[Exception]
-) -> None:
+def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(unit, error) -> None:
     async def use(plc: AsyncClient, _: Scripted) -> None:
         waiting = asyncio.create_task(plc.read_holding_registers(7, 1))
         await asyncio.sleep(0)

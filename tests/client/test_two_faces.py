@@ -167,9 +167,7 @@ CLIENT = "? it is an argument of the client"
         ("for_unit", (), "device_id", "; did you mean unit?"),
     ],
 )
-def test_a_wrong_name_in_a_call(
-    make: Any, name: str, arguments: tuple[Any, ...], wrong: str, close: str
-) -> None:
+def test_a_wrong_name_in_a_call(make, name, arguments, wrong, close) -> None:
     plc = make("tcp://127.0.0.1:1")
     told = f"{make.__name__}.{name}() got an unexpected keyword argument {wrong!r}{close}"
     assert called(plc, name, *arguments, **{wrong: 3}) == told

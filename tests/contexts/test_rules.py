@@ -56,9 +56,7 @@ def late_sometimes(transport: str, seconds: float) -> OnRequest:
         *(("rtu", 0.5, late) for late in (0.498, 0.505, 0.6)),
     ],
 )
-def test_no_late_answer_is_taken_for_the_next(
-    transport: str, timeout: float, seconds: float
-) -> None:
+def test_no_late_answer_is_taken_for_the_next(transport, timeout, seconds) -> None:
     right = failed = 0
     with (
         peer_at(transport, late_sometimes(transport, seconds)) as peer,
@@ -547,9 +545,7 @@ def test_a_broadcast_waits_for_no_answer_and_reads_are_refused() -> None:
         lambda line: line.diagnostics(0, 5),
     ],
 )
-def test_what_custom_rts_raises_is_the_cause_of_the_error_of_the_call(
-    failing: bool, ask: Callable[[RtuContext], object]
-) -> None:
+def test_what_custom_rts_raises_is_the_cause_of_the_error_of_the_call(failing, ask) -> None:
     calls: list[bool] = []
 
     def turn(is_sending: bool) -> None:

@@ -367,9 +367,7 @@ FAILURES: dict[str, tuple[float, int, int, type[Exception]]] = {
 @each_transport
 @each_face
 @pytest.mark.parametrize("name", FAILURES)
-def test_requests_fail_where_the_server_misbehaves(
-    server: Path, transport: str, face: str, name: str
-) -> None:
+def test_requests_fail_where_the_server_misbehaves(server: Path, transport: str, face: str, name):
     timeout, address, count, kind = FAILURES[name]
     if name == "another sender" and (face, transport) == ("client", "tcp"):
         kind = ModbusTimeoutError  # the answer of another request, which may be a late one

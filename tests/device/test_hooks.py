@@ -70,9 +70,7 @@ class Unusual(BaseException):
         *[lambda code=code: errors.ExceptionResponse(code=code) for code in NO_CODES],
     ],
 )
-def test_whatever_they_raise_is_answered_4_and_logged_once(
-    kind: str, make: Callable[[], BaseException], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_whatever_they_raise_is_answered_4_and_logged_once(kind, make, caplog) -> None:
     caplog.clear()
     device = made_device(kind, raising(make))
     request = KINDS[kind]
@@ -87,9 +85,7 @@ def test_whatever_they_raise_is_answered_4_and_logged_once(
 
 @each_case("kind", KINDS)
 @each_case("error", [SystemExit, KeyboardInterrupt])
-def test_what_ends_a_process_goes_on(
-    kind: str, error: type[BaseException], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_ends_a_process_goes_on(kind, error, caplog) -> None:
     caplog.clear()
     device = made_device(kind, raising(error))
     with pytest.raises(error):
@@ -99,9 +95,7 @@ def test_what_ends_a_process_goes_on(
 
 
 @pytest.mark.parametrize("result", ["text", [1, 2], None, 5])
-def test_a_handler_whose_class_encodes_no_bytes_is_a_failure(
-    result: Any, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_handler_whose_class_encodes_no_bytes_is_a_failure(result, caplog, monkeypatch) -> None:
     monkeypatch.setattr(pdu.ReadCoils, "encode_response", lambda self, result: result)
     device = made_device("handlers", lambda request: result)
     assert device.answer(KINDS["handlers"]) == b"\x81\4"
@@ -109,9 +103,7 @@ def test_a_handler_whose_class_encodes_no_bytes_is_a_failure(
 
 
 @pytest.mark.parametrize("error", [asyncio.CancelledError, GeneratorExit, Unusual])
-def test_nobody_loses_a_request_of_the_same_turn(
-    error: type[BaseException], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_nobody_loses_a_request_of_the_same_turn(error, caplog) -> None:
     """Neither who sent it nor others, whose requests came alone and are answered together."""
     server = Server(made_device("before_write", raising(error)))
     ok, failed = b"\3\2\0\0", b"\x86\4"
@@ -134,9 +126,7 @@ def test_nobody_loses_a_request_of_the_same_turn(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_slow_one_is_told_of_once_for_each_device(
-    kind: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_slow_one_is_told_of_once_for_each_device(kind, caplog, monkeypatch) -> None:
     monkeypatch.setattr(hooks_module, "SLOW", 0.01)
 
     def dawdle(given: Any) -> Any:
@@ -170,9 +160,7 @@ def test_a_slow_one_is_told_of_once_for_each_device(
     ],
     ids=str,
 )
-def test_what_no_hook_can_be_is_refused_by_name(
-    places: dict[str, Any], error: type[Exception], message: str
-) -> None:
+def test_what_no_hook_can_be_is_refused_by_name(places, error, message) -> None:
     with pytest.raises(error, match=message):
         Hook(**{"call": print, **places})
 
@@ -188,9 +176,7 @@ def test_ranges_may_overlap_and_touch_in_any_order() -> None:
     assert hook.places == {"coils": (range(5), range(9, 13))}
 
 
-def test_a_slow_hook_with_places_is_told_of_even_if_it_fails(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_slow_hook_with_places_is_told_of_even_if_it_fails(caplog, monkeypatch) -> None:
     monkeypatch.setattr(hooks_module, "SLOW", 0)
     hook = Hook(raising(errors.IllegalDataAddress), holding_registers=range(1))
     device = Device(Mapping(holding_registers=2), before_read=hook)

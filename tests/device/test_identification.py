@@ -1,7 +1,5 @@
 """The identification of a device, and CANopen references: function 43."""
 
-from typing import Any
-
 import pytest
 
 from libmodbus_py import Device, Mapping
@@ -66,9 +64,7 @@ class TestIdentification:
         ],
         ids=str,
     )
-    def test_conformity_is_what_the_device_has(
-        self, objects: dict[str | int, str | bytes], conformity: int
-    ) -> None:
+    def test_conformity_is_what_the_device_has(self, objects, conformity) -> None:
         """Whatever is asked for, and the code comes back as it was asked."""
         device = Device(Mapping(), identification=objects)
         for code in (1, 2, 3, 4):
@@ -108,9 +104,7 @@ class TestIdentification:
         ],
         ids=lambda value: str(value)[:20],
     )
-    def test_objects_that_cannot_be_are_refused(
-        self, identification: Any, error: type[Exception]
-    ) -> None:
+    def test_objects_that_cannot_be_are_refused(self, identification, error) -> None:
         with pytest.raises(error, match=r"."):
             Device(Mapping(), identification=identification)
 
@@ -139,9 +133,7 @@ class TestCanopen:
         assert Device(Mapping(), canopen=bus).answer(b"\x2b\x0d") == b"\xab\6"
 
     @each_case("bad", [None, "text", 5, bytes(252), bytes(1000)], ids=type)
-    def test_what_no_answer_can_carry_is_a_failure(
-        self, bad: Any, caplog: pytest.LogCaptureFixture
-    ) -> None:
+    def test_what_no_answer_can_carry_is_a_failure(self, bad, caplog) -> None:
         caplog.clear()
         device = Device(Mapping(), canopen=lambda data: bad)
         for _ in range(2):

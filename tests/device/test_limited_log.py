@@ -27,9 +27,7 @@ def log(clock: Clock) -> LimitedLog:
     return LimitedLog(HarmlessLogger(__name__), clock)
 
 
-def test_a_flood_is_a_line_and_then_a_line_a_minute(
-    log: LimitedLog, clock: Clock, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_flood_is_a_line_and_then_a_line_a_minute(log: LimitedLog, clock: Clock, caplog) -> None:
     for second in range(130):
         clock.now = 1000.0 + second
         for port in range(10):
@@ -42,18 +40,14 @@ def test_a_flood_is_a_line_and_then_a_line_a_minute(
     assert {record.levelno for record in caplog.records} == {logging.WARNING}
 
 
-def test_a_rare_warning_is_a_line_each_time(
-    log: LimitedLog, clock: Clock, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_rare_warning_is_a_line_each_time(log: LimitedLog, clock: Clock, caplog) -> None:
     for port in range(3):
         clock.now += 61
         log.warning("%s: too fast", port)
     assert caplog.messages == ["0: too fast", "1: too fast", "2: too fast"]
 
 
-def test_each_reason_has_its_own_lines_but_not_any_number(
-    log: LimitedLog, clock: Clock, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_each_reason_has_its_own_lines_but_not_any_number(log: LimitedLog, clock: Clock, caplog):
     for number in range(10 * MAX_REASONS):
         log.warning("refused: %s", number, reason=f"reason {number}")
     assert len(caplog.messages) == MAX_REASONS + 1

@@ -74,9 +74,7 @@ REQUESTS: list[tuple[pdu.Request[Any], int]] = [
 
 @each_case("origin", ["map", "file"])
 @each_case(("request_", "code"), REQUESTS)
-def test_a_write_is_checked_with_the_scale_after_it(
-    origin: str, request_: pdu.Request[Any], code: int
-) -> None:
+def test_a_write_is_checked_with_the_scale_after_it(origin, request_, code) -> None:
     device = new_device(origin)
     before = list(device.mapping.holding_registers[0:4])
     assert written(device, request_) == code

@@ -126,9 +126,7 @@ The size.
 """
 
 
-def test_a_class_is_shown_with_its_signature_and_docstring(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_class_is_shown_with_its_signature_and_docstring(tmp_path, monkeypatch) -> None:
     (tmp_path / "libmodbus_py").mkdir()
     (tmp_path / "libmodbus_py" / "sample.py").write_text(SOURCE)
     monkeypatch.setitem(REFERENCE["file_of"].__globals__, "ROOT", tmp_path)

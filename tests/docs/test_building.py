@@ -62,9 +62,7 @@ PAGE = "[map](../../examples/meter.toml), [here](tls.md#roles), [units](../../de
         ),
     ],
 )
-def test_links_out_of_the_pages_lead_to_the_repository_or_to_copies(
-    address: str, page: str, tmp_path: Path
-) -> None:
+def test_links_out_of_the_pages_lead_to_the_repository_or_to_copies(address, page, tmp_path):
     links = loaded("links")
     assert links.prepared(PAGE, Path("how-to/x.md"), ROOT, tmp_path, address) == page
     assert (tmp_path / "files" / "examples" / "meter.toml").exists() == (not address)

@@ -108,9 +108,7 @@ def test_the_lines_of_both_programs_are_counted(peer: str) -> None:
 
 
 @pytest.mark.parametrize("peer", [each for each in PROGRAMS if each != "mbpoll"])
-def test_both_programs_print_what_they_say(
-    peer: str, home: Home, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_both_programs_print_what_they_say(peer, home: Home, capsys) -> None:
     """Each print with a comment is reached, by theirs and by ours."""
     page = "pymodbus" if peer == "pymodbus" else "others"
     hidden = next(blocks_that_readers_do_not_see(page))
@@ -389,9 +387,7 @@ def test_asyncio_programs_close_without_await(named: ModuleType, served: int) ->
     asyncio.run(run())
 
 
-def test_what_does_not_answer_raises_the_errors_of_its_names(
-    named: ModuleType, silent: int
-) -> None:
+def test_what_does_not_answer_raises_the_errors_of_its_names(named: ModuleType, silent: int):
     client = named.ModbusTcpClient("127.0.0.1", port=silent, timeout=0.05, retries=0)
     with pytest.raises(named.ModbusIOException):
         client.read_coils(0)

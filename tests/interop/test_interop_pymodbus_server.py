@@ -89,9 +89,7 @@ def test_context_and_pymodbus_server_agree(transport: str, record_property: Reco
 
 
 @each_transport
-def test_context_raises_what_pymodbus_server_refuses(
-    transport: str, record_property: Record
-) -> None:
+def test_context_raises_what_pymodbus_server_refuses(transport: str, record_property) -> None:
     with pymodbus_serving(transport) as url:
         check_refusals(url, "pymodbus", record_property)
 
@@ -230,9 +228,7 @@ class TestWherePymodbusServerErrs:
             )
         ],
     )
-    def test_canopen_is_refused_or_not_heard(
-        self, transport: str, error: type[ModbusError]
-    ) -> None:
+    def test_canopen_is_refused_or_not_heard(self, transport, error) -> None:
         # On RTU it has no length for it, and waits.
         with (
             pymodbus_server(transport, timeout=UNHEARD[transport]) as context,

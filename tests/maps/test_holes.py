@@ -37,9 +37,7 @@ LOST: list[Any] = [
 
 
 @each_case(("items", "gap", "missing", "lost_ones", "later"), LOST)
-def test_items_without_a_hole_have_their_values(
-    items: Any, gap: int, missing: list[int], lost_ones: list[Any], later: int
-) -> None:
+def test_items_without_a_hole_have_their_values(items, gap, missing, lost_ones, later) -> None:
     plan = Plan(items, gap=gap)
     polls = Polls(plan, Registers(missing))
     for _ in range(3):

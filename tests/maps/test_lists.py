@@ -226,9 +226,7 @@ def written(folder: Path, text: str, encoding: str = "utf-8") -> Path:
 
 
 @each_case(("text", "said", "named", "registers"), LISTS)
-def test_a_list_gives_the_values_of_its_origin(
-    tmp_path: Path, text: str, said: dict[str, Any], named: list[str], registers: list[Registers]
-) -> None:
+def test_a_list_gives_the_values_of_its_origin(tmp_path, text, said, named, registers) -> None:
     map = load_map(written(tmp_path, text, said.get("encoding", "utf-8")), **said)
     for name, cells, value in registers:
         assert map[name].decode(cells) == value, name
@@ -236,9 +234,7 @@ def test_a_list_gives_the_values_of_its_origin(
 
 
 @each_case(("text", "said", "named", "registers"), LISTS)
-def test_each_option_is_named_by_a_message(
-    tmp_path: Path, text: str, said: dict[str, Any], named: list[str], registers: list[Registers]
-) -> None:
+def test_each_option_is_named_by_a_message(tmp_path, text, said, named, registers) -> None:
     path = written(tmp_path, text, said.get("encoding", "utf-8"))
     messages = []
     for name in ("nothing", *said):
@@ -268,9 +264,7 @@ def test_addresses_tables_and_accesses_of_lists(tmp_path: Path) -> None:
     assert of(METER, origin="iobroker", first_address="reference")[0] == (holding, 0, "read_write")
 
 
-def test_bounds_and_initial_values_of_a_list_are_raw_where_its_origin_says_so(
-    tmp_path: Path,
-) -> None:
+def test_bounds_and_initial_values_of_a_list_are_raw_where_its_origin_says_so(tmp_path) -> None:
     map = load_map(written(tmp_path, NIBE_F), origin="nibe")
     minutes, offset = map["Degree minutes"], map["Offset"]
     assert (minutes.minimum, minutes.maximum) == (-3000, 3000)
@@ -347,9 +341,7 @@ LOSSES = [
 
 
 @each_case(("text", "message"), LOSSES)
-def test_what_would_be_lost_is_refused_with_its_line(
-    tmp_path: Path, text: str, message: str
-) -> None:
+def test_what_would_be_lost_is_refused_with_its_line(tmp_path, text, message) -> None:
     with pytest.raises(MapError) as caught:
         load_map(written(tmp_path, text), **({"table": "holding"} if text[0] == "_" else {}))
     assert message in str(caught.value)
@@ -419,9 +411,7 @@ MEANINGS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
 
 
 @each_case(("text", "said", "arguments"), MEANINGS)
-def test_an_option_says_what_is_meant(
-    tmp_path: Path, text: str, said: dict[str, Any], arguments: dict[str, Any]
-) -> None:
+def test_an_option_says_what_is_meant(tmp_path, text, said, arguments) -> None:
     (point,) = load_map(written(tmp_path, text), **said).values()
     assert {name: getattr(point, name) for name in arguments} == arguments
 
@@ -567,9 +557,7 @@ def test_defaults_of_a_map_in_toml(tmp_path: Path) -> None:
     ]
 
 
-def test_what_a_map_says_beside_its_requests_is_checked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_map_says_beside_its_requests_is_checked(tmp_path, capsys) -> None:
     from libmodbus_py.cli.main import main
 
     (tmp_path / "map.toml").write_text(

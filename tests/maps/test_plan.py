@@ -244,9 +244,7 @@ BORDERED: list[Any] = [
 
 
 @each_case(("items", "borders", "requests"), BORDERED)
-def test_no_request_crosses_a_border(
-    items: list[Any], borders: list[int], requests: list[tuple[int, int]]
-) -> None:
+def test_no_request_crosses_a_border(items, borders, requests) -> None:
     plan = Plan(items, gap=4, borders=[(H, at) for at in borders])
     assert [(each.address, each.count) for each in plan.requests] == requests  # type: ignore[attr-defined]
 

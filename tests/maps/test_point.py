@@ -232,9 +232,7 @@ def test_a_unit_of_a_point_has_the_name_units() -> None:
         ({"scale": 0.1, "minimum": 1, "maximum": 3}, 3.04),  # outside as it was given
     ],
 )
-def test_what_would_be_written_outside_the_bounds_is_refused(
-    keys: dict[str, Any], value: float
-) -> None:
+def test_what_would_be_written_outside_the_bounds_is_refused(keys, value) -> None:
     with pytest.raises(ValueError, match=r"it: value must be .*, not "):
         point(**keys).encode(value)
 

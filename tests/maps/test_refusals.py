@@ -125,9 +125,7 @@ BORDERS = [
 
 @each_case("is_strict", [False, True])
 @each_case(("device", "first", "later"), BORDERS)
-def test_all_is_read_across_borders(
-    device: Registers, first: int, later: int, is_strict: bool
-) -> None:
+def test_all_is_read_across_borders(device, first, later, is_strict) -> None:
     polls = Polls(singles(100), device)
     for most in (first, later, later):
         count, answers = polls.answers(is_strict=is_strict)

@@ -177,9 +177,7 @@ REFUSED = [
 ]
 
 
-def test_nothing_is_sent_of_what_cannot_be_written(
-    connect: Connect, meter: str, asked: list[Any]
-) -> None:
+def test_nothing_is_sent_of_what_cannot_be_written(connect: Connect, meter: str, asked: list[Any]):
     with connect(meter, timeout=5) as plc:
         for values, kind, message in REFUSED:
             with pytest.raises(kind, match=f"^{re.escape(message)}$"):

@@ -48,9 +48,7 @@ TYPED: list[tuple[dict[str, Any], str, list[Any]]] = [
 
 
 @each_case(("keys", "text", "cells"), TYPED)
-def test_a_text_is_the_value_that_it_says(
-    keys: dict[str, Any], text: str, cells: list[Any]
-) -> None:
+def test_a_text_is_the_value_that_it_says(keys, text, cells) -> None:
     made = point(**keys)
     assert made.encode(typed_value(made, text)) == cells
 

@@ -55,9 +55,7 @@ def test_polls_come_at_the_shortest_interval() -> None:
         (86_400, 0.01, [0]),
     ],
 )
-def test_an_interval_ends_at_the_first_poll_that_is_not_sooner(
-    interval: float, usual: float, expected: list[float]
-) -> None:
+def test_an_interval_ends_at_the_first_poll_that_is_not_sooner(interval, usual, expected) -> None:
     _, found = polled(PointIntervals([None, interval], usual), 100)
     assert found[: len(expected)] == pytest.approx(expected)
 
@@ -201,9 +199,7 @@ def test_a_total_that_falls_is_read_alone_and_named_if_it_fell() -> None:
 @each_case(
     ("error", "is_read_again"), [(ModbusTimeoutError(""), True), (IllegalDataAddress(), False)]
 )
-def test_what_is_lost_is_read_again_and_what_is_refused_is_not(
-    error: Exception, is_read_again: bool
-) -> None:
+def test_what_is_lost_is_read_again_and_what_is_refused_is_not(error, is_read_again) -> None:
     watched = WatchedPoints(POINTS, ["fast", "slow"], 10)
     poll(watched, 0, {"fast": 1, "slow": error})
     read, _ = poll(watched, 10, {"fast": 1, "slow": 2})

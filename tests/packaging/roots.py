@@ -193,9 +193,7 @@ def system(release: str, tmp_path: Path) -> Iterator[Path]:
 @pytest.mark.timeout(LONGEST_S)
 @pytest.mark.parametrize("release", PYTHONS)
 @pytest.mark.parametrize("way", WAYS)
-def test_a_block_works_in_a_new_system(
-    release: str, way: str, request: pytest.FixtureRequest
-) -> None:
+def test_a_block_works_in_a_new_system(release, way, request) -> None:
     assert "all answers are right" in output(release, way, request)
 
 
@@ -205,9 +203,7 @@ def test_a_block_works_in_a_new_system(
     "release",
     [pytest.param(each, id=f"{each}-other" if is_other(each) else each) for each in PYTHONS],
 )
-def test_quick_tests_pass_for_an_ordinary_user(
-    release: str, request: pytest.FixtureRequest
-) -> None:
+def test_quick_tests_pass_for_an_ordinary_user(release, request) -> None:
     assert re.search(r"\d{4} passed", output(release, "quick", request))
 
 

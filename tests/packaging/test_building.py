@@ -34,9 +34,7 @@ def loaded(path: Path) -> ModuleType:
 
 
 @pytest.mark.parametrize(("is_free", "tags"), [(1, {}), (0, {"py_limited_api": "cp311"})])
-def test_the_limited_api_is_asked_for_where_there_is_one(
-    is_free: int, tags: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_limited_api_is_asked_for_where_there_is_one(is_free, tags, monkeypatch) -> None:
     """A free-threaded Python has none, and setuptools refuses to ask for it there."""
     real = sysconfig.get_config_var
 
@@ -202,9 +200,7 @@ def test_debian_suggests_and_the_documents_name_each_package() -> None:
         ),
     ],
 )
-def test_a_hint_fits_the_installation(
-    place: str, extra: str, command: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hint_fits_the_installation(place, extra, command, monkeypatch) -> None:
     monkeypatch.setattr(extras, "__file__", f"{place}/libmodbus_py/protocol/extras.py")
     assert how_to_add(extra) == command
 
@@ -244,9 +240,7 @@ def test_man_finds_no_mistake_in_the_manual_page(page: Path) -> None:
 
 
 @pytest.mark.parametrize(("typed", "found"), [("dia", ["diagnose"]), ("ga", ["gateway"])])
-def test_the_installed_script_completes_in_bash(
-    typed: str, found: list[str], tmp_path: Path
-) -> None:
+def test_the_installed_script_completes_in_bash(typed, found, tmp_path) -> None:
     pytest.importorskip("argcomplete")
     program = tmp_path / "libmodbus-py"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m libmodbus_py "$@"\n')

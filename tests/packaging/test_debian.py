@@ -91,9 +91,7 @@ def test_from_an_unpacked_source_come_all_files_but_those_that_were_made_there(t
     assert files(tree) == KNOWN
 
 
-def test_from_a_clone_come_the_files_that_git_knows_and_that_are_there(
-    clone: Path, tmp_path: Path
-) -> None:
+def test_from_a_clone_come_the_files_that_git_knows_and_that_are_there(clone: Path, tmp_path):
     git(clone, "worktree", "add", "-q", str(tmp_path / "other"))
     git(clone, "update-index", "--add", "--cacheinfo", f"160000,{40 * '1'},submodule")
     put(clone, "new.py", "venv/lib/x.py", "submodule/x.py")

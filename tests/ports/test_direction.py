@@ -71,9 +71,7 @@ def failing(events: list[object], *numbers: int, error: type[BaseException] = Lo
     return turn
 
 
-def test_a_function_is_called_before_and_behind_each_frame(
-    events: list[object], unit: LinePeer
-) -> None:
+def test_a_function_is_called_before_and_behind_each_frame(events: list[object], unit: LinePeer):
     with Client(f"rtu://{unit.path}", rs485=events.append, rts_delay=0.001) as plc:
         assert events == [False]
         for _ in range(2):
@@ -144,9 +142,7 @@ def test_what_a_function_raises_fails_its_request_and_the_line_receives(
         assert events[:4] == [False, True, SENT, False]
 
 
-def test_an_interrupted_function_leaves_the_line_receiving(
-    events: list[object], unit: LinePeer
-) -> None:
+def test_an_interrupted_function_leaves_the_line_receiving(events: list[object], unit: LinePeer):
     turn = failing(events, 1, 5, error=KeyboardInterrupt)
     with Client(f"rtu://{unit.path}", rs485=turn) as plc:
         for calls in ([False, True, False], [False, True, SENT, False, False]):

@@ -221,9 +221,7 @@ def test_what_is_wrong_is_named_and_what_is_allowed(url: str, text: str) -> None
         ("modbus-tcp://192.0.2.10", "tcp"),
     ],
 )
-def test_a_scheme_of_another_program_is_answered_with_the_one_that_is_meant(
-    url: str, meant: str
-) -> None:
+def test_a_scheme_of_another_program_is_answered_with_the_one_that_is_meant(url, meant) -> None:
     with pytest.raises(ValueError, match=f"; did you mean {re.escape(meant)}://[?]$"):
         parse(url)
 

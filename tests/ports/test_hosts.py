@@ -107,9 +107,7 @@ def outage() -> Outage:
     return Outage(logging.getLogger("test"), "rtu:///dev/line")
 
 
-def test_it_is_told_once_and_again_when_it_is_over(
-    outage: Outage, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_it_is_told_once_and_again_when_it_is_over(outage: Outage, caplog) -> None:
     for _ in range(2):
         for _ in range(3):
             outage.begin(GONE)
@@ -121,9 +119,7 @@ def test_it_is_told_once_and_again_when_it_is_over(
     assert caplog.messages == told * 2
 
 
-def test_it_lasts_until_the_port_can_be_opened(
-    outage: Outage, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_it_lasts_until_the_port_can_be_opened(outage: Outage, caplog) -> None:
     outage.begin(GONE)
     attempts: list[Callable[[], None]] = [failing, failing, lambda: None]
     assert [outage.try_to_end(each) for each in attempts] == [False, False, True]

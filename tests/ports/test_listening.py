@@ -3,8 +3,8 @@
 import errno
 import socket
 import urllib.request
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from ipaddress import IPv6Address
 from pathlib import Path
 from typing import Any
@@ -55,11 +55,7 @@ def exposing(port: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("listening", [serving, tapping, exposing])
-def test_every_address_of_a_name_takes_connections(
-    monkeypatch: pytest.MonkeyPatch,
-    port: int,
-    listening: Callable[[int], AbstractContextManager[None]],
-) -> None:
+def test_every_address_of_a_name_takes_connections(monkeypatch, port: int, listening) -> None:
     resolve(monkeypatch, "plc.example", *HERE)
     with listening(port):
         for each in HERE:
@@ -113,9 +109,7 @@ def only_here(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("only_here")
-def test_an_address_of_another_machine_is_left_out_beside_others(
-    monkeypatch: pytest.MonkeyPatch, port: int
-) -> None:
+def test_an_address_of_another_machine_is_left_out_beside_others(monkeypatch, port: int) -> None:
     resolve(monkeypatch, "plc.example", "192.0.2.1", HERE[0])
     (made,) = listen_on("plc.example", port)
     with made:
@@ -130,9 +124,7 @@ def test_no_address_of_this_machine_is_an_error(monkeypatch: pytest.MonkeyPatch)
     assert caught.value.errno == errno.EADDRNOTAVAIL
 
 
-def test_a_port_that_is_taken_on_one_address_is_free_on_the_others_again(
-    monkeypatch: pytest.MonkeyPatch, port: int
-) -> None:
+def test_a_port_that_is_taken_on_one_address_is_free_on_the_others_again(monkeypatch, port: int):
     resolve(monkeypatch, "plc.example", *HERE)
     with socket.create_server((HERE[1], port)):
         with pytest.raises(OSError, match="in use"):

@@ -120,9 +120,7 @@ def test_a_name_has_one_thread_however_often_its_clients_give_up(resolver: Resol
     assert resolver.asked == ["stuck"]
 
 
-def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(
-    resolver: Resolver,
-) -> None:
+def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(resolver: Resolver):
     async def main() -> None:
         tasks = [
             asyncio.create_task(run_async(resolving(f"stuck{number}"))) for number in range(40)
@@ -164,9 +162,7 @@ def test_a_look_up_that_takes_too_long_is_a_connection_error(
         drive(TcpPort("stuck", 502, None).opening(time.monotonic() + 0.1), waker)
 
 
-def test_a_blocking_client_that_looks_up_a_name_can_be_woken(
-    resolver: Resolver, waker: Waker
-) -> None:
+def test_a_blocking_client_that_looks_up_a_name_can_be_woken(resolver: Resolver, waker: Waker):
     def wake() -> None:
         until(lambda: resolver.asked)
         waker.wake()
@@ -198,9 +194,7 @@ def test_a_loop_that_was_closed_meanwhile_stops_no_other(resolver: Resolver) -> 
         (MemoryError("no memory"), "no memory"),
     ],
 )
-def test_whatever_a_look_up_raises_is_told(
-    monkeypatch: pytest.MonkeyPatch, error: Exception, text: str
-) -> None:
+def test_whatever_a_look_up_raises_is_told(monkeypatch, error, text) -> None:
     def getaddrinfo(*_: Any, **__: Any) -> None:
         raise error
 
@@ -211,9 +205,7 @@ def test_whatever_a_look_up_raises_is_told(
         question.result()
 
 
-def test_no_thread_is_an_error_and_leaves_nothing(
-    resolver: Resolver, waker: Waker, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_thread_is_an_error_and_leaves_nothing(resolver: Resolver, waker: Waker, monkeypatch):
     def start(_: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 

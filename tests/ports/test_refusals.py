@@ -92,9 +92,7 @@ class Connecting:
 
 
 class TestSettings:
-    def test_settings_that_are_refused_twice_are_refused(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_settings_that_are_refused_twice_are_refused(self, wire: SerialWire, monkeypatch):
         made = SerialPort(wire.client)
         with monkeypatch.context() as patch:
             patch.setattr(serial, "lib", Connecting(errno.EINVAL, errno.EINVAL))
@@ -106,9 +104,7 @@ class TestSettings:
         assert made.descriptor == -1
         assert is_free(wire.client)
 
-    def test_settings_that_are_refused_once_were_there_already(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_settings_that_are_refused_once_were_there_already(self, wire: SerialWire, monkeypatch):
         """As glibc says of a pseudo-terminal, which has no parity."""
         monkeypatch.setattr(serial, "lib", Connecting(errno.EINVAL))
         made = SerialPort(wire.client)
@@ -117,18 +113,14 @@ class TestSettings:
         made.close()
 
     @pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO, errno.EMFILE])
-    def test_another_error_is_told_and_not_tried_again(
-        self, number: int, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_another_error_is_told_and_not_tried_again(self, number, wire: SerialWire, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(serial, "lib", Connecting(number, errno.EDOM))
             with failing(number):
                 SerialPort(wire.client).open()
         assert is_free(wire.client)
 
-    def test_what_interrupts_the_opening_leaves_the_port_free(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_what_interrupts_the_opening_leaves_the_port_free(self, wire: SerialWire, monkeypatch):
         def interrupt(port: SerialPort) -> None:
             raise KeyboardInterrupt
 
@@ -198,9 +190,7 @@ class TestSettingsOfTheDriver:
         with failing(errno.EINVAL, "the port does 9600, and at most 115200$"):
             SerialPort(wire.client, baudrate=230_400).open()
 
-    def test_a_system_that_tells_no_rate_is_believed(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_system_that_tells_no_rate_is_believed(self, wire: SerialWire, monkeypatch) -> None:
         """As on processors whose termios2 differs."""
         monkeypatch.setattr(serial_settings, "_baudrate_of", lambda descriptor: None)
         made = SerialPort(wire.client, baudrate=230_400)
@@ -227,9 +217,7 @@ class TestSettingsOfTheDriver:
         with failing(errno.EINVAL, text):
             made.open()
 
-    def test_a_stop_bit_that_hardware_does_not_take_is_refused(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_stop_bit_that_hardware_does_not_take_is_refused(self, wire: SerialWire, monkeypatch):
         made = SerialPort(wire.client, parity="N", stop_bits=2)
         monkeypatch.setattr(serial_settings, "PSEUDO_TERMINALS", ())
         made.open()
@@ -238,9 +226,7 @@ class TestSettingsOfTheDriver:
         with failing(errno.EINVAL, "stop_bits 2 refused: the port has 1"):
             made.open()
 
-    def test_a_port_that_refuses_says_which_rate(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_port_that_refuses_says_which_rate(self, wire: SerialWire, monkeypatch) -> None:
         with monkeypatch.context() as patch:
             patch.setattr(fcntl, "ioctl", raising(errno.EINVAL))
             with pytest.raises(ModbusConnectionError) as caught:
@@ -251,9 +237,7 @@ class TestSettingsOfTheDriver:
 
 
 class TestOpening:
-    def test_a_port_without_hardware_says_so(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-    ) -> None:
+    def test_a_port_without_hardware_says_so(self, wire: SerialWire, monkeypatch, tmp_path) -> None:
         """A ttyS of a kernel that lists more of them than there are: each call fails."""
 
         def refuse(descriptor: int) -> None:
@@ -273,9 +257,7 @@ class TestOpening:
             with failing(errno.EBUSY, "in use by another program"):
                 SerialPort(wire.client).open()
 
-    def test_a_port_that_is_open_here_is_not_opened_again(
-        self, port: SerialPort, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_port_that_is_open_here_is_not_opened_again(self, port: SerialPort, monkeypatch):
         """Opening a port raises its RTS, which makes a transceiver send."""
         monkeypatch.setattr(os, "open", raising(errno.EDOM))
         with failing(errno.EBUSY, "in use by this program itself"):
@@ -284,17 +266,13 @@ class TestOpening:
 
 class TestBytes:
     @pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO, errno.ENODEV])
-    def test_a_read_or_send_that_fails_is_a_lost_connection(
-        self, number: int, port: SerialPort
-    ) -> None:
+    def test_a_read_or_send_that_fails_is_a_lost_connection(self, number, port: SerialPort) -> None:
         with refusing(os, "read", number):
             port.receive()
         with refusing(os, "write", number):
             port.send([b"request"], 0.0)
 
-    def test_a_read_that_would_wait_is_nothing(
-        self, port: SerialPort, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_read_that_would_wait_is_nothing(self, port: SerialPort, monkeypatch) -> None:
         monkeypatch.setattr(os, "read", raising(errno.EAGAIN))
         assert port.receive() == []
 
@@ -312,9 +290,7 @@ class TestBytes:
         with failing(errno.EIO, "the port is gone"):
             port.receive()
 
-    def test_a_port_that_takes_nothing_now_loses_the_frame(
-        self, port: SerialPort, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_port_that_takes_nothing_now_loses_the_frame(self, port: SerialPort, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(os, "write", raising(errno.EAGAIN))
             port.send([b"request"], 0.0)
@@ -424,9 +400,7 @@ class TestUdp:
         [(b"one", errno.ECONNREFUSED, b"two"), (errno.ECONNREFUSED, b"one", b"two")],
         ids=["between", "before"],
     )
-    def test_what_came_before_the_port_was_closed_is_given_first(
-        self, outcomes: tuple[int | bytes, ...]
-    ) -> None:
+    def test_what_came_before_the_port_was_closed_is_given_first(self, outcomes) -> None:
         made, socket = udp(*outcomes)
         assert made.receive() == [b"one", b"two"]
         # Whoever waits is to have the news at once.
@@ -506,9 +480,7 @@ def test_clients(kind: str, scheme: str, dead_port: int, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "udp"])
-def test_the_line_of_a_gateway(
-    scheme: str, dead_port: int, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_line_of_a_gateway(scheme, dead_port: int, caplog) -> None:
     gateway = Gateway([Route(f"{scheme}://127.0.0.1:{dead_port}")])
     with (
         gateway.background("tcp://127.0.0.1:0") as running,

@@ -76,9 +76,7 @@ def test_a_line_that_is_turned_round_is_ours_until_it_is_back() -> None:
         ({"silence": 0.5}, 0.5, 11 / 19200),
     ],
 )
-def test_silence_and_characters_are_those_of_the_specification(
-    settings: Any, silence: float, character: float
-) -> None:
+def test_silence_and_characters_are_those_of_the_specification(settings, silence, character):
     made = SerialPort("/dev/x", **settings)
     assert made.silence.seconds == pytest.approx(silence)
     assert made.silence.character == pytest.approx(character)
@@ -158,9 +156,7 @@ def test_what_is_no_serial_port_is_refused(device: str, number: int) -> None:
     assert device in str(caught.value)
 
 
-def test_a_port_that_this_user_may_not_open_names_the_group(
-    monkeypatch: pytest.MonkeyPatch, wire: SerialWire
-) -> None:
+def test_a_port_that_this_user_may_not_open_names_the_group(monkeypatch, wire: SerialWire) -> None:
     """Nothing is forbidden to root, who may run the tests."""
 
     def forbidden(path: str, flags: int) -> int:

@@ -65,9 +65,7 @@ def test_each_option_of_a_url(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None
         ({"key": "LOCKED", "password_env": "EMPTY"}, "key 'LOCKED'"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_told(
-    pki: Pki, monkeypatch: pytest.MonkeyPatch, change: dict[str, str], text: str
-) -> None:
+def test_what_is_wrong_with_a_file_is_told(pki: Pki, monkeypatch, change, text) -> None:
     monkeypatch.setenv("WRONG", "close sesame")
     monkeypatch.setenv("EMPTY", "")
     own = pki.files(certificates.client())

@@ -121,9 +121,7 @@ def addresses(monkeypatch: pytest.MonkeyPatch, *ports: int) -> None:
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
 
 
-def test_a_dead_address_leaves_the_others_their_share_of_the_time(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_dead_address_leaves_the_others_their_share_of_the_time(monkeypatch) -> None:
     clock = SimpleNamespace(monotonic=lambda: 100.0)
     monkeypatch.setattr("libmodbus_py.ports.sockets.time", clock)
     with dead() as port, dead() as other, socket.create_server(("127.0.0.1", 0)) as listener:
@@ -145,9 +143,7 @@ def test_a_dead_address_leaves_the_others_their_share_of_the_time(
         made.close()
 
 
-def test_all_addresses_together_take_no_longer_than_the_deadline(
-    drive: Drive, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_all_addresses_together_take_no_longer_than_the_deadline(drive: Drive, monkeypatch) -> None:
     with dead() as port:
         addresses(monkeypatch, port, port, port)
         start = time.monotonic()
@@ -295,9 +291,7 @@ class Counted:
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.5, 1.0, 1.0005, 90_000.5])
-def test_the_system_waits_a_second_at_a_time(
-    seconds: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_system_waits_a_second_at_a_time(seconds, monkeypatch) -> None:
     """A signal just before a wait does not end it: its handler must not wait for a timeout."""
     counted = Counted()
     monkeypatch.setattr(select, "poll", lambda: counted)
@@ -340,9 +334,7 @@ def test_the_earliest_time_counts_in_any_order() -> None:
     assert rung(2, 5, until=10) == ([2], math.inf)
 
 
-def test_a_timer_that_ends_early_is_told_the_time_it_was_set_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_timer_that_ends_early_is_told_the_time_it_was_set_for(monkeypatch) -> None:
     monkeypatch.setattr(VirtualLoop, "early", 0.25)
     assert rung(5, 2, 3, until=10) == ([2], math.inf)
 

@@ -1,7 +1,6 @@
 """Values and registers that a type does not take, and how errors name them."""
 
 from array import array
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -86,9 +85,7 @@ class TestErrors:
             (None, TypeError, "value must be a list, not NoneType"),
         ],
     )
-    def test_bits_are_as_many_as_named(
-        self, value: Any, error: type[Exception], named: str
-    ) -> None:
+    def test_bits_are_as_many_as_named(self, value, error, named) -> None:
         with pytest.raises(error, match=named):
             encode(value, "bits16")
 
@@ -123,9 +120,7 @@ class TestErrors:
         ],
         ids=["decode", "decode_many", "readings"],
     )
-    def test_registers_are_registers(
-        self, function: Callable[[Any], Any], registers: Any, error: type[Exception], named: str
-    ) -> None:
+    def test_registers_are_registers(self, function, registers, error, named) -> None:
         with pytest.raises(error, match=named):
             function(registers)
 

@@ -128,9 +128,7 @@ WRITE = pdu.WriteRegister(3, 77).encode()
 
 
 @pytest.mark.parametrize("name", ["before_write", "after_write", "authorize"])
-def test_a_hook_that_returns_a_coroutine_is_a_failure(
-    name: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_hook_that_returns_a_coroutine_is_a_failure(name, caplog) -> None:
     made = device(**{name: hidden})
     assert made.answer(WRITE) == b"\x86\x04"
     assert "which nothing awaits" in caplog.text

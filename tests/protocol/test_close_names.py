@@ -148,9 +148,7 @@ def test_28_of_30_public_examples_are_among_the_first_three() -> None:
         ([0x4366, 0x199A], ("float32", "ABCD", 230.10000610351562)),
     ],
 )
-def test_the_most_plausible_interpretation_is_the_first(
-    registers: list[int], first: tuple[str, str, object]
-) -> None:
+def test_the_most_plausible_interpretation_is_the_first(registers, first) -> None:
     assert readings(registers)[0] == first
 
 

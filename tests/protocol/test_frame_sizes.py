@@ -20,9 +20,7 @@ PDU = bytes.fromhex("17 0000 007d 0000 0079 f2") + bytes(242)
 
 
 @pytest.mark.parametrize(("framing", "size"), LONGEST)
-def test_the_longest_frame_has_the_size_that_its_framing_allows(
-    framing: Framing, size: int
-) -> None:
+def test_the_longest_frame_has_the_size_that_its_framing_allows(framing, size) -> None:
     framer = make_framer(framing, "client")
     whole = framer.encode(Frame(1, PDU + bytes(253 - len(PDU))))
     assert len(whole) == getattr(framer, "max_size", size) == size  # a stream has no limit
@@ -119,9 +117,7 @@ Spans = st.lists(st.tuples(st.integers(0, 50), st.integers(0, 9)))
 
 
 @given(Spans, Spans)
-def test_ranges_without_others(
-    given_: list[tuple[int, int]], others: list[tuple[int, int]]
-) -> None:
+def test_ranges_without_others(given_: list[tuple[int, int]], others: list[tuple[int, int]]):
     kept, taken = (joined(range(at, at + size) for at, size in each) for each in (given_, others))
     left = without(kept, taken)
     expected = {at for each in kept for at in each} - {at for each in taken for at in each}

@@ -300,9 +300,7 @@ class TestWhateverComes:
             ("tcp", b"\xff"),
         ],
     )
-    def test_flood_costs_little_and_is_answered_with_few_errors(
-        self, name: str, pattern: bytes, size: int
-    ) -> None:
+    def test_flood_costs_little_and_is_answered_with_few_errors(self, name, pattern, size) -> None:
         framer = ALL_FRAMERS[name]()
         flood = pattern * (65536 // len(pattern))
         began = time.process_time()

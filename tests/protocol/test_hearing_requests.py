@@ -83,9 +83,7 @@ def test_a_request_behind_frames_of_others_is_found(name: str, size: int) -> Non
 
 
 @each_case("head", ["01 08 0000", "01 2B 0D", "01 41"])
-def test_a_frame_without_a_length_ends_with_silence_and_not_where_its_crc_fits_first(
-    head: str,
-) -> None:
+def test_a_frame_without_a_length_ends_with_silence_and_not_where_its_crc_fits_first(head) -> None:
     """Its data begin with a CRC that fits, and go on with a write."""
     early = with_data(head, b"\1\2")
     whole = with_data("", early, WRITE, b"\5\6")
@@ -177,9 +175,7 @@ NO_LENGTH = (8, 43)
 @each_case("before", NOISES)
 @each_case("behind", NOISES)
 @each_case("name", AROUND)
-def test_a_request_in_a_frame_of_others_between_noise_is_none(
-    name: str, before: bytes, behind: bytes
-) -> None:
+def test_a_request_in_a_frame_of_others_between_noise_is_none(name, before, behind) -> None:
     ask, answer = (before + each + behind for each in AROUND[name])
     for bursts in ((ask, answer), (answer,)):
         assert requests(heard(*bursts)) == [], bursts
@@ -210,9 +206,7 @@ def test_a_request_in_a_damaged_answer_of_others_is_none(head: str) -> None:
         (rtu("02 10 0160 0000 00 000000000000"), "answer 2 10"),
     ],
 )
-def test_a_burst_with_a_right_crc_is_one_frame_of_any_length(
-    burst: bytes, expected: str, size: int
-) -> None:
+def test_a_burst_with_a_right_crc_is_one_frame_of_any_length(burst, expected, size) -> None:
     assert named(heard(burst, OURS, size=size, unit=5)) == [expected, "request 5 03"]
     assert named(heard(burst + OUR_WRITE, OURS, size=size, unit=5))[-1] == "request 5 03"
 
@@ -298,9 +292,7 @@ def _name(each: Frame | FrameError) -> str:
         ([b"\5\3\0", b"\2\3", OURS + OURS], ["damage", "request 5 03", "request 5 03"]),
     ],
 )
-def test_each_frame_is_what_it_is_in_any_pieces(
-    bursts: list[bytes], expected: list[str], size: int
-) -> None:
+def test_each_frame_is_what_it_is_in_any_pieces(bursts, expected, size) -> None:
     assert named(heard(*bursts, size=size, unit=5)) == expected
 
 

@@ -158,9 +158,7 @@ def test_what_is_no_integer_is_refused_by_name(text: str) -> None:
     ("response", "answers_another"),
     [(b"\x03", False), (b"\x83\x02\x00", False), (b"\x84\x02", True), (b"\x04\x02\x00\x01", True)],
 )
-def test_a_response_of_another_function_belongs_to_another_request(
-    response: bytes, answers_another: bool
-) -> None:
+def test_a_response_of_another_function_belongs_to_another_request(response, answers_another):
     with pytest.raises(InvalidResponse) as invalid:
         ReadHoldingRegisters(0, 1).decode_response(response)
     assert invalid.value.answers_another is answers_another

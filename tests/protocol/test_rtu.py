@@ -1,7 +1,5 @@
 """RTU frames in a stream of requests and responses, as a listener hears it."""
 
-from typing import Any
-
 from libmodbus_py.protocol.rtu import Piece, RtuCutter, may_be
 from tests.support.cases import each_case
 from tests.support.talk import rtu
@@ -128,9 +126,7 @@ LONG = rtu(SHORT.hex() + "01 02")
 @each_case("size", [1, 3, 999])
 @each_case("role", ["client", "listener"])
 @each_case("frames", [[SHORT], [LONG], [SHORT, LONG], [LONG, SHORT], [SHORT, SHORT]])
-def test_a_frame_that_begins_like_another_is_told_from_it(
-    frames: list[bytes], role: Any, size: int
-) -> None:
+def test_a_frame_that_begins_like_another_is_told_from_it(frames, role, size) -> None:
     cutter, rest = RtuCutter(role), b""
     burst = b"".join(frames)
     for at in range(0, len(burst), size):

@@ -35,9 +35,7 @@ class TestText:
             ("A" * 250, "string:250", {}, " ".join(["4141"] * 125)),
         ],
     )
-    def test_encodings_and_padding(
-        self, value: str, name: str, options: dict[str, str], registers: str
-    ) -> None:
+    def test_encodings_and_padding(self, value, name, options, registers) -> None:
         assert encode(value, name, **options) == words(registers)
         assert decode(words(registers), name, **options) == value
 
@@ -68,9 +66,7 @@ class TestText:
             ("0000 0041 0000 0000 FFFF FFFF", {"encoding": "utf-32-be"}, "A"),
         ],
     )
-    def test_text_ends_at_its_first_nul(
-        self, registers: str, options: dict[str, str], value: str
-    ) -> None:
+    def test_text_ends_at_its_first_nul(self, registers, options, value) -> None:
         cells = words(registers)
         assert decode(cells, f"string:{2 * len(cells)}", **options) == value
 
@@ -94,9 +90,7 @@ class TestText:
             ("\ud800", "string:4", {"encoding": "utf-8"}, "value must be utf-8, not"),
         ],
     )
-    def test_text_that_does_not_fit_is_never_cut(
-        self, value: str, name: str, options: dict[str, str], named: str
-    ) -> None:
+    def test_text_that_does_not_fit_is_never_cut(self, value, name, options, named) -> None:
         with pytest.raises(ValueError, match=named):
             encode(value, name, **options)
 
@@ -114,9 +108,7 @@ class TestText:
             ("00D8 4100", "string:4", "utf-16-le", "00 D8 41 00 is no utf-16-le"),
         ],
     )
-    def test_character_cut_in_the_middle_is_an_error(
-        self, registers: str, name: str, encoding: str, named: str
-    ) -> None:
+    def test_character_cut_in_the_middle_is_an_error(self, registers, name, encoding, named):
         with pytest.raises(ValueError, match=named):
             decode(words(registers), name, encoding=encoding)
 
@@ -158,9 +150,7 @@ class TestText:
             ({"fill": " "}, TypeError, "fill"),
         ],
     )
-    def test_no_such_encoding_or_padding(
-        self, options: dict[str, Any], error: type[Exception], named: str
-    ) -> None:
+    def test_no_such_encoding_or_padding(self, options, error, named) -> None:
         with pytest.raises(error, match=named):
             value_type("string:4", **options)
 

@@ -93,9 +93,7 @@ OTHERS = [
 
 
 @each_case(("name", "order", "registers", "value"), OTHERS)
-def test_other_registers_of_the_same_value(
-    name: str, order: str, registers: str, value: Any
-) -> None:
+def test_other_registers_of_the_same_value(name, order, registers, value) -> None:
     assert value_type(name, order=order).decode(words(registers)) == value
 
 

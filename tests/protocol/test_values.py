@@ -248,9 +248,7 @@ class TestMany:
     @each_case("name", [*NUMBERS, "string:5"])
     @settings(max_examples=10)
     @given(st.data())
-    def test_values_lie_one_after_the_other(
-        self, name: str, order: str, data: st.DataObject
-    ) -> None:
+    def test_values_lie_one_after_the_other(self, name, order: str, data: st.DataObject) -> None:
         given_values = data.draw(st.lists(strategy(name), max_size=5))
         registers = encode_many(given_values, name, order=order)
         assert registers == [
@@ -286,9 +284,7 @@ class TestMany:
             (5, "int16", TypeError, "^values must be a list, not int"),
         ],
     )
-    def test_bad_value_is_named(
-        self, given_values: Any, name: str, error: type[Exception], named: str
-    ) -> None:
+    def test_bad_value_is_named(self, given_values, name, error, named) -> None:
         with pytest.raises(error, match=named):
             encode_many(given_values, name)
 

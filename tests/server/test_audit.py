@@ -129,9 +129,7 @@ def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(events: Eve
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_only_what_authorize_does_not_allow_is_recorded_as_refused(
-    transport: str, events: Events
-) -> None:
+def test_only_what_authorize_does_not_allow_is_recorded_as_refused(transport, events: Events):
     """Others get exception 1, too; and a status of 1 looks like one (section 6.7)."""
 
     def authorize(asked: Asked) -> bool:
@@ -251,9 +249,7 @@ def test_the_life_of_a_server_and_of_a_client_with_a_certificate_are_recorded(
 
 
 @pytest.mark.parametrize("transport", ["tcp", "udp"])
-def test_a_peer_from_another_network_is_recorded_once_a_minute(
-    transport: str, events: Events
-) -> None:
+def test_a_peer_from_another_network_is_recorded_once_a_minute(transport, events: Events) -> None:
     server = Server(device(), limits=Limits(allow=["192.0.2.0/24"]), audit=events.append)
     with server.background(f"{transport}://127.0.0.1:0") as running:
         for _ in range(3):
@@ -283,9 +279,7 @@ class Failing:
 
 
 @pytest.mark.parametrize("kind", ["server", "gateway"])
-def test_writes_are_refused_while_a_required_trail_fails(
-    kind: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_writes_are_refused_while_a_required_trail_fails(kind, caplog) -> None:
     """The write whose record failed waits, and comes first when the trail works again."""
     trail = Failing()
     audit = Audit(trail, required=True)
@@ -311,9 +305,7 @@ def test_writes_are_refused_while_a_required_trail_fails(
     ]
 
 
-def test_writes_go_on_while_another_trail_fails_and_what_is_lost_is_told(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_writes_go_on_while_another_trail_fails_and_what_is_lost_is_told(caplog) -> None:
     trail = Failing()
     with asking(Server(device(), audit=trail)) as plc:
         trail.fails = True

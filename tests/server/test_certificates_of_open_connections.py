@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -57,9 +57,7 @@ def gateway(pki: Pki, **options: Any) -> Iterator[tuple[Gateway, int]]:
 
 
 @pytest.mark.parametrize("served", [serving, gateway])
-def test_a_client_whose_certificate_is_revoked_is_closed(
-    pki: Pki, crl: Path, served: Callable[..., Any]
-) -> None:
+def test_a_client_whose_certificate_is_revoked_is_closed(pki: Pki, crl: Path, served) -> None:
     security = pki.server(crl=crl)
     with (
         served(pki, security=security, limits=QUICK) as (server, port),
@@ -76,9 +74,7 @@ def test_a_client_whose_certificate_is_revoked_is_closed(
         assert server.statistics.closed_untrusted == 1
 
 
-def test_a_client_whose_certificate_has_expired_is_closed(
-    pki: Pki, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_client_whose_certificate_has_expired_is_closed(pki: Pki, monkeypatch) -> None:
     with (
         serving(pki, limits=QUICK) as (server, port),
         Client(f"tls://127.0.0.1:{port}", security=pki.client()) as plc,

@@ -61,9 +61,7 @@ def test_same_answers_contents_counters_and_statistics(
     st.lists(st.tuples(bodies(), st.sampled_from([1, 1, 1, 2, 9, 3])), min_size=1, max_size=12),
     st.integers(0, 30),
 )
-def test_same_for_connections_that_send_one_request_each(
-    asked: list[tuple[bytes, int]], cut: int
-) -> None:
+def test_same_for_connections_that_send_one_request_each(asked: list[tuple[bytes, int]], cut: int):
     """Together, as in one turn of the server; one of them may send a part, and then the rest."""
     states = []
     for kind in ("chunk", "frames"):
@@ -213,9 +211,7 @@ LIMITS = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
         *[pytest.param(bytes([function, 0]), False, id=f"cut {function}") for function in REPLIED],
     ],
 )
-def test_counts_are_checked_in_c(
-    body: bytes, is_good: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_counts_are_checked_in_c(body, is_good, monkeypatch) -> None:
     monkeypatch.delattr(Device, "_respond", raising=False)
     end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
     end.receive(adu(body, 1))

@@ -79,9 +79,7 @@ def never(_: object) -> Session:
     raise AssertionError("no handshake ends here")
 
 
-def test_half_open_handshakes_of_one_address_take_nobody_elses_place(
-    monkeypatch: pytest.MonkeyPatch, pki: Pki
-) -> None:
+def test_half_open_handshakes_of_one_address_take_nobody_elses_place(monkeypatch, pki: Pki) -> None:
     monkeypatch.setattr(tls, "HALF_OPEN", 10)
 
     async def main() -> None:
@@ -154,9 +152,7 @@ def overspent(addresses: Addresses[Waiting], host: str) -> Address[Waiting]:
     return address
 
 
-def test_an_address_with_a_connection_is_remembered_whatever_comes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_address_with_a_connection_is_remembered_whatever_comes(monkeypatch) -> None:
     monkeypatch.setattr(module, "REMEMBERED_MAX", 1)
 
     async def main() -> None:

@@ -250,9 +250,7 @@ def test_a_server_that_is_closed_while_it_asks_the_line(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_an_echo_over_tcp_that_is_set(
-    stage: Stage, scheme: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_echo_over_tcp_that_is_set(stage: Stage, scheme, caplog) -> None:
     frame = FRAMES[scheme]
     with unit_one(f"{scheme}+tcp://{TCP}?echo=1") as (server, writes):
         end = Converter(stage, 0.02)
@@ -276,9 +274,7 @@ def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(stage: Stag
             assert server.statistics.requests == 3
 
 
-def test_connections_with_an_echo_are_counted_each_and_told_once(
-    stage: Stage, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_connections_with_an_echo_are_counted_each_and_told_once(stage: Stage, caplog) -> None:
     with unit_one(f"rtu+tcp://{TCP}") as (server, _):
         for count in (1, 2, 3):
             end = Converter(stage, 0.01)

@@ -2,7 +2,6 @@
 
 import random
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -40,9 +39,7 @@ LYING = [
 
 
 @pytest.mark.parametrize("body", LYING, ids=lambda body: body[:8].hex())
-def test_a_lying_request_changes_nothing_and_hurts_nobody(
-    port: int, device: Device, body: bytes
-) -> None:
+def test_a_lying_request_changes_nothing_and_hurts_nobody(port: int, device: Device, body) -> None:
     before = contents(device)
     with connect(port) as liar, Client(f"tcp://127.0.0.1:{port}", unit=17) as innocent:
         liar.sendall(adu(body) + adu(READ, 2))
@@ -136,9 +133,7 @@ def enough(attack: Attack) -> Attack:
 @pytest.mark.parametrize(
     "attack", [*map(enough, ATTACKS)], ids=lambda attack: attack.name.replace(" ", "-")
 )
-def test_an_innocent_client_waits_for_few_of_the_others(
-    stage: Stage, attack: Attack, tmp_path: Path
-) -> None:
+def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack, tmp_path) -> None:
     """The innocent speaks TCP; an attack on TLS meets another endpoint of the same server."""
     server = Server(
         {UNIT: Device(Mapping(holding_registers=2000))},

@@ -38,9 +38,7 @@ NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
 
 @KIND
 @pytest.mark.parametrize("frame_timeout", [0.4, 1000])
-def test_a_trickle_does_not_extend_the_time_of_a_frame(
-    stage: Stage, kind: str, frame_timeout: float
-) -> None:
+def test_a_trickle_does_not_extend_the_time_of_a_frame(stage: Stage, kind: str, frame_timeout):
     with served(stage, kind, frame_timeout=frame_timeout) as server:
         slow, silent = server.connect(), server.connect()
         ask(slow)

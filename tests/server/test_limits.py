@@ -152,9 +152,7 @@ REFUSED = bytes.fromhex("83 0b")
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])
 @pytest.mark.parametrize("faulty", [False, True])
 @pytest.mark.parametrize(("policy", "answer"), [("refuse", REFUSED), ("silent", None)])
-def test_a_unit_without_a_device(
-    stage: Stage, scheme: str, faulty: bool, policy: Any, answer: bytes | None
-) -> None:
+def test_a_unit_without_a_device(stage: Stage, scheme, faulty, policy, answer) -> None:
     faults = {None: [NEVER]} if faulty else None
     device = Device(Mapping(holding_registers=1))
     server = Server({17: device}, faults=faults, unknown_unit=policy)
@@ -171,9 +169,7 @@ def test_a_unit_without_a_device(
 
 @pytest.mark.parametrize("policy", ["refuse", "silent"])
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp", "rtu", "ascii"])
-def test_serial_lines_are_silent_for_a_unit_without_a_device(
-    stage: Stage, scheme: str, policy: Any
-) -> None:
+def test_serial_lines_are_silent_for_a_unit_without_a_device(stage: Stage, scheme, policy) -> None:
     framer: framing.Framer = framing.AsciiFramer()
     if scheme.startswith("rtu"):
         framer = framing.RtuFramer("server")
@@ -275,9 +271,7 @@ def has_answer(client: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM])
-def test_without_descriptors_it_tries_ten_times_a_second(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_without_descriptors_it_tries_ten_times_a_second(stage: Stage, monkeypatch, number) -> None:
     """Whoever waits to be accepted would wake it without end."""
     tried: list[float] = []
 

@@ -97,9 +97,7 @@ def test_devices_that_have_these_units_are_asked_themselves(scheme: str) -> None
         (holding(7), 1, ValueError, "one device answers every unit"),
     ],
 )
-def test_units_that_the_server_cannot_be(
-    devices: Any, unit: Any, error: type[Exception], message: str
-) -> None:
+def test_units_that_the_server_cannot_be(devices, unit, error, message) -> None:
     with pytest.raises(error, match=message):
         Server(devices, own_unit=unit)
 
@@ -122,9 +120,7 @@ def test_lines_know_no_such_units() -> None:
     [({1: 6}, [6, 6]), ({255: 5}, [None, 5]), ({1: 6, 255: 5}, [6, 5])],
     ids=str,
 )
-def test_faults_happen_to_whom_the_server_is(
-    scheme: str, faults: dict[int | None, int], codes: list[int | None]
-) -> None:
+def test_faults_happen_to_whom_the_server_is(scheme: str, faults, codes) -> None:
     """But for those of the units themselves."""
     given = {unit: [Fault("exception", code=code)] for unit, code in faults.items()}
     server = Server({1: holding(7)}, faults=given)

@@ -130,9 +130,7 @@ def test_answers_are_sent_when_all_were_read(stage: Stage, endpoint: Open) -> No
     assert sent_before == [0, 0, 0]
 
 
-def test_calls_for_later_come_after_all_were_read_and_before_answers(
-    stage: Stage, endpoint: Open
-) -> None:
+def test_calls_for_later_come_after_all_were_read_and_before_answers(stage: Stage, endpoint: Open):
     server = endpoint()
     talkers = [server.talk()[0] for _ in range(2)]
     told: list[str] = []
@@ -154,9 +152,7 @@ def test_calls_for_later_come_after_all_were_read_and_before_answers(
     assert told == ["read", "read", "called", "called"]
 
 
-def test_a_call_that_fails_leaves_the_others(
-    stage: Stage, endpoint: Open, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_call_that_fails_leaves_the_others(stage: Stage, endpoint: Open, caplog) -> None:
     server = endpoint()
     talker, _ = server.talk()
 
@@ -218,9 +214,7 @@ def test_who_is_held_or_behind_is_not_read(stage: Stage, endpoint: Open) -> None
     assert talker.recv(9) == b"second"
 
 
-def test_a_session_that_fails_costs_its_connection_only(
-    stage: Stage, endpoint: Open, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_session_that_fails_costs_its_connection_only(stage: Stage, endpoint: Open, caplog):
     server = endpoint()
     (bad, failing), (good, _) = server.talk(), server.talk()
 
@@ -238,9 +232,7 @@ def test_a_session_that_fails_costs_its_connection_only(
     assert server.statistics.connections == 1
 
 
-def test_who_sends_no_more_is_closed_although_the_answer_never_comes(
-    stage: Stage, endpoint: Open
-) -> None:
+def test_who_sends_no_more_is_closed_although_the_answer_never_comes(stage: Stage, endpoint: Open):
     server = endpoint(ignore, frame_timeout=8)
     talker, session = server.talk()
     session.state = SessionState.OWING
@@ -251,9 +243,7 @@ def test_who_sends_no_more_is_closed_although_the_answer_never_comes(
     assert server.statistics.closed_slow == 1
 
 
-def test_the_time_of_a_frame_stands_still_while_nothing_is_read(
-    stage: Stage, endpoint: Open
-) -> None:
+def test_the_time_of_a_frame_stands_still_while_nothing_is_read(stage: Stage, endpoint: Open):
     def unfinished(session: Session, data: bytes) -> int:
         session.state = SessionState.UNFINISHED
         return 0

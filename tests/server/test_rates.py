@@ -122,9 +122,7 @@ def test_connections_of_an_address_share_what_it_may_ask(stage: Stage, kind: str
 @pytest.mark.parametrize(
     ("count", "rest"), [(1, b""), (2, OUT_OF_STEP)], ids=["one", "two and what ends it"]
 )
-def test_a_new_connection_brings_nothing_new_to_ask(
-    stage: Stage, kind: str, count: int, rest: bytes
-) -> None:
+def test_a_new_connection_brings_nothing_new_to_ask(stage: Stage, kind: str, count, rest) -> None:
     with served(stage, kind, requests_per_second=5) as server:
         begun = stage.now
         for _ in range(100):
@@ -154,9 +152,7 @@ def test_to_be_refused_brings_nothing_new_to_ask_either(stage: Stage) -> None:
 
 
 @KIND
-def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(
-    stage: Stage, kind: str
-) -> None:
+def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(stage: Stage, kind: str):
     with served(stage, kind, requests_per_second=2) as server:
         first, second = server.connect(), server.connect()
         for _ in range(4):

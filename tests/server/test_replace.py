@@ -68,9 +68,7 @@ def refuses(client: Client) -> bool:
     return False
 
 
-def test_an_endpoint_that_is_still_looked_up_opens_with_the_new_devices(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_endpoint_that_is_still_looked_up_opens_with_the_new_devices(monkeypatch) -> None:
     server = Server(holding(1))
     bound = udp.bound
 

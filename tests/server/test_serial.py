@@ -5,7 +5,6 @@ import itertools
 import os
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -97,9 +96,7 @@ def is_answered(context: Client) -> bool:
         return False
 
 
-def test_an_unplugged_port_is_opened_again(
-    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unplugged_port_is_opened_again(device: Device, tmp_path, monkeypatch) -> None:
     """The path stays, as udev keeps it; what it leads to is another port."""
     monkeypatch.setattr(serial_server, "REOPEN_AFTER", 0.05)
     path = tmp_path / "ttyUSB0"
@@ -119,9 +116,7 @@ def test_an_unplugged_port_is_opened_again(
     ("url", "data_bits", "is_silent"),
     [("ascii://{}", 7, False), ("ascii://{}?data_bits=8", 8, False), ("rtu://{}", 8, True)],
 )
-def test_ascii_ports_have_seven_data_bits(
-    device: Device, url: str, data_bits: int, is_silent: bool
-) -> None:
+def test_ascii_ports_have_seven_data_bits(device: Device, url, data_bits, is_silent) -> None:
     """Pseudo-terminals ignore them, so what the port is told is looked at."""
 
     async def made() -> SerialServer:

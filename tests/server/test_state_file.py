@@ -124,9 +124,7 @@ OTHERS = [
 
 
 @each_case(("change", "message"), OTHERS)
-def test_values_of_another_device_are_refused(
-    change: tuple[str, str], message: str, folder: Path
-) -> None:
+def test_values_of_another_device_are_refused(change, message, folder: Path) -> None:
     after_a_write(folder)
     before = (folder / "state").read_bytes()
     assert change[0] in PLANT
@@ -154,9 +152,7 @@ def test_only_changes_are_written(folder: Path) -> None:
     close(file)
 
 
-def test_a_slow_write_is_followed_by_a_pause_four_times_as_long(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_slow_write_is_followed_by_a_pause_four_times_as_long(folder: Path, monkeypatch) -> None:
     pauses: list[float] = []
     clock = SimpleNamespace(monotonic=iter([0, 2, 10, 10.01]).__next__)
     monkeypatch.setattr(state_file, "time", clock)
@@ -269,9 +265,7 @@ def test_a_file_that_cannot_be_written_is_told_once(
 
 
 @each_case("number", [errno.EACCES, errno.EROFS, errno.ENOSPC])
-def test_a_folder_that_takes_no_files(
-    number: int, folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_folder_that_takes_no_files(number, folder: Path, monkeypatch, caplog) -> None:
     caplog.clear()
     (folder / "state").unlink(missing_ok=True)
     (folder / "state.lock").unlink(missing_ok=True)
@@ -343,9 +337,7 @@ def wrong_files(tmp_path: Path) -> Path:
         ("half", r"line 1, column 2: not JSON: .* \(is the file cut off\?\); no value was loaded"),
     ],
 )
-def test_a_wrong_file_is_refused_before_the_server_starts(
-    name: str, message: str, wrong_files: Path
-) -> None:
+def test_a_wrong_file_is_refused_before_the_server_starts(name, message, wrong_files: Path) -> None:
     path = wrong_files / name
     with (
         pytest.raises(ValueError, match=f"^state: {path}: {message}"),
@@ -354,9 +346,7 @@ def test_a_wrong_file_is_refused_before_the_server_starts(
         pytest.fail("it serves")
 
 
-def test_a_folder_that_goes_is_a_line_and_the_server_goes_on(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_folder_that_goes_is_a_line_and_the_server_goes_on(folder: Path, caplog) -> None:
     place = folder / "place"
     place.mkdir()
     device = registers()

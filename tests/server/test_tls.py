@@ -116,9 +116,7 @@ def test_suites_that_are_weak_are_refused(stage: Stage, pki: Pki, key: str, ciph
 
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1])
-def test_older_versions_are_refused(
-    stage: Stage, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
-) -> None:
+def test_older_versions_are_refused(stage: Stage, pki: Pki, served: tuple[Server, int], version):
     told = context(pki, certificates.client(), version, "ALL:@SECLEVEL=0")
     with (
         TlsClient(served[1], told, stage=stage) as client,
@@ -311,9 +309,7 @@ def digest(identity: Identity | None) -> str:
     return hashlib.sha256(identity.der).hexdigest()
 
 
-def test_what_a_pinned_one_has_signed_is_not_pinned(
-    stage: Stage, pki: Pki, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_a_pinned_one_has_signed_is_not_pinned(stage: Stage, pki: Pki, caplog) -> None:
     """OpenSSL takes it, for the pinned one is what it trusts."""
     security = pki.server(pin=pki.authority(certificates.authority()))
     with caplog.at_level(logging.INFO), talking(stage, pki, security=security) as (server, client):

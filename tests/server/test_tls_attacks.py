@@ -80,9 +80,7 @@ GARBAGE: dict[str, Callable[[], bytes]] = {
 
 @pytest.mark.parametrize("what", GARBAGE)
 @pytest.mark.parametrize("behind", ["at once", "behind a hello"])
-def test_what_is_no_tls_ends_the_connection(
-    stage: Stage, pki: Pki, what: str, behind: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_is_no_tls_ends_the_connection(stage: Stage, pki: Pki, what, behind, caplog) -> None:
     sent = (hello(pki) if behind != "at once" else b"") + GARBAGE[what]()
     limits = Limits(handshake_timeout=1)
     with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):
@@ -97,9 +95,7 @@ def test_what_is_no_tls_ends_the_connection(
         assert is_served(pki, port, stage)
 
 
-def test_a_hello_with_anything_in_it_does_no_harm(
-    stage: Stage, pki: Pki, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_hello_with_anything_in_it_does_no_harm(stage: Stage, pki: Pki, caplog) -> None:
     """Bytes of a good one are changed, a few at a time."""
     good, chance = hello(pki), random.Random(7)
     with nothing_loud(caplog), serving(pki) as (server, port):
@@ -317,9 +313,7 @@ def test_a_server_that_ends_leaves_no_handshake(pki: Pki, caplog: pytest.LogCapt
 
 @pytest.mark.parametrize("what", ["half open", "idle"])
 @pytest.mark.filterwarnings("ignore:record_property is incompatible")
-def test_a_thousand_connections_have_room(
-    pki: Pki, what: str, record_property: Callable[[str, object], None]
-) -> None:
+def test_a_thousand_connections_have_room(pki: Pki, what, record_property) -> None:
     url = pki.url("tls://127.0.0.1:0", certificates.server())
     told, first = context(pki, certificates.client()), hello(pki)
     count, some = 200, 20

@@ -206,9 +206,7 @@ def test_who_does_not_read_is_not_read_and_gets_all_when_he_does(
             assert answer == struct.pack(">H", number) + MOST_ANSWER[2:]
 
 
-def test_requests_per_second_hold_within_a_record(
-    stage: Stage, pki: Pki, way: dict[str, Any]
-) -> None:
+def test_requests_per_second_hold_within_a_record(stage: Stage, pki: Pki, way: dict[str, Any]):
     limits = Limits(requests_per_second=200)
     with talking(stage, pki, limits=limits, **way) as (server, client):
         begin = stage.now
@@ -293,9 +291,7 @@ def test_whom_the_server_closes_gets_a_goodbye(
 
 
 @VERSION
-def test_the_server_says_goodbye_when_it_ends(
-    stage: Stage, pki: Pki, version: ssl.TLSVersion
-) -> None:
+def test_the_server_says_goodbye_when_it_ends(stage: Stage, pki: Pki, version: ssl.TLSVersion):
     with serving(pki) as (_, port):
         client = connected(stage, pki, port, version)
         assert client.is_answered()

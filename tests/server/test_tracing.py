@@ -147,9 +147,7 @@ SPOILT = [
 
 
 @each_case(("fault", "spoilt"), SPOILT)
-def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(
-    fault: Fault, spoilt: list[tuple[bytes, int | None]]
-) -> None:
+def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(fault, spoilt) -> None:
     told: list[Traced] = []
     with connected(told.append, faults={17: [fault]}) as (one, _):
         ask(one, READ, ANSWER)
@@ -262,9 +260,7 @@ def test_others_come_and_go() -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError("mine"), GeneratorExit(), ModbusError("no")])
-def test_one_that_fails_costs_no_answer_and_is_logged_once(
-    error: BaseException, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_one_that_fails_costs_no_answer_and_is_logged_once(error, caplog) -> None:
     def broken(traced: Traced) -> None:
         raise error
 
@@ -277,9 +273,7 @@ def test_one_that_fails_costs_no_answer_and_is_logged_once(
 
 @pytest.mark.parametrize("direction", ["received", "sent"])
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
-def test_one_that_ends_the_program_does_after_the_answers(
-    error: type[BaseException], direction: str
-) -> None:
+def test_one_that_ends_the_program_does_after_the_answers(error, direction) -> None:
     def ending(traced: Traced) -> None:
         if traced.direction == direction:
             raise error("enough")

@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import gc
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import pytest
 
@@ -31,9 +30,7 @@ OTHER_MACHINES = ("192.0.2.1", "2001:db8::1", "::ffff:192.0.2.1")
 @pytest.mark.parametrize(
     "url", ["udp://127.0.0.1:0", pytest.param("udp://[::1]:0", marks=NEEDS_IPV6)]
 )
-def test_answers_go_to_who_asked_with_the_transaction_of_the_request(
-    url: str, device: Device
-) -> None:
+def test_answers_go_to_who_asked_with_the_transaction_of_the_request(url, device: Device) -> None:
     other, other_answer = bytes.fromhex("03 0066 0002"), bytes.fromhex("03 04 03ea 03eb")
     server = Server({UNIT: device})
     with (
@@ -75,9 +72,7 @@ def test_the_longest_request_and_the_longest_answer(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("faulty", [False, True])
-def test_worked_requests_are_answered_as_on_tcp(
-    stage: Stage, subtests: pytest.Subtests, faulty: bool
-) -> None:
+def test_worked_requests_are_answered_as_on_tcp(stage: Stage, subtests: pytest.Subtests, faulty):
     """The same device as on TCP, and that the answer is of this request."""
     faults = {None: [Fault("no_answer", function=100)]} if faulty else None
     for number, vector in enumerate(WORKED):
@@ -185,9 +180,7 @@ def test_clients_that_write_or_ask_again_are_answered(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("source", [502, 802, None], ids=str)
-def test_a_client_may_send_from_the_ports_of_modbus_and_of_the_server(
-    stage: Stage, source: int | None
-) -> None:
+def test_a_client_may_send_from_the_ports_of_modbus_and_of_the_server(stage: Stage, source) -> None:
     with served(stage, scheme="udp") as server:
         for transaction in range(30):
             place = ("10.0.0.9", source or server.place[1])
@@ -231,9 +224,7 @@ def test_addresses_of_other_machines_get_no_more_than_a_thousand_answers_a_secon
     assert admitted() == later
 
 
-def test_however_many_sources_are_forged_little_is_remembered(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_however_many_sources_are_forged_little_is_remembered(monkeypatch) -> None:
     monkeypatch.setattr(source_module, "REMEMBERED_MAX", 300)
     monkeypatch.setattr(limits, "REMEMBERED_MAX", 200)
 
@@ -298,9 +289,7 @@ def test_an_answer_still_kept_back_does_not_keep_the_server(stage: Stage) -> Non
     assert stage.now - begun < 0.01
 
 
-def test_no_more_than_so_many_answers_are_kept_back(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_more_than_so_many_answers_are_kept_back(stage: Stage, monkeypatch) -> None:
     """Requests that arrive meanwhile are lost."""
     monkeypatch.setattr(source_module, "REMEMBERED_MAX", 100)
     faults = {None: [Fault("delay", seconds=600)]}
@@ -365,9 +354,7 @@ def damaged(scheme: str) -> Iterator[bytes]:
     ids=["plain", "faulty", "gateway"],
 )
 @pytest.mark.parametrize("scheme", DATAGRAMS)
-def test_a_datagram_that_is_no_frame_is_counted_once(
-    stage: Stage, scheme: str, settings: dict[str, Any]
-) -> None:
+def test_a_datagram_that_is_no_frame_is_counted_once(stage: Stage, scheme, settings) -> None:
     url, made = f"{scheme}://10.0.0.1:1502", DATAGRAMS[scheme]
     with unit_one(url, **settings) as (server, _), stage.talk(url) as client:
         statistics = server.statistics

@@ -123,9 +123,7 @@ def allowed(ask: Callable[[pdu.Request[object]], object]) -> list[bool]:
         ("viewer", [False, False, False, False]),
     ],
 )
-def test_rules_go_by_the_role_of_the_certificate(
-    pki: Pki, role: str | None, expected: list[bool]
-) -> None:
+def test_rules_go_by_the_role_of_the_certificate(pki: Pki, role, expected) -> None:
     device = Device(Mapping(holding_registers=1), authorize=RULES)
     server = Server(device, security=pki.server())
     with (

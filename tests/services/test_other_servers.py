@@ -81,9 +81,7 @@ def test_a_wrong_url_is_refused(text: str) -> None:
         *("x://me:secret@h", "me:secret@h", "{}://me:secret@[::1", "{}://me:se cret@h#secret"),
     ],
 )
-def test_a_login_in_a_url_is_refused_and_not_shown(
-    scheme: str, take: Callable[[str], Any], setting: str, text: str
-) -> None:
+def test_a_login_in_a_url_is_refused_and_not_shown(scheme, take, setting, text) -> None:
     with pytest.raises(ValueError, match="must not contain a user or password: use ") as caught:
         take(text.format(scheme, scheme))
     assert setting in str(caught.value)
@@ -91,9 +89,7 @@ def test_a_login_in_a_url_is_refused_and_not_shown(
 
 
 @each_case(("scheme", "take", "setting"), TAKEN)
-def test_a_token_in_a_query_is_refused_and_not_shown(
-    scheme: str, take: Callable[[str], Any], setting: str
-) -> None:
+def test_a_token_in_a_query_is_refused_and_not_shown(scheme, take, setting) -> None:
     with pytest.raises(ValueError, match="must be a URL") as caught:
         take(f"{scheme}://h/?token=secret")
     assert "secret" not in str(caught.value)
@@ -130,9 +126,7 @@ SECRETS: list[Callable[[Path], Any]] = [SecretFile, lambda path: FileText("NATS_
 
 @each_case("read_file", SECRETS)
 @each_case("mode", [0o600, 0o400, 0o604, 0o644, 0o444])
-def test_a_secret_is_taken_only_if_others_cannot_read_it(
-    tmp_path: Path, read_file: Callable[[Path], Any], mode: int
-) -> None:
+def test_a_secret_is_taken_only_if_others_cannot_read_it(tmp_path, read_file, mode) -> None:
     path = write_secret(tmp_path / "secret", "sesame")
     path.chmod(mode)
     if not mode & 0o077:

@@ -82,9 +82,7 @@ async def set_a_timer_that_is_due() -> None:
 
 
 @each_case("spin", [ask_the_clock, set_a_timer_that_is_due])
-def test_who_keeps_the_loop_turning_at_one_time_ends_it(
-    spin: Callable[[], Coroutine[Any, Any, None]],
-) -> None:
+def test_who_keeps_the_loop_turning_at_one_time_ends_it(spin) -> None:
     with pytest.raises(Stuck, match=r"the loop turns without end at 1000\.0 s"):
         Network().run(spin)
 

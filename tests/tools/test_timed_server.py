@@ -73,9 +73,7 @@ def test_the_oldest_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
             assert is_answered(latest)
 
 
-def test_an_exception_of_a_handler_is_logged_unless_the_client_has_gone(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_an_exception_of_a_handler_is_logged_unless_the_client_has_gone(caplog) -> None:
     with serving() as server:
         for data in ERRORS:
             with connected(server) as connection:

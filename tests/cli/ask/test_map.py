@@ -4,7 +4,7 @@ import os
 import signal
 import struct
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -156,9 +156,7 @@ def device(*missing: int) -> Device:
 
 
 @each_case(("missing", "most"), [((), 1), ((3, 11, 12), 30), (range(20), 40)])
-def test_few_requests_find_what_a_device_lacks(
-    points: Path, missing: Sequence[int], most: int
-) -> None:
+def test_few_requests_find_what_a_device_lacks(points: Path, missing, most) -> None:
     with ServerMaker() as maker:
         server = maker(devices=device(*missing))
         done = run("map", "check", points, "--device", server.url)

@@ -8,7 +8,6 @@ import contextlib
 import io
 import json
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -71,9 +70,7 @@ def test_longest_lists_of_values(url: str) -> None:
 
 
 @each_case("code", [6, 10, 11])
-def test_a_refusal_of_the_time_or_the_way_splits_nothing(
-    maker: ServerMaker, tmp_path: Path, code: int
-) -> None:
+def test_a_refusal_of_the_time_or_the_way_splits_nothing(maker: ServerMaker, tmp_path, code):
     (tmp_path / "two.csv").write_text("name,table,address\na,holding,0\nb,holding,1\n")
     server = maker(faults={None: [Fault("exception", code=code)]})
     assert run("read", server.url, "--map", tmp_path / "two.csv", "--retries", "0").code == 1
@@ -169,9 +166,7 @@ def test_a_device_may_close_the_connection_for_what_it_does_not_know(maker: Serv
 
 
 @pytest.mark.parametrize("has_basic", [True, False])
-def test_basic_objects_that_a_device_leaves_out_at_other_levels_are_asked_for(
-    has_basic: bool,
-) -> None:
+def test_basic_objects_that_a_device_leaves_out_at_other_levels_are_asked_for(has_basic) -> None:
     def answer(request: bytes) -> list[bytes]:
         if request[7] != 43 or (request[9] == 1 and not has_basic):
             return [mbap(request, bytes([request[7] | 0x80, 1]))]

@@ -162,9 +162,7 @@ def test_a_terminal_has_a_table_that_is_drawn_in_place(running: Running, mapping
 @pytest.mark.parametrize(
     ("environment", "in_place"), [({"NO_COLOR": "1"}, True), ({"TERM": "dumb"}, False)]
 )
-def test_terminals_that_want_less(
-    running: Running, mapping: Mapping, environment: dict[str, str], in_place: bool
-) -> None:
+def test_terminals_that_want_less(running: Running, mapping: Mapping, environment, in_place):
     arguments = ["read", running.urls[0], "holding", "0", *WATCH]
     with on_terminal(*arguments, environment=environment) as terminal:
         terminal.until(lambda shown: shown.count("\n") >= 4)

@@ -63,9 +63,7 @@ def test_serve_says_when_a_port_is_taken(url: str) -> None:
     ],
 )
 @each_case("is_guarded", [True, False])
-def test_it_says_in_one_line_that_anyone_may_write(
-    urls: list[str], named: int, is_guarded: bool
-) -> None:
+def test_it_says_in_one_line_that_anyone_may_write(urls, named, is_guarded) -> None:
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         announce(urls, is_guarded=is_guarded)

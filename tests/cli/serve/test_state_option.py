@@ -60,9 +60,7 @@ def test_values_of_a_device_file_survive_a_reading_again(plant: Path, tmp_path: 
         assert plc.for_unit(2).read_holding_registers(5, 1) == [9]
 
 
-def test_a_state_of_other_devices_is_refused_before_anything_is_served(
-    plant: Path, tmp_path: Path
-) -> None:
+def test_a_state_of_other_devices_is_refused_before_anything_is_served(plant: Path, tmp_path):
     state = tmp_path / "state"
     with serving(*SERVE, "--state", state) as (_, url), Client(url) as plc:
         plc.write_register(0, 1)

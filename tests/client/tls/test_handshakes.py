@@ -44,9 +44,7 @@ def stalls(sock: socket.socket) -> None:
 
 
 @pytest.mark.parametrize("talk", [trickles, says_hello_again_and_again, stalls])
-def test_a_handshake_ends_with_the_timeout(
-    connect: Connect, pki: Pki, talk: Callable[[socket.socket], object]
-) -> None:
+def test_a_handshake_ends_with_the_timeout(connect: Connect, pki: Pki, talk) -> None:
     with raw(talk) as url:
         plc = connect(url, security=pki.client(), timeout=0.2)
         begin = time.monotonic()
@@ -58,9 +56,7 @@ def test_a_handshake_ends_with_the_timeout(
         plc.close()
 
 
-def test_a_slow_handshake_is_good_if_there_is_time(
-    connect: Connect, pki: Pki, serving: Serving
-) -> None:
+def test_a_slow_handshake_is_good_if_there_is_time(connect: Connect, pki: Pki, serving: Serving):
     def bytewise(data: bytes) -> Iterator[bytes]:
         for at in range(0, len(data), 7):
             time.sleep(0.0002)

@@ -21,9 +21,7 @@ ALERT, ACCESS_DENIED = 21, b"\x02\x31"
 
 
 @pytest.mark.parametrize("key", ["EC", "RSA"])
-def test_both_versions_and_both_kinds_of_keys(
-    talking: Talking, pki: Pki, version: str, key: str
-) -> None:
+def test_both_versions_and_both_kinds_of_keys(talking: Talking, pki: Pki, version: str, key):
     options = {"key": certificates.rsa_key()} if key == "RSA" else {}
     own = {"security": pki.security(certificates.client(**options))}
     shown = certificates.server(**options)
@@ -76,9 +74,7 @@ def test_records_say_nothing_about_frames(talking: Talking, version: str, script
     assert server.connections == 1
 
 
-def test_tickets_changes_of_keys_and_empty_records_between_answers(
-    talking: Talking, tmp_path: Path
-) -> None:
+def test_tickets_changes_of_keys_and_empty_records_between_answers(talking: Talking, tmp_path):
     log = tmp_path / "keys"
     other: list[Callable[[Sealed], bytes]] = [
         lambda sealed: sealed.record(sealed.ticket(), HANDSHAKE),
@@ -175,9 +171,7 @@ def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:
         assert "closed by the other side" in str(found[1])
 
 
-def test_an_answer_and_an_alert_in_one_go(
-    connect: Connect, pki: Pki, serving: Serving, tmp_path: Path
-) -> None:
+def test_an_answer_and_an_alert_in_one_go(connect: Connect, pki: Pki, serving: Serving, tmp_path):
     """More requests wait to be sent, and cannot be any more."""
     log = tmp_path / "keys"
     kept: list[socket.socket] = []

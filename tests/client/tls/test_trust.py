@@ -219,9 +219,7 @@ def refusing(context: ssl.SSLContext, is_abrupt: bool, sock: socket.socket) -> N
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
-def test_a_reset_behind_the_refusal_does_not_hide_it(
-    connect: Connect, pki: Pki, serving: Serving
-) -> None:
+def test_a_reset_behind_the_refusal_does_not_hide_it(connect: Connect, pki: Pki, serving: Serving):
     """The request finds the connection gone; what the server said before is still to be read."""
     own = certificates.client(issuer=foreign_authority())
     gone = threading.Event()

@@ -180,9 +180,7 @@ class TestBadRequests:
         ("request_pdu", "error"),
         BAD_READS + [pytest.param(bad, error, id=why) for why, bad, error in BAD_REQUESTS],
     )
-    def test_server_must_answer_with(
-        self, request_pdu: bytes, error: type[ExceptionResponse]
-    ) -> None:
+    def test_server_must_answer_with(self, request_pdu, error) -> None:
         with pytest.raises(ExceptionResponse) as caught:
             decode_request(request_pdu)
         assert type(caught.value) is error

@@ -99,18 +99,14 @@ class TestConstructors:
                 make(wrong)
 
     @each_case(("name", "low", "high", "make"), NUMBERS)
-    def test_numbers_of_other_types_become_int(
-        self, name: str, low: int, high: int, make: Make
-    ) -> None:
+    def test_numbers_of_other_types_become_int(self, name, low, high, make) -> None:
         if high >= 7:
             number = getattr(make(Seven()), name)
             assert number == 7
             assert type(number) is int
 
     @each_case(("good", "bad", "make"), BYTES)
-    def test_data_are_bytes_of_some_sizes(
-        self, good: list[int], bad: list[int], make: Make
-    ) -> None:
+    def test_data_are_bytes_of_some_sizes(self, good, bad, make) -> None:
         for size in good:
             assert len(make(bytes(size)).encode()) <= pdu.MAX_PDU
         for size in bad:
@@ -147,16 +143,12 @@ class TestConstructors:
 
     @each_case("bad", NO_SEQUENCES, ids=repr)
     @each_case(("name", "limit", "make"), SEQUENCED)
-    def test_values_are_no_text_set_mapping_or_number(
-        self, name: str, limit: int, make: MakeAt, bad: Any
-    ) -> None:
+    def test_values_are_no_text_set_mapping_or_number(self, name, limit, make, bad) -> None:
         with pytest.raises(TypeError, match=rf"^{name} must be a sequence of 1\.\.{limit} values"):
             make(0, bad)
 
     @pytest.mark.parametrize(("name", "limit", "make"), SEQUENCED)
-    def test_values_of_any_iterable_are_kept_as_a_tuple(
-        self, name: str, limit: int, make: MakeAt
-    ) -> None:
+    def test_values_of_any_iterable_are_kept_as_a_tuple(self, name, limit, make) -> None:
         for values in ([1, 0], (1, 0), range(1, -1, -1), (value for value in (1, 0))):
             kept = getattr(make(0, values), name)
             assert kept == (1, 0)
@@ -166,9 +158,7 @@ class TestConstructors:
         assert repr(pdu.WriteRegisters(0, [1, Seven()]).values) == "(1, 7)"
 
     @pytest.mark.parametrize(("name", "limit", "make"), SEQUENCED)
-    def test_address_and_values_do_not_pass_65536(
-        self, name: str, limit: int, make: MakeAt
-    ) -> None:
+    def test_address_and_values_do_not_pass_65536(self, name, limit, make) -> None:
         make(65536 - limit, [1] * limit)
         with pytest.raises(ValueError, match=rf"address \+ len\({name}\) .* 65536"):
             make(65536 - limit + 1, [1] * limit)
@@ -221,9 +211,7 @@ class TestConstructors:
             (5, TypeError, r"records\[1\] must be a tuple \(file, record, length\)"),
         ],
     )
-    def test_read_file_records_names_the_bad_piece(
-        self, record: Any, error: type[Exception], words: str
-    ) -> None:
+    def test_read_file_records_names_the_bad_piece(self, record, error, words) -> None:
         with pytest.raises(error, match=f"^{words}"):
             pdu.ReadFileRecords([(1, 0, 1), record])
 
@@ -241,9 +229,7 @@ class TestConstructors:
             ((1, 0), TypeError, r"records\[1\] must be a tuple \(file, record, values\)"),
         ],
     )
-    def test_write_file_records_names_the_bad_piece(
-        self, record: Any, error: type[Exception], words: str
-    ) -> None:
+    def test_write_file_records_names_the_bad_piece(self, record, error, words) -> None:
         with pytest.raises(error, match=f"^{words}"):
             pdu.WriteFileRecords([(1, 0, [1]), record])
 

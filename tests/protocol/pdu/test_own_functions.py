@@ -67,9 +67,7 @@ class Changed(Doubled):
         (Changed(), "Changed()", {"name": "Changed"}, "changed"),
     ],
 )
-def test_a_request_that_is_no_dataclass_is_shown(
-    request_: Any, text: str, fields: dict[str, Any], words: str
-) -> None:
+def test_a_request_that_is_no_dataclass_is_shown(request_, text, fields, words) -> None:
     assert str(request_) == text
     assert plain(request_) == fields
     assert request_words(request_) == words

@@ -8,7 +8,6 @@ import json
 import ssl
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, closing, suppress
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -223,9 +222,7 @@ async def test_a_server_without_tls_is_sent_nothing() -> None:
 
 
 @in_real_time
-async def test_a_server_without_tls_is_sent_nothing_when_the_connection_is_made_again(
-    tmp_path: Path,
-) -> None:
+async def test_a_server_without_tls_is_sent_nothing_when_the_connection_is_made_again(tmp_path):
     ca = save(tmp_path, authority(), "ca")
     own = save(tmp_path, certificates.server(), "own")
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)

@@ -81,9 +81,7 @@ def refused(client: type[Client], **environment: str) -> str:
     return str(caught.value)
 
 
-def test_credentials_come_from_the_environment(
-    client: type[Client], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_credentials_come_from_the_environment(client: type[Client], monkeypatch, tmp_path) -> None:
     creds, seed = tmp_path / "c", tmp_path / "n"
     write_secret(creds, "BEGIN NATS USER JWT, BEGIN USER NKEY SEED")
     write_secret(seed, "SUA")
@@ -104,9 +102,7 @@ def test_credentials_come_from_the_environment(
 
 
 @pytest.mark.parametrize("name", ["NATS_CREDS", "NATS_NKEY"])
-def test_keys_need_nkeys_and_nothing_else_does(
-    name: str, client: type[Client], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_keys_need_nkeys_and_nothing_else_does(name, client: type[Client], monkeypatch) -> None:
     monkeypatch.setattr(connection, "find_spec", lambda name: None)
     assert refused(client, **{name: "file"}) == f"{name} needs nkeys: pip install nkeys"
     assert client.made == []
@@ -245,9 +241,7 @@ async def fails(said: bytes, closes: bool, patience: float) -> str:
 
 
 @pytest.mark.parametrize("closes", [False, True], ids=["stays", "closes"])
-def test_a_connection_that_ends_before_it_began_leaves_no_descriptor_open(
-    monkeypatch: pytest.MonkeyPatch, closes: bool
-) -> None:
+def test_a_connection_that_ends_before_it_began_leaves_no_descriptor_open(monkeypatch, closes):
     """If nats-py notices it, or a caller that connects waits no longer."""
     monkeypatch.setattr(connection, "TIMEOUT", 0.5)
     monkeypatch.setitem(TIMES, "connect_timeout", 0.5)

@@ -102,9 +102,7 @@ def test_settings_of_workers_have_defaults() -> None:
         ("nats://127.0.0.1", TypeError, "engine must be a table"),
     ],
 )
-def test_a_wrong_setting_of_a_device_is_named(
-    given: Any, error: type[Exception], text: str
-) -> None:
+def test_a_wrong_setting_of_a_device_is_named(given, error, text) -> None:
     with pytest.raises(error, match=text):
         settings(given)
 

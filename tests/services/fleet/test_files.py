@@ -259,9 +259,7 @@ WRONG_TABLES = [
         *((f"{table}\n{SIMPLE}", line, said) for table, line, said in WRONG_TABLES),
     ],
 )
-def test_a_wrong_value_is_named_with_its_line(
-    tmp_path: Path, fleet: str, line: int | None, said: str
-) -> None:
+def test_a_wrong_value_is_named_with_its_line(tmp_path, fleet, line, said) -> None:
     path = written(tmp_path, fleet)
     with pytest.raises(FleetFileError) as caught:
         load(path)
@@ -321,9 +319,7 @@ SPREADSHEET = "Geräte 2026;;;\n\nname;url;map;interval;labels.site\na;tcp://h;m
     ],
     ids=["UTF-8", "cp1252", "UTF-16", "sep"],
 )
-def test_a_list_of_devices_is_read_as_spreadsheets_save_it(
-    tmp_path: Path, data: bytes, said: list[str]
-) -> None:
+def test_a_list_of_devices_is_read_as_spreadsheets_save_it(tmp_path, data, said) -> None:
     encoding = 'encoding = "cp1252"\n' if "read as cp1252" in said else ""
     path = written(tmp_path, f'{encoding}devices = "more.csv"')
     (tmp_path / "more.csv").write_bytes(data)

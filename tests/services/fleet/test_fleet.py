@@ -125,9 +125,7 @@ async def test_timeouts_are_those_of_each_device() -> None:
 
 
 @in_simulated_time
-async def test_polls_due_after_a_standstill_begin_in_many_turns_of_the_loop(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_polls_due_after_a_standstill_begin_in_many_turns_of_the_loop(monkeypatch) -> None:
     """Nothing else would happen for half a second, if thousands of polls began in one turn."""
     began: Counter[int] = Counter()
     turn = 0
@@ -268,9 +266,7 @@ async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading
 
 
 @in_simulated_time
-async def test_the_last_value_of_a_point_is_written_again_until_the_next(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_the_last_value_of_a_point_is_written_again_until_the_next(caplog) -> None:
     period = 30
     points = [Point("power", "holding_registers", 2, rewrite=period, maximum=100)]
     device = Device(Mapping(holding_registers=range(4)))

@@ -51,9 +51,7 @@ def told(values: list[Any], *, on_change: bool = False, band: float | None = Non
         ({"band": 1.0}, [[1, 5], [1.5, 5.5], [1.5, 6.5]], [[1, 5], [1.5, 6.5]]),
     ],
 )
-def test_a_value_is_reported_when_the_options_say_so(
-    options: Any, values: list[Any], expected: list[Any]
-) -> None:
+def test_a_value_is_reported_when_the_options_say_so(options, values, expected) -> None:
     assert repr(told(values, **options)) == repr(expected)
 
 
@@ -83,9 +81,7 @@ DOWN = ModbusTimeoutError("no answer")
         ({"on_change": True, "at_least": 60}, [7, DOWN, DOWN, DOWN, DOWN, 7, 7], [0, 1, 4, 5]),
     ],
 )
-def test_a_point_is_reported_at_least_so_often(
-    options: Any, values: list[Any], polls: list[int]
-) -> None:
+def test_a_point_is_reported_at_least_so_often(options, values, polls) -> None:
     point = Point("x", "holding_registers", 0)
     device = DeviceConfig("a", "tcp://192.0.2.1", RegisterMap([point]), interval=20, **options)
     poller = Poller(device)

@@ -78,9 +78,7 @@ def add(plant: Path, output: str) -> None:
 
 
 @pytest.mark.skipif(bool(missing("influxd")), reason="Debian 13 has no InfluxDB")
-def test_the_query_of_grafana_finds_a_line_for_each_device_in_influxdb(
-    plant: Path, tmp_path: Path
-) -> None:
+def test_the_query_of_grafana_finds_a_line_for_each_device_in_influxdb(plant: Path, tmp_path):
     section = "Grafana with InfluxDB"
     database = Database(tmp_path)
     database.start()
@@ -227,9 +225,7 @@ async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> Non
 
 
 @in_real_time
-async def test_home_assistant_finds_a_device_that_goes_in_a_reload(
-    plant: Path, broker: Broker
-) -> None:
+async def test_home_assistant_finds_a_device_that_goes_in_a_reload(plant: Path, broker: Broker):
     from tests.services.fleet.outputs.home_assistant import home_assistant
 
     before = plant.read_text()

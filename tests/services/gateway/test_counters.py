@@ -164,9 +164,7 @@ def answer(request: bytes, write: Write) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_each_request_counts_once(
-    stage: Stage, name: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_each_request_counts_once(stage: Stage, name, caplog) -> None:
     case = CASES[name]
     Scripted(stage, LINE, answer)
     options = {**case.options}

@@ -67,9 +67,7 @@ def test_255_goes_where_a_route_says_it_and_the_gateway_where_it_is_told(stage: 
             assert context.for_unit(unit).read_input_registers(1, 1) == [1]
 
 
-def test_on_a_line_the_gateway_answers_its_units_and_leaves_others_to_their_devices(
-    stage: Stage,
-) -> None:
+def test_on_a_line_the_gateway_answers_its_units_and_leaves_others_to_their_devices(stage: Stage):
     """The answer to a write looks like the write, and so does the same write again."""
     device = small()
     with (
@@ -121,9 +119,7 @@ MOST = 3
 
 
 @pytest.mark.parametrize("front", ["udp", "rtu+udp"])
-def test_answers_make_room_for_further_datagrams(
-    stage: Stage, front: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_answers_make_room_for_further_datagrams(stage: Stage, front, monkeypatch) -> None:
     monkeypatch.setattr(udp, "REMEMBERED_MAX", MOST)
     with passage(front, "rtu", {1: small()}, stage=stage) as through, through.context(1) as client:
         for _ in range(2 * MOST):

@@ -51,9 +51,7 @@ def test_routes_change_and_connections_stay(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("stays", [True, False])
-def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(
-    stage: Stage, stays: bool
-) -> None:
+def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(stage: Stage, stays):
     """A line stays if its URL does, whatever else of its routes changes."""
     with gated(stage) as (gate, _, url, made), stage.talk(url) as client, stage.talk(url) as other:
         client.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2))

@@ -32,9 +32,7 @@ def told(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 
 @on_line()
-async def test_a_silent_unit_rests_and_is_tried_by_one_request(
-    plant: Plant, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_silent_unit_rests_and_is_tried_by_one_request(plant: Plant, caplog) -> None:
     caplog.set_level(logging.INFO, logger=TOLD)
     plant.silent.add(9)
     first, second, third = Asker(), Asker(), Asker()
@@ -81,9 +79,7 @@ async def test_a_trial_whose_connection_is_lost_is_followed_by_a_longer_rest(pla
 
 
 @on_line()
-async def test_a_unit_that_answers_nothing_rests(
-    plant: Plant, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_unit_that_answers_nothing_rests(plant: Plant, caplog) -> None:
     caplog.set_level(logging.INFO, logger=TOLD)
     asker = Asker()
     for request in (READ, UNKNOWN):
@@ -137,9 +133,7 @@ async def test_requests_of_a_silent_function_are_refused_together_until_it_answe
 
 
 @on_line()
-async def test_a_request_that_gets_no_answer_is_no_silence_and_leaves_the_unit_due(
-    plant: Plant,
-) -> None:
+async def test_a_request_that_gets_no_answer_is_no_silence_and_leaves_the_unit_due(plant: Plant):
     """A device that is to listen only says nothing (application protocol, 6.8.1)."""
     plant.silent.add(9)
     plant.ask(9, Asker())
@@ -224,9 +218,7 @@ def test_the_queue_of_all_clients_together_is_limited(monkeypatch: pytest.Monkey
     ("requests", "is_kept"), [([READ], True), ([READ, WRITE], False), ([WRITE, READ], False)]
 )
 @on_line("tcp://10.0.0.1?max_in_flight=2")
-async def test_no_answer_is_kept_that_may_be_older_than_a_write(
-    plant: Plant, requests: list[str], is_kept: bool
-) -> None:
+async def test_no_answer_is_kept_that_may_be_older_than_a_write(plant: Plant, requests, is_kept):
     """Both may be on their way together: nobody knows which one the device does first."""
     for request in requests:
         plant.ask(2, Asker(), request, age=1)
@@ -380,9 +372,7 @@ async def test_a_device_that_is_not_there_is_told_once_and_when_it_is_back(
 
 
 @on_line("tcp://10.0.0.1")
-async def test_a_line_that_is_lost_at_each_request_is_opened_every_two_seconds(
-    plant: Plant,
-) -> None:
+async def test_a_line_that_is_lost_at_each_request_is_opened_every_two_seconds(plant: Plant):
     """The pause that doubles each time, a fifth shorter at random, is no longer than that."""
     plant.peer.on_request = lambda request, write: plant.peer.drop_all()
     asker = Asker()

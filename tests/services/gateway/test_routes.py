@@ -42,9 +42,7 @@ def test_a_route_has_the_units_that_its_line_can_have(url: str, units: range) ->
         ("4", [1], {4: 1}),
     ],
 )
-def test_units_may_be_others_on_the_line(
-    units: Any, device_units: Any, ways: dict[int, int]
-) -> None:
+def test_units_may_be_others_on_the_line(units, device_units, ways) -> None:
     assert Route(TCP, units, device_units).ways == ways
 
 
@@ -130,15 +128,11 @@ def leads_back(line: str, listening: str) -> bool:
         ("tcp://127.0.0.1:1502", "tcp://192.0.2.1:1502", False),
     ],
 )
-def test_a_line_to_where_the_gateway_listens_is_seen(
-    line: str, listening: str, is_own: bool
-) -> None:
+def test_a_line_to_where_the_gateway_listens_is_seen(line, listening, is_own) -> None:
     assert leads_back(line, listening) is is_own
 
 
-def test_an_address_of_this_machine_is_found_by_binding_to_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_address_of_this_machine_is_found_by_binding_to_it(monkeypatch) -> None:
     bound: list[tuple[str, int]] = []
     monkeypatch.setattr(socket.socket, "bind", lambda self, address: bound.append(address))
     for host in ("192.0.2.99", "[2001:db8::99]"):

@@ -255,9 +255,7 @@ def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorR
         assert of_client(values(registry), "requests_sent_total", url) == 2
 
 
-def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(
-    registry: CollectorRegistry,
-) -> None:
+def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(registry: CollectorRegistry):
     """Prometheus would take that for a restart, and what is left for new."""
     name = "requests_sent_total"
     with served() as (_, url), Client(url) as stays:
@@ -278,9 +276,7 @@ def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(
     assert not values(registry)
 
 
-def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(
-    registry: CollectorRegistry,
-) -> None:
+def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(registry: CollectorRegistry):
     stays = Client("tcp://127.0.0.1:1")
     collector = collect(stays, registry=registry)
     for turn in range(200):
@@ -294,9 +290,7 @@ def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(
     stays.close()
 
 
-def test_an_object_that_is_neither_client_nor_server_is_refused(
-    registry: CollectorRegistry,
-) -> None:
+def test_an_object_that_is_neither_client_nor_server_is_refused(registry: CollectorRegistry):
     server = Server(DEVICE)
     for wrong in (DEVICE, None, "tcp://127.0.0.1"):
         with pytest.raises(TypeError, match="objects must be clients, servers, gateways or fleets"):
@@ -360,9 +354,7 @@ def test_metrics_are_exposed_while_the_block_runs(registry: CollectorRegistry, h
         urllib.request.urlopen(url, timeout=5)
 
 
-def test_a_scrape_that_stalls_delays_no_other(
-    registry: CollectorRegistry, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scrape_that_stalls_delays_no_other(registry: CollectorRegistry, monkeypatch) -> None:
     """Two servers of one program, and each has clients that never finish their request."""
     monkeypatch.setattr(prometheus, "LIMIT_S", 3600.0)
     with contextlib.ExitStack() as stack:

@@ -138,9 +138,7 @@ async def test_a_command_to_a_device_of_a_dead_worker_is_answered_when_another_o
 
 @pytest.mark.parametrize("seconds", [0.6 * LEASE, 2 * LEASE])
 @commanded(8)
-async def test_one_worker_answers_though_the_other_one_was_stopped(
-    to: Listener, seconds: float
-) -> None:
+async def test_one_worker_answers_though_the_other_one_was_stopped(to: Listener, seconds) -> None:
     device, process = to.device_of("a"), to.trial.workers["a"].process
     process.stop()
     await asyncio.sleep(seconds)
@@ -195,9 +193,7 @@ def failures(monkeypatch: pytest.MonkeyPatch) -> list[Exception]:
 
 
 @commanded()
-async def test_a_subscription_that_fails_is_tried_again(
-    to: Listener, failures: list[Exception]
-) -> None:
+async def test_a_subscription_that_fails_is_tried_again(to: Listener, failures: list[Exception]):
     assert await to.ask("d0-1.setpoint", 20) == {"ok": True}
     assert failures == []
 

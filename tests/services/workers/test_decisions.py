@@ -85,9 +85,7 @@ class TestLease:
             assert one.worker.lease_until == until
 
     @pytest.mark.parametrize("is_deleted", [False, True])
-    def test_a_worker_recorded_as_ended_or_deleted_joins_again_under_another_id(
-        self, is_deleted: bool
-    ) -> None:
+    def test_a_worker_recorded_as_ended_or_deleted_joins_again_under_another_id(self, is_deleted):
         one = at_work(LINE)
         if is_deleted:
             one.write("worker.m.1", None, 12.0)
@@ -175,9 +173,7 @@ class TestEndedWorkers:
     """They stay for `fleet status` for a minute."""
 
     @pytest.mark.parametrize("is_needed", [False, True])
-    def test_ended_workers_are_deleted_after_a_minute_unless_they_hold_a_slot(
-        self, is_needed: bool
-    ) -> None:
+    def test_ended_workers_are_deleted_after_a_minute_unless_they_hold_a_slot(self, is_needed):
         one = OneWorker(*[NORTH] * is_needed)
         one.member("z.1", 0.0, "ended")
         one.hold(NORTH, "z.1")

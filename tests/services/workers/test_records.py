@@ -97,9 +97,7 @@ KEY = "tcp:192.0.2.99:502"
     ids=str,
 )
 @tried(2, settings=FleetSettings(LEASE, commands=True))
-async def test_devices_in_any_form_cost_no_answer_and_no_poll(
-    trial: Trial, devices: object
-) -> None:
+async def test_devices_in_any_form_cost_no_answer_and_no_poll(trial: Trial, devices) -> None:
     await trial.start("a", "b")
     await trial.settle()
     value = {"connection": KEY, "timeout": 0.1, "devices": devices}

@@ -55,9 +55,7 @@ BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
 
 
 @pytest.mark.parametrize(("fault", "framer", "expected"), BYTES)
-def test_bytes_of_each_fault(
-    fault: Fault, framer: Framer, expected: list[tuple[float, str]]
-) -> None:
+def test_bytes_of_each_fault(fault, framer, expected) -> None:
     sent = [(each.wait, each.data.hex()) for each in fault.fragments(ANSWER, framer)]
     assert sent == expected
 
@@ -107,9 +105,7 @@ def blocks(client: Talker, requests: bytes) -> bool:
         (Fault("delay", every=50, seconds=0.001), b"\x03\0\0\0\x08"),
     ],
 )
-def test_a_client_that_gets_no_more_answers_is_not_read(
-    stage: Stage, fault: Fault, request_: bytes
-) -> None:
+def test_a_client_that_gets_no_more_answers_is_not_read(stage: Stage, fault, request_) -> None:
     with serving(stage, "tcp", fault) as url, stage.talk(url) as flood:
         assert blocks(flood, adu(request_) * 10_000)
 
@@ -141,9 +137,7 @@ LAST = [Fragment(0, b"12", is_last=True)]
         ),
     ],
 )
-def test_fragments_of_a_fault_are_sent_at_their_times(
-    stage: Stage, steps: list[Step], lengths: list[int], waits: list[bool]
-) -> None:
+def test_fragments_of_a_fault_are_sent_at_their_times(stage: Stage, steps, lengths, waits) -> None:
     written: list[bytes] = []
     told: list[bool] = []
 
@@ -166,9 +160,7 @@ def test_fragments_of_a_fault_are_sent_at_their_times(
 
 @pytest.mark.parametrize("length", [None, 5, 512])
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_a_fault_sends_its_part_before_it_closes_the_connection(
-    stage: Stage, scheme: str, length: int | None
-) -> None:
+def test_a_fault_sends_its_part_before_it_closes_the_connection(stage: Stage, scheme, length):
     fault = Fault("disconnect", function=3, length=length)
     with serving(stage, scheme, fault) as url, stage.talk(url) as connection:
         if scheme == "tcp":

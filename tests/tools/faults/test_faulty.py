@@ -35,9 +35,7 @@ def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Stage) ->
         assert client.read_coils(2, 1) == [False]
 
 
-def test_units_without_faults_are_answered_in_c(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_units_without_faults_are_answered_in_c(stage: Stage, monkeypatch) -> None:
     units = {1: made_device(), 2: made_device()}
     for device in units.values():
         monkeypatch.setattr(device, "_respond", lambda *_: pytest.fail("not in C"))
@@ -156,9 +154,7 @@ def test_others_are_answered_while_the_fault_lasts(stage: Stage, fault: Fault, u
 
 
 @pytest.mark.parametrize("change", ["switched_off", "turned_off", "replaced"])
-def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(
-    stage: Stage, change: str
-) -> None:
+def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(stage: Stage, change):
     server = Server({1: made_device()})
     with server.background("tcp://10.0.0.1:0") as running, stage.talk(running.urls[0]) as slow:
         switched = server.fault_switch.switch_on(Fault("delay", seconds=5))

@@ -91,9 +91,7 @@ def test_amounts_have_units() -> None:
         ("", ValueError),
     ],
 )
-def test_a_wrong_amount_is_named_with_what_is_allowed(
-    given: object, error: type[Exception]
-) -> None:
+def test_a_wrong_amount_is_named_with_what_is_allowed(given, error) -> None:
     with pytest.raises(error, match=r'^keep must be a time in "1 minute".."100 years", not '):
         in_seconds("keep", given, "1 minute", "100 years")
 
@@ -201,9 +199,7 @@ FORMATS: dict[str, Callable[[Path, list[Point]], list[Point]]] = {
 
 @each_case("key", list(EXAMPLES))
 @pytest.mark.parametrize("form", list(FORMATS))
-def test_a_format_has_the_key(
-    tmp_path_factory: pytest.TempPathFactory, form: str, key: str
-) -> None:
+def test_a_format_has_the_key(tmp_path_factory, form, key) -> None:
     points = points_of(key)
     if form == "device file":  # where it is called `value`
         points = [replace(each, initial=None) for each in points]

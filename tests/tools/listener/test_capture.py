@@ -179,9 +179,7 @@ class TestReader:
         with pytest.raises(ValueError, match="a pipe, and no program reads it"):
             write(tmp_path / "pipe")
 
-    def test_a_pipe_that_is_full_ends_the_capture(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_pipe_that_is_full_ends_the_capture(self, tmp_path, monkeypatch) -> None:
         monkeypatch.setattr("libmodbus_py.tools.listener.capture.READER_TIME_S", 0.01)
         os.mkfifo(tmp_path / "pipe")
         reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)

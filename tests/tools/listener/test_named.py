@@ -1,7 +1,5 @@
 """Transactions that a listener hears, with the names of their values."""
 
-from typing import Any
-
 import pytest
 
 from libmodbus_py import Point, RegisterMap, pdu
@@ -70,9 +68,7 @@ WRITTEN = ("valve", "secret")
         ([UNANSWERED], []),
     ],
 )
-def test_values_of_a_map_in_transactions(
-    pairs: list[tuple[str, str]], values: list[tuple[str, Any]]
-) -> None:
+def test_values_of_a_map_in_transactions(pairs, values) -> None:
     decoder = MapDecoder(POINTS)
     found = [each for transaction in heard(*pairs) for each in decoder.decode(transaction)]
     assert [(each.name, each.value) for each in found] == values
@@ -133,9 +129,7 @@ def test_a_broadcast_has_the_values_that_it_writes_and_no_others() -> None:
         ("C1 01", None),  # no request has this code
     ],
 )
-def test_requests_that_a_server_refuses_are_none_but_for_unknown_functions(
-    request_: str, found: pdu.Request[object] | None
-) -> None:
+def test_requests_that_a_server_refuses_are_none_but_for_unknown_functions(request_, found) -> None:
     assert decoded(bytes.fromhex(request_)) == found
 
 

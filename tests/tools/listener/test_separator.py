@@ -8,7 +8,7 @@ talk.py computes.
 import random
 import tracemalloc
 from collections.abc import Iterable
-from typing import Any, get_args
+from typing import get_args
 
 import pytest
 
@@ -107,9 +107,7 @@ def test_every_kind_says_what_it_is() -> None:
 @each_case("code", ["00", "80"])
 @each_case("direction", [None, "client", "server"])
 @each_case("framing", ["rtu", "ascii"])
-def test_a_frame_without_a_function_is_invalid(
-    code: str, direction: str | None, framing: str
-) -> None:
+def test_a_frame_without_a_function_is_invalid(code, direction, framing) -> None:
     separator = Separator(framing)  # type: ignore[arg-type]
     frame = MAKE[framing](f"01 {code} 01")
     done = separator.feed(frame, 0.0, direction)  # type: ignore[arg-type]
@@ -196,9 +194,7 @@ def test_an_echo_is_the_answer_if_it_comes_soon_and_else_the_question(question: 
         (0.002, 0.05, [200.0, 200.05, 200.052], ["unanswered", "answered"]),
     ],
 )
-def test_the_limit_is_learnt(
-    answers: float, timeout: float, last: list[float], said: list[str]
-) -> None:
+def test_the_limit_is_learnt(answers, timeout, last, said) -> None:
     """The unit takes so long to answer, and the client waits so long for an answer."""
     pieces: list[Piece] = []
     for number in range(10):
@@ -294,9 +290,7 @@ FRONT = bytes([1, 3, 0xFA, 0, 0])
         ([(ASK, "client"), (ANSWER[:3], "server")], {0.5: [], 9.0: [("damaged", ANSWER[:3])]}),
     ],
 )
-def test_a_transaction_that_is_over_is_returned_without_another_byte(
-    pieces: list[Any], told: Any
-) -> None:
+def test_a_transaction_that_is_over_is_returned_without_another_byte(pieces, told) -> None:
     separator = Separator("rtu")
     for data, direction in pieces:
         assert separator.feed(data, 0.0, direction) == []

@@ -151,9 +151,7 @@ def test_a_moving_value_is_computed_when_it_is_shown(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit])
-def test_a_hook_that_fails_is_logged_once_and_the_page_goes_on(
-    error: type[BaseException], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_hook_that_fails_is_logged_once_and_the_page_goes_on(error, caplog) -> None:
     def broken(access: Access) -> None:
         raise error
 

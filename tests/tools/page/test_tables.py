@@ -97,9 +97,7 @@ def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_tha
     ("every", "before"),
     [(10.0, [1.0, 2.0, None, 3.0, None]), (300.0, [1.0, 2.0, 3.0, None]), (None, [1.0, 2.0, 3.0])],
 )
-def test_history_is_that_of_memory_and_before_it_that_of_the_journal_with_gaps(
-    every: float | None, before: list[float | None]
-) -> None:
+def test_history_is_that_of_memory_and_before_it_that_of_the_journal_with_gaps(every, before):
     asked: list[Any] = []
     now = time.time()
 

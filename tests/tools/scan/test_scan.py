@@ -117,9 +117,7 @@ def test_a_late_answer_is_its_own_units_on_tcp_too(network: Network) -> None:
         ([lambda request: [request]], "echo=True?"),
     ],
 )
-def test_noise_and_an_echo_do_not_make_a_unit(
-    network: Network, answers: list[Any], note: str
-) -> None:
+def test_noise_and_an_echo_do_not_make_a_unit(network: Network, answers, note) -> None:
     unit = served(network, "rtu:///dev/line", *answers)
     url = f"{unit.url}?baudrate=115200&parity=N"
     scanned = scan(url, units=range(1, 7), timeout=QUICK)

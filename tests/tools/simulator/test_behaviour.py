@@ -203,9 +203,7 @@ def test_a_random_walk_with_a_seed_is_the_same_whenever_it_is_read() -> None:
 
 
 @given(step=st.floats(0.01, 500), start=st.integers(0, 10**12), seed=st.integers(0, 1 << 63))
-def test_no_move_of_a_random_walk_is_longer_than_its_step(
-    step: float, start: int, seed: int
-) -> None:
+def test_no_move_of_a_random_walk_is_longer_than_its_step(step: float, start: int, seed: int):
     clock = Clock()
     behaviour = f"random_walk = {{ low = -250, high = 250, step = {step!r}, seed = {seed} }}"
     device = unit(f'[[unit.input_registers]]\naddress = 0\ntype = "float64"\n{behaviour}', clock)
@@ -249,9 +247,7 @@ def test_2000_random_walks_at_once_do_not_stop_the_server() -> None:
 
 
 @given(low=numbers, span=st.floats(1, 1e5), moments=st.lists(st.floats(0, 100), max_size=20))
-def test_waves_and_walks_stay_between_their_limits(
-    low: float, span: float, moments: list[float]
-) -> None:
+def test_waves_and_walks_stay_between_their_limits(low: float, span: float, moments: list[float]):
     clock = Clock()
     high = low + span
     limits = f"low = {low!r}, high = {high!r}"

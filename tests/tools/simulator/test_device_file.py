@@ -139,9 +139,7 @@ REQUESTS = [
 
 
 @each_case(("request_", "is_executed"), REQUESTS, ids=str)
-def test_a_write_outside_the_ranges_is_exception_2(
-    request_: pdu.Request[Any], is_executed: bool
-) -> None:
+def test_a_write_outside_the_ranges_is_exception_2(request_, is_executed) -> None:
     device = unit(ACCESS)
     tables = device.mapping.holding_registers, device.mapping.coils, *device.files.values()
     before = [list(table) for table in tables]
@@ -214,9 +212,7 @@ def allowed(text: str, unit: int, request: pdu.Request[Any]) -> set[str | None]:
 
 
 @each_case(("number", "request_", "roles"), ALLOWED, ids=str)
-def test_a_role_may_do_what_its_rules_allow(
-    number: int, request_: pdu.Request[Any], roles: set[str | None]
-) -> None:
+def test_a_role_may_do_what_its_rules_allow(number, request_, roles) -> None:
     assert allowed(UNITS + ROLES, number, request_) == roles
 
 

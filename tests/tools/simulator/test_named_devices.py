@@ -294,9 +294,7 @@ FORMS: dict[str, tuple[str, Callable[[Path], Any]]] = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_map_of_the_package_has_its_name_and_others_their_ending(
-    form: str, tmp_path: Path
-) -> None:
+def test_a_map_of_the_package_has_its_name_and_others_their_ending(form, tmp_path) -> None:
     (tmp_path / "sdm120.csv").write_text("name,table,address\nown,holding_registers,7\n")
 
     def names(map: str) -> set[str]:

@@ -196,9 +196,7 @@ def test_a_reload_logs_what_has_changed(path: Path) -> None:
             assert told[0].startswith(f"{path}: read again, {changes}")
 
 
-def test_changes_are_seen_also_of_maps_and_of_maps_that_come(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_changes_are_seen_also_of_maps_and_of_maps_that_come(path: Path, monkeypatch) -> None:
     looks = 0
 
     def signatures(reloader: Reloader) -> object:
@@ -249,9 +247,7 @@ def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path)
             thread.join()
 
 
-def test_the_end_of_a_server_in_the_middle_of_a_reading_leaves_no_task(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_end_of_a_server_in_the_middle_of_a_reading_leaves_no_task(path: Path, monkeypatch):
     begun, ended = threading.Event(), threading.Event()
 
     def read(name: str) -> Simulation:

@@ -73,9 +73,7 @@ def comparable(ours: Any, kind: str, theirs: Any, point: Any) -> tuple[Any, Any]
 
 @BOTH
 @pytest.mark.parametrize("name", DEVICES)
-def test_the_models_and_values_are_those_of_pysunspec2(
-    name: str, ask: Callable[[str], Found]
-) -> None:
+def test_the_models_and_values_are_those_of_pysunspec2(name, ask: Callable[[str], Found]) -> None:
     with serving(file_device(name)) as url:
         found, values = ask(url)
         host, _, port = url.removeprefix("tcp://").rpartition(":")

@@ -109,9 +109,7 @@ def test_more_than_there_is_room_for_is_written_when_somebody_reads(ends: tuple[
 
 
 @pytest.mark.timeout(60)
-def test_a_wire_that_nobody_reads_at_the_other_end_can_be_closed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_wire_that_nobody_reads_at_the_other_end_can_be_closed(monkeypatch) -> None:
     """More is written than the terminals hold: what finds no room is lost, and not waited for."""
     monkeypatch.setattr("libmodbus_py.tools.testing.wires.TIMEOUT", 0.01)
     with SerialWire() as wire:

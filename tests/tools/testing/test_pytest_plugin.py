@@ -110,9 +110,7 @@ class TestReports:
         result.assert_outcomes(passed=1, failed=1, skipped=1, xfailed=1)
         result.stdout.no_fnmatch_line("*modbus transactions*")
 
-    def test_the_last_fifty_and_the_beginning_of_long_ones(
-        self, suite: Suite, write: Write
-    ) -> None:
+    def test_the_last_fifty_and_the_beginning_of_long_ones(self, suite: Suite, write: Write):
         write("""
     def test_many(modbus_server):
         with Client(modbus_server.url) as plc:
@@ -210,9 +208,7 @@ class TestLeftBehind:
         assert result.ret == pytest.ExitCode.INTERRUPTED
         result.stdout.fnmatch_lines_random(["*KeyboardInterrupt*", "left: [[][]]"])
 
-    def test_a_test_that_hangs_is_ended_and_shows_what_passed(
-        self, suite: Suite, write: Write
-    ) -> None:
+    def test_a_test_that_hangs_is_ended_and_shows_what_passed(self, suite: Suite, write: Write):
         write("""
     @pytest.mark.timeout(60)
     def test_hanging(modbus_server, modbus_faults):

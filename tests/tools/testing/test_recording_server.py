@@ -32,9 +32,7 @@ def quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
 
 class TestServer:
     @pytest.mark.parametrize("time", [1, 2])
-    def test_each_test_gets_a_new_one_with_all_tables(
-        self, modbus_server: RecordingServer, time: int
-    ) -> None:
+    def test_each_test_gets_a_new_one_with_all_tables(self, modbus_server: RecordingServer, time):
         assert modbus_server.transactions == []
         with Client(f"tcp://{modbus_server.host}:{modbus_server.port}", unit=247) as client:
             for unit in (1, 247):
@@ -53,9 +51,7 @@ class TestServer:
         assert modbus_server.device.mapping is modbus_server.mapping
         assert modbus_server.url == f"tcp://127.0.0.1:{modbus_server.port}"
 
-    def test_the_oldest_are_forgotten(
-        self, make_modbus_server: ServerMaker, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_the_oldest_are_forgotten(self, make_modbus_server: ServerMaker, monkeypatch) -> None:
         monkeypatch.setattr("libmodbus_py.tools.testing.recording.MOST", 4)
         server = make_modbus_server()
         with Client(server.url) as client:

@@ -8,7 +8,6 @@ import shutil
 import signal
 import sqlite3
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ import pytest
 from fuzz.journal_trial import Found, KilledPolls, devices
 from fuzz.journal_trial import until as until_really
 from libmodbus_py import Fleet
-from libmodbus_py.fleet import Journal, Reading
+from libmodbus_py.fleet import Journal
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.schema import JournalDamaged, JournalError
 from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
@@ -139,9 +138,7 @@ async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
     ],
     ids=["clears", "reverses", "extends"],
 )
-def test_an_output_that_changes_the_list_it_is_given_loses_nothing(
-    path: str, inline: None, change: Callable[[list[Reading]], object]
-) -> None:
+def test_an_output_that_changes_the_list_it_is_given_loses_nothing(path: str, inline: None, change):
     class Changing(FakeOutput):
         async def write_readings(self, readings: Any) -> None:
             await super().write_readings(list(readings))
@@ -197,9 +194,7 @@ async def polled(broker: FakeOutput, count: int) -> None:
 
 @pytest.mark.usefixtures("inline")
 @pytest.mark.parametrize("endings", [("", "-wal", "-shm"), ("", "-wal", "-shm", "-lock"), ("",)])
-def test_a_journal_that_was_deleted_is_replaced(
-    path: str, endings: tuple[str, ...], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_journal_that_was_deleted_is_replaced(path: str, endings, caplog) -> None:
     broker, away = FakeOutput(), FakeOutput("away", is_away=True)
 
     async def lose(fleet: Fleet) -> None:
@@ -221,9 +216,7 @@ def test_a_journal_that_was_deleted_is_replaced(
 
 
 @pytest.mark.usefixtures("inline")
-def test_a_journal_whose_changes_were_deleted_is_kept(
-    path: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_journal_whose_changes_were_deleted_is_kept(path: str, caplog) -> None:
     """The changes are in the file -wal, which is merged once it is closed."""
     broker = FakeOutput()
 

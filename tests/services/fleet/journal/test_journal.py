@@ -132,9 +132,7 @@ async def test_a_journal_that_cannot_be_used_ends_the_fleet_before_it_polls(
 
 
 @in_real_time
-async def test_a_journal_may_be_behind_a_link_and_is_the_same_one(
-    path: str, tmp_path: Path
-) -> None:
+async def test_a_journal_may_be_behind_a_link_and_is_the_same_one(path: str, tmp_path) -> None:
     link = tmp_path / "link.db"
     link.symlink_to(path)
     journal = Journal(link)
@@ -174,9 +172,7 @@ async def test_waiting_readings_are_written_when_the_fleet_ends(path: str) -> No
 
 
 @in_real_time
-async def test_a_cancelled_opening_leaves_the_file_to_others(
-    path: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_cancelled_opening_leaves_the_file_to_others(path: str, monkeypatch) -> None:
     opening, goes_on = threading.Event(), threading.Event()
     original = JournalFile.open
 

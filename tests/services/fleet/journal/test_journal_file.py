@@ -127,9 +127,7 @@ def test_a_history_has_numbers_and_text(file: JournalFile, names: tuple[str, ...
     assert list(map(repr, found)) == ["1", "1", "'[1,null]'", "'{\"a\":false}'"]
 
 
-def test_a_poll_that_cannot_be_written_delays_no_other(
-    file: JournalFile, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_poll_that_cannot_be_written_delays_no_other(file: JournalFile, caplog) -> None:
     strange = Reading(1.0, "b", "p0", object(), "", "good")
     nameless = strange._replace(device="\ud800", value=1)
     file.write_polls(
@@ -157,9 +155,7 @@ def test_places_are_kept_for_each_output(path: str) -> None:
 
 
 @pytest.mark.parametrize("now", [0.0, 4e9])
-def test_ids_rise_whatever_the_clock_says(
-    path: str, now: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ids_rise_whatever_the_clock_says(path: str, now, monkeypatch) -> None:
     file = JournalFile(path, DAY, 10**9)
     begun = file.open([])
     file.write_polls(polls(begun.first, 5), {}, 0)
@@ -183,9 +179,7 @@ def test_old_readings_are_deleted_once_all_outputs_confirmed_them(path: str) -> 
 
 
 @pytest.mark.parametrize("now", [0.0, 4e9])
-def test_a_clock_that_is_wrong_for_a_while_deletes_little(
-    path: str, now: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_clock_that_is_wrong_for_a_while_deletes_little(path: str, now, monkeypatch) -> None:
     file = opened(path, keep=90 * DAY)
     file.write_polls(polls(1, 1000, time=time.time()), {}, 10_000)
     file._to_delete = 0  # what these allowed was used up long ago

@@ -51,9 +51,7 @@ def left(given: list[HistoricalValue], length: float, most: int) -> list[float]:
         ([], 0, 3, []),
     ],
 )
-def test_thinned_values_contain_the_extremes_of_each_span(
-    given: list[HistoricalValue], length: float, most: int, expected: list[float]
-) -> None:
+def test_thinned_values_contain_the_extremes_of_each_span(given, length, most, expected) -> None:
     assert left(given, length, most) == expected
 
 
@@ -66,9 +64,7 @@ def test_thinned_values_contain_the_extremes_of_each_span(
         (1_000_001, ValueError, "most"),
     ],
 )
-def test_three_values_to_a_million_may_be_asked_for(
-    path: str, most: int, error: type[Exception], said: str
-) -> None:
+def test_three_values_to_a_million_may_be_asked_for(path: str, most, error, said) -> None:
     """There is no such file, so that what may be asked for ends with another error."""
     with pytest.raises(error, match=said):
         history(path, "meter", "level", SINCE, SINCE + 1, most)

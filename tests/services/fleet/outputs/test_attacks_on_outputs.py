@@ -71,9 +71,7 @@ async def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
 
 
 @in_simulated_time
-async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_reads(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_reads(caplog) -> None:
     """`run` raises its error; in an `async with` nobody else would hear of it."""
 
     class Broken(FakeOutput):

@@ -73,9 +73,7 @@ async def discovered(
 
 @pytest.mark.parametrize("topic", ["modbus/{device}/{name}", "plant/{label.site}/{device}"])
 @in_real_time
-async def test_every_kind_of_point_becomes_the_entity_that_shows_it(
-    broker: Broker, topic: str
-) -> None:
+async def test_every_kind_of_point_becomes_the_entity_that_shows_it(broker: Broker, topic) -> None:
     device = device_of_every_kind()
     async with (
         Server({1: device}).serving("tcp://127.0.0.1:0") as running,
@@ -290,9 +288,7 @@ FOREIGN = "homeassistant/sensor/zigbee/other/config"
 
 
 @in_real_time
-async def test_configurations_of_an_earlier_run_are_deleted_at_the_next_start(
-    broker: Broker,
-) -> None:
+async def test_configurations_of_an_earlier_run_are_deleted_at_the_next_start(broker: Broker):
     other = '{"name": "x", "state_topic": "x"}'
     await publish(broker, FOREIGN, other.encode(), retain=True)
     async with real_peer() as peer:

@@ -18,7 +18,7 @@ from libmodbus_py.protocol.values import value_type
 from libmodbus_py.services.fleet.outputs.influx import Influx
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.output import Output, OutputError
+from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.workers.messages import _messages
 from libmodbus_py.tools.page.text import value_text
 from tests.support.cases import each_case
@@ -170,9 +170,7 @@ def test_bad_columns_are_refused(labels: Any, told: str) -> None:
         (Mqtt("mqtt://192.0.2.1"), "aiomqtt", "MQTT needs aiomqtt: "),
     ],
 )
-def test_without_its_package_one_line_says_what_to_install(
-    output: Output, package: str, told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_its_package_one_line_says_what_to_install(output, package, told, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(OutputError, match=told):
         asyncio.run(output.open_output())

@@ -1,7 +1,6 @@
 """Outputs that would write to one place, or to a file the fleet is read from; several of a kind."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,6 @@ from libmodbus_py.fleet import Journal
 from libmodbus_py.services.fleet.files import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
-from libmodbus_py.services.fleet.outputs.output import Output
 from tests.support.cases import each_case
 from tests.support.commands import run
 from tests.support.outputs import FakeOutput
@@ -109,9 +107,7 @@ def test_a_file_may_have_several_outputs_of_each_kind(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_file_with_two_outputs_to_one_place(
-    tmp_path: Path, outputs: str, line: int, said: str
-) -> None:
+def test_a_file_with_two_outputs_to_one_place(tmp_path, outputs, line, said) -> None:
     path = fleet_file(tmp_path, outputs.replace("FOLDER", tmp_path.name))
     with pytest.raises(FleetFileError) as caught:
         load(path)
@@ -133,9 +129,7 @@ def test_a_link_leads_to_the_same_file(tmp_path: Path) -> None:
         (lambda: Mqtt("mqtt://h"), lambda: Mqtt("mqtt://h:1883", user="x")),
     ],
 )
-def test_a_program_with_two_outputs_to_one_place(
-    one: Callable[[], Output], other: Callable[[], Output]
-) -> None:
+def test_a_program_with_two_outputs_to_one_place(one, other) -> None:
     with pytest.raises(ValueError, match=r"^two outputs use "):
         Fleet([], outputs=[one(), other()])
 

@@ -53,9 +53,7 @@ async def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("wrong", ["another authority", "another host"])
 @in_real_time
-async def test_a_broker_that_is_not_trusted_gets_nothing(
-    broker: Broker, tmp_path: Path, wrong: str
-) -> None:
+async def test_a_broker_that_is_not_trusted_gets_nothing(broker: Broker, tmp_path, wrong) -> None:
     pki = Pki(tmp_path)
     is_foreign = wrong == "another authority"
     identity = certificates.server(**({} if is_foreign else {"hosts": ("other.example",)}))
@@ -96,9 +94,7 @@ async def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) ->
 
 @pytest.mark.parametrize("options", [{"user": "user", "password": "wrong"}, {}])
 @in_real_time
-async def test_wrong_credentials_are_one_line(
-    broker: Broker, options: Any, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_wrong_credentials_are_one_line(broker: Broker, options, caplog) -> None:
     said = "Not authorized"
     broker.settings[1] = f"password_file {broker._folder / 'passwords'}"
     broker.change()

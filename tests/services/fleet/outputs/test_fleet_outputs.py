@@ -150,9 +150,7 @@ class Described(FakeOutput):
 
 
 @in_simulated_time
-async def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_apart() -> (
-    None
-):
+async def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_apart():
     outputs = [Described(), FakeOutput(), FakeOutput()]
     async with Peer() as peer:
         devices = [meter("a", peer.url, labels={"site": "here"})]

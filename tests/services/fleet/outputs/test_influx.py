@@ -166,9 +166,7 @@ async def test_an_empty_write_asks_nothing() -> None:
         (None, ConnectionError, None),
     ],
 )
-def test_answers_that_do_not_confirm(
-    answer: Answer, error: type[Exception], told: str | None
-) -> None:
+def test_answers_that_do_not_confirm(answer, error, told) -> None:
     with pytest.raises(error, match=told) as raised:
         write(answer, token="s3cret", database=None, bucket="b")
     # Only a lost connection may be due to the readings.
@@ -233,9 +231,7 @@ def test_a_file_of_lines(tmp_path: Path) -> None:
         *(("me", "pw", base64.b64encode(b"me:pw").decode()), ("me", "pw", "pw")),
     ],
 )
-def test_credentials_that_a_server_repeats_are_not_shown(
-    user: str | None, secret: str, repeated: str
-) -> None:
+def test_credentials_that_a_server_repeats_are_not_shown(user, secret, repeated) -> None:
     answer = f"unauthorized: {repeated}".encode()
     assert _shown(answer, user, secret) == "unauthorized: ***"
 

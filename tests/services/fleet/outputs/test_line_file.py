@@ -141,9 +141,7 @@ KEY = b"-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2Vw\n"
 
 @each_case("kind", ["json", "csv", "influx"])
 @each_case("content", [KEY, b"#!/bin/sh\nexit 0\n", b"\n", b"secret", b"\xef\xbb\xbf" + HEADER])
-def test_a_file_that_holds_no_readings_is_left_as_it_is(
-    tmp_path: Path, kind: str, content: bytes
-) -> None:
+def test_a_file_that_holds_no_readings_is_left_as_it_is(tmp_path, kind, content) -> None:
     path = tmp_path / "theirs"
     path.write_bytes(content)
     with pytest.raises(OSError, match=r"does not begin with .* rename the file") as caught:
@@ -176,9 +174,7 @@ def test_a_standard_output_gets_one_header(capfd: pytest.CaptureFixture[str]) ->
     assert [line.split(",")[3] for line in lines] == ["1", "2"]
 
 
-def test_a_standard_output_that_does_not_block_is_waited_for(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_standard_output_that_does_not_block_is_waited_for(capfd) -> None:
     received = bytearray()
     text = "x" * 300_000  # more than a pipe holds
 

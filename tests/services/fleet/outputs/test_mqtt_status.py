@@ -82,9 +82,7 @@ def poll(device: str, qualities: str, at: float = 0) -> list[Reading]:
         (["gg", "oo", "oo"], [True, False, False]),
     ],
 )
-def test_a_device_answers_while_a_point_of_it_is_read_or_refused(
-    polls: list[str], states: list[bool | None]
-) -> None:
+def test_a_device_answers_while_a_point_of_it_is_read_or_refused(polls, states) -> None:
     known = DeviceStates(Topic("device_status", TOPIC, ("device",)))
     found = []
     for letters in polls:

@@ -1,7 +1,5 @@
 """Names as levels of topics and subjects, and topics with names and labels."""
 
-from pathlib import Path
-
 import pytest
 
 from libmodbus_py import Fleet, Server
@@ -76,9 +74,7 @@ topic = "plant/{label.site}/{device}/{name}"
 
 
 @each_case("labels", ["", 'labels = { place = "Hof" }', 'labels = { site = "" }'])
-def test_a_device_without_the_label_is_told_when_the_file_is_read(
-    labels: str, tmp_path: Path
-) -> None:
+def test_a_device_without_the_label_is_told_when_the_file_is_read(labels, tmp_path) -> None:
     file = tmp_path / "fleet.toml"
     file.write_text(FLEET.replace("LABELS", labels))
     with pytest.raises(FleetFileError) as raised:

@@ -64,9 +64,7 @@ def written(output: FakeOutput, devices: str, later: str = "") -> OutputStatisti
     return played(output, play)
 
 
-def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(caplog) -> None:
     output = FakeOutput(refused=("b", "d"))
     statistics = written(output, "abcde")
     assert [each.device for each in output.accepted] == list("aaccee")
@@ -108,9 +106,7 @@ def test_a_poll_is_never_divided_by_the_buffer() -> None:
 
 @pytest.mark.parametrize(("is_gone", "counts"), [(False, (3, 0)), (True, (0, 3))])
 @in_simulated_time
-async def test_once_waits_for_a_slow_output_and_ends_after_a_failure(
-    is_gone: bool, counts: tuple[int, int]
-) -> None:
+async def test_once_waits_for_a_slow_output_and_ends_after_a_failure(is_gone, counts) -> None:
     output = FakeOutput(refused=("a",), error=OSError("gone")) if is_gone else FakeOutput(next=[60])
     async with Peer() as peer:
         fleet = Fleet([meter("a", peer.url)], outputs=[output])
@@ -267,9 +263,7 @@ class Denied(Stream):
 
 
 @each_case(("kind", "value"), [(Denied, 1), (Stream, "y" * 3000)])
-def test_a_poll_that_nats_denies_or_finds_too_large_holds_up_no_others(
-    kind: type[Stream], value: Any
-) -> None:
+def test_a_poll_that_nats_denies_or_finds_too_large_holds_up_no_others(kind, value) -> None:
     network = Network()
     engine = Engine(network)
 
