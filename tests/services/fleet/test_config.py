@@ -11,6 +11,7 @@ from libmodbus_py.services.fleet.config import ENGINE
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.fleet.fleets import meter
 from tests.support.cases import each_case
+from tests.support.golden import Refused
 
 
 @each_case(("key", "low", "high"), [("gap", 0, 2000), ("max_registers", 1, 125)])
@@ -88,23 +89,8 @@ def test_settings_of_workers_have_defaults() -> None:
     assert settings({**given, **sizes}) == FleetSettings(0.5, "continue", True, 60.0, 1 << 16)
 
 
-@each_case(
-    ("given", "error", "text"),
-    [
-        ({"leese": 1}, ValueError, "engine.leese: no such key; .*; did you mean lease\\?"),
-        ({"lease": 0.4}, ValueError, "engine.lease must be in 0.5..60 seconds, not 0.4"),
-        ({"lease": 61}, ValueError, "engine.lease must be in 0.5..60 seconds, not 61"),
-        ({"lease": "1"}, TypeError, "engine.lease must be a number of seconds, not str"),
-        ({"on_engine_loss": "wait"}, ValueError, "must be one of stop, continue, not 'wait'"),
-        ({"commands": 1}, TypeError, "engine.commands must be true or false, not 1"),
-        ({"max_age": 0}, ValueError, "engine.max_age must be in"),
-        ({"max_bytes": 65535}, ValueError, "engine.max_bytes must be in 65536..1125899906842624"),
-        ("nats://127.0.0.1", TypeError, "engine must be a table"),
-    ],
-)
-def test_a_wrong_setting_of_a_device_is_named(given, error, text) -> None:
-    with pytest.raises(error, match=text):
-        settings(given)
+def test_a_wrong_setting_of_an_engine_is_named(refused: Refused) -> None:
+    refused("wrong_settings.txt", settings)
 
 
 @pytest.mark.parametrize(

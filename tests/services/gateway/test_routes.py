@@ -2,7 +2,6 @@
 
 import socket
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -10,6 +9,7 @@ from libmodbus_py import Route
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.services.gateway.config import parse as parse_file
 from libmodbus_py.services.gateway.routes import check_line
+from tests.support.golden import Refused
 
 TCP, LINE = "tcp://192.0.2.1", "rtu:///dev/ttyUSB0"
 
@@ -52,26 +52,8 @@ def test_routes_are_equal_however_their_units_were_given() -> None:
     assert routes[0] == routes[1] == routes[2]
 
 
-@pytest.mark.parametrize(
-    ("options", "error", "text"),
-    [
-        ({"units": 5}, TypeError, "units must be text or a list, not int"),
-        ({"units": None, "device_units": 1.5}, TypeError, "device_units"),
-        ({"units": "1-3", "device_units": "1-2"}, ValueError, "one, or 3 as units, not 2"),
-        ({"units": [256]}, ValueError, r"units\[0\]"),
-        ({"units": [-1]}, ValueError, r"units\[0\]"),
-        ({"units": [1, 1]}, ValueError, "units"),
-        ({"units": []}, ValueError, "units"),
-        ({"merge": 1}, TypeError, "merge must be True or False, not 1"),
-        ({"read_only": None}, TypeError, "read_only must be True or False"),
-        ({"read_only": True, "writable": "all"}, ValueError, "writable: must not be given"),
-        ({"cache": -1}, ValueError, "cache"),
-        ({"writable": ["coils[5:2]"]}, ValueError, "writable"),
-    ],
-)
-def test_a_wrong_route_is_named(options: dict[str, Any], error: type[Exception], text: str) -> None:
-    with pytest.raises(error, match=text):
-        Route(TCP, **options)
+def test_a_wrong_route_is_named(refused: Refused) -> None:
+    refused("wrong_routes.txt", lambda options: Route(TCP, **options))
 
 
 def test_only_reads_pass_a_route_without_writes() -> None:

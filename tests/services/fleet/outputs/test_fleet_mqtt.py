@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import re
 import socket
 import subprocess
 import sys
@@ -21,8 +20,8 @@ from libmodbus_py.tools.certificates import Identity
 from tests.services.fleet.fleets import in_real_time, meter, real_peer, until
 from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish, told
 from tests.support import certificates
-from tests.support.cases import each_case
 from tests.support.certificates import Pki
+from tests.support.golden import Refused
 from tests.support.outputs import pumping
 
 
@@ -239,63 +238,5 @@ async def test_polls_above_the_largest_message_are_several(broker: Broker) -> No
         assert sum(len(each["values"]) for each in messages) == 100
 
 
-BAD_TOPICS: dict[str, list[object]] = {
-    "topic must hold": ["x/{name}", "x/{device}/{name}/{zone}", "x/{device!r}/{name}"],
-    "topic must hold {device} and {name} once": ["plant", "plant/{site}/{device}/{name}"],
-    "topic must hold {device} once": ["x/{device}/{zone}"],
-    "each level must have one {name}": [
-        *("x/{device}{name}", "x/{device}-{name}", "x/{name}.{device}/y", "x/{device}/{name}/{"),
-        *("x}/{device}/{name}", "x/{device}}/{name}", "x/{{device}/{name}"),
-        *("plant/{label.site}{device}/{name}", "plant/{label.site/{device}/{name}"),
-        *("plant/{label.site}-{label.line}/{device}/{name}", "plant/{label.}/{device}/{name}"),
-    ],
-    "must be a topic without": ["#/{device}/{name}"],
-}
-
-BAD_STATES: dict[str, list[object]] = {
-    "device_status must hold {device} once": ["states", "{device}/{name}", "{device}/{device}"],
-    "device_status: each level must have one {name}": ["x{/{device}"],
-    "device_status must not be another topic": [
-        *("{device}/a/b", "modbus/{device}/x/set/result", "modbus/{device}")
-    ],
-    "device_status must be a topic without + and #": ["#/{device}"],
-    "device_status must be text": [7],
-}
-
-
-@each_case(
-    ("options", "named"),
-    [
-        ({"url": 7}, "url must be text"),
-        ({"url": "mqtt://u:p@h"}, "url must not contain a user or password"),
-        ({"url": "mqtt://h:99999"}, "url: the port"),
-        ({"url": "mqtt://h/x"}, "url must be a URL such as"),
-        ({"password": "x"}, "user must be given"),
-        ({"retain": 1}, "retain must be true or false"),
-        ({"qos": 3}, "qos must be in 0..1"),
-        ({"ca": "x"}, "ca can only be used with mqtts"),
-        ({"status": "+"}, "status must be a topic without"),
-        ({"topic": "modbus/{device}"}, "status must not be the topic of a reading"),
-        (
-            {"topic": "{label.site}/{device}/{name}", "status": "a/b/c"},
-            "status must not be the topic of a reading",
-        ),
-        (
-            {"topic": "plant/{device}", "device_status": "plant/a/{device}/set"},
-            "device_status must not be another topic",
-        ),
-        (
-            {"topic": "plant/{device}", "max_message": 100, "retain": False},
-            "max_message must be in 1024..",
-        ),
-        (
-            {"topic": "plant/{device}", "max_message": 9999},
-            "max_message needs a topic without {name}, and retain = false",
-        ),
-        *(({"topic": topic}, said) for said, topics in BAD_TOPICS.items() for topic in topics),
-        *(({"device_status": t}, said) for said, topics in BAD_STATES.items() for t in topics),
-    ],
-)
-def test_bad_option_is_named(options: Any, named: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=re.escape(named)):
-        Mqtt(**{"url": "mqtt://192.0.2.1", **options})
+def test_bad_option_is_named(refused: Refused) -> None:
+    refused("refused_mqtt.txt", lambda options: Mqtt(**{"url": "mqtt://192.0.2.1", **options}))
