@@ -1,12 +1,15 @@
 """Buckets on a simulated server of NATS."""
 
 import asyncio
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from libmodbus_py.services.engine.buckets import Change
+from libmodbus_py.services.engine.buckets import Change, Watch
 from libmodbus_py.services.engine.connection import EngineGone
 from tests.simulation.engine import Engine, EngineClient, with_engine
+from tests.support.cases import each_case
 
 
 @with_engine
@@ -70,3 +73,62 @@ async def test_a_write_that_was_answered_too_late_is_not_done_again(
         assert await bucket.put("a", value, revision) == 0
     assert engine.latest is not None
     assert engine.latest["a"].value == b"2"
+
+
+def message(number: int, revision: int, key: str = "a", value: bytes = b"1") -> Any:
+    """Return a change of a key as the server delivers it, with the number of its delivery."""
+    metadata = SimpleNamespace(sequence=SimpleNamespace(consumer=number, stream=revision))
+    headers = {} if value else {"KV-Operation": "DEL"}
+    return SimpleNamespace(subject=f"$KV.b.{key}", data=value, headers=headers, metadata=metadata)
+
+
+class Delivering:
+    """A server with some keys, which delivers some changes before it names the keys."""
+
+    def __init__(self, keys: str, messages: list[Any]) -> None:
+        self._keys = keys
+        self._messages = messages
+
+    async def subscribe(self, *_: Any, cb: Any, **__: Any) -> None:
+        for each in self._messages:
+            await cb(each)
+
+    async def stream_info(self, *_: Any) -> Any:
+        subjects = {f"$KV.b.{key}": 1 for key in self._keys}
+        return SimpleNamespace(state=SimpleNamespace(subjects=subjects or None))
+
+
+def watched(
+    keys: str, messages: list[Any], early: int = 0
+) -> tuple[Watch, list[Change | None], list[None]]:
+    """Return a watch of keys after messages, some of which come early, the changes, and gaps."""
+    changes: list[Change | None] = []
+    missed: list[None] = []
+    watch = Watch("b", changes.append, lambda: missed.append(None))
+
+    async def main() -> None:
+        server: Any = Delivering(keys, messages[:early])
+        await watch.begin(server)
+        for each in messages[early:]:
+            await watch._receive(each)
+
+    asyncio.run(main())
+    return watch, changes, missed
+
+
+@each_case(
+    ("messages", "told", "gaps"),
+    [
+        ([message(1, 5), message(2, 6, value=b"")], [(b"1", 5), None, (None, 6)], 0),
+        ([message(1, 5), message(1, 5), message(2, 6)], [(b"1", 5), None], 1),  # twice
+        ([message(1, 5), message(3, 7), message(2, 6)], [(b"1", 5), None], 1),  # late
+        ([message(2, 5)], [], 1),  # the first one was lost
+        ([message(1, 5), message(2, 4), message(2, 4)], [(b"1", 5), None, (b"1", 4)], 1),
+    ],
+)
+def test_a_change_that_comes_twice_or_too_late_is_a_gap_and_ends_the_watch(
+    messages: list[Any], told: list[Any], gaps: int
+) -> None:
+    watch, changes, missed = watched("a", messages)
+    assert [each and (each.value, each.revision) for each in changes] == told
+    assert (len(missed), watch.is_broken) == (gaps, bool(gaps))

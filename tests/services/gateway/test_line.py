@@ -6,7 +6,7 @@ import logging
 import pytest
 
 from libmodbus_py.services.gateway import line as gateway_line
-from libmodbus_py.services.gateway.line import BUSY, NO_ANSWER, Cache, Forwarded
+from libmodbus_py.services.gateway.line import BUSY, MOST_CACHED, NO_ANSWER, Cache, Forwarded
 from tests.services.gateway.gates import (
     INPUTS,
     LINE,
@@ -201,6 +201,22 @@ async def test_a_client_that_leaves_when_it_is_told_so_takes_its_other_requests_
     assert (plant.asked, plant.line.statistics.waiting) == ([1], 0)
 
 
+@on_line("tcp://10.0.0.1?max_in_flight=2")
+async def test_a_client_that_leaves_at_an_answer_gets_no_other_of_the_same_turn(
+    plant: Plant,
+) -> None:
+    class Leaving(Asker):
+        def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
+            super().answered(forwarded, response)
+            plant.line.leave(other)
+
+    asker = Leaving()
+    plant.ask(1, asker)
+    other = plant.ask(2, asker)
+    await asyncio.sleep(1)
+    assert asker.answers == [answer_of(1, 1)]
+
+
 def test_the_queue_of_all_clients_together_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gateway_line, "MOST_WAITING", 3)
     plant = Plant()
@@ -381,3 +397,16 @@ async def test_a_line_that_is_lost_at_each_request_is_opened_every_two_seconds(p
         await asyncio.sleep(0.5)
     assert set(asker.answers) == {REFUSED}
     assert 100 / 2 <= plant.peer.connections <= 100 / 1.6 + 6
+
+
+def test_the_answer_that_was_kept_first_is_dropped_for_one_too_many() -> None:
+    cache = Cache()
+    for number in range(MOST_CACHED):
+        cache.keep(1, bytes([3, *divmod(number, 256)]), b"old", 1.0)
+    first, second = b"\3\0\0", b"\3\0\1"
+    assert cache.get(1, first, 9.0, 1.0) == b"old"
+    cache.keep(1, first, b"new", 2.0)
+    cache.keep(1, b"one more", b"new", 2.0)
+    assert cache.get(1, first, 9.0, 2.0) == b"new"
+    assert cache.get(1, second, 9.0, 2.0) is None
+    assert cache.get(1, b"\3\0\2", 9.0, 2.0) == b"old"

@@ -17,7 +17,7 @@ from libmodbus_py import (
     framing,
     pdu,
 )
-from libmodbus_py.services.gateway.silent_units import UnitState
+from libmodbus_py.services.gateway.silent_units import SilentUnits, UnitState
 from tests.services.gateway.gates import LINE, adu, gateway, small
 from tests.simulation.scripted import Scripted, Write
 from tests.simulation.stage import Stage
@@ -128,3 +128,10 @@ def test_a_write_waits_for_the_repetition_of_the_read_before_it(target: str) -> 
                 client.sendall(adu(READ, 1) + adu(WRITE, 2))
                 expected = adu(bytes.fromhex("03 02 0005"), 1) + adu(WRITE, 2)
                 assert client.makefile("rb").read(len(expected)) == expected
+
+
+def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> None:
+    units = SilentUnits(1.0)
+    assert units.note_silence(3, 3, 0.0)
+    assert not units.note_silence(3, 3, 1.0)
+    assert units.state(3, 3, 2.0) is UnitState.DUE

@@ -45,7 +45,8 @@ def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
     every = polls(1000, 10)
     file.write_polls(every[:7], {}, 0)
     file.write_polls(every[7:], {}, 0)
-    single = list(numbered(readings("a", 2000.0)[:1], 1020))
+    bad = readings("a", 2000.0)[0]._replace(value=None, quality="bad", reason="Missing")
+    single = list(numbered([bad], 1020))
     file.write_polls(single, {}, 0)
     for _ in range(2):
         assert file.read_polls(999, 1000) == every + single

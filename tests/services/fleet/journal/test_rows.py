@@ -1,5 +1,6 @@
 """Polls as rows of a journal, places of outputs, and histories of values."""
 
+import asyncio
 from contextlib import closing
 from typing import Any
 
@@ -12,11 +13,14 @@ from libmodbus_py.services.fleet.journal.journal_reader import (
     past_in,
     thinned,
 )
+from libmodbus_py.services.fleet.journal.place import JournalPlace
 from libmodbus_py.services.fleet.journal.schema import (
     JournalError,
+    JournalPoll,
     numbered,
 )
-from tests.services.fleet.journal.journals import readings
+from tests.services.fleet.fleets import in_simulated_time
+from tests.services.fleet.journal.journals import polls, readings
 from tests.support.cases import each_case
 
 SINCE = 1_700_000_000.0
@@ -83,3 +87,42 @@ def test_numbers_and_gaps_of_a_value(path: str) -> None:
             )  # type: ignore[arg-type]
         assert past("a", "p1", 0.0, 9.0, 100) == [(1.0, 5.5), (2.0, None), (3.0, None), (4.0, 7.0)]
         assert past("a", "p1", 3.5, 9.0, 100) == [(4.0, 7.0)]
+
+
+class FakeJournal:
+    """A journal that has these polls, and no others between them."""
+
+    def __init__(self, *every: JournalPoll) -> None:
+        self.polls = list(every)
+        self.last = every[-1].last if every else 0
+        self.noted = 0
+        self.is_stuck = False
+
+    def note_places(self) -> asyncio.Future[None]:
+        self.noted += 1
+        noted = asyncio.get_running_loop().create_future()
+        if not self.is_stuck:
+            noted.set_result(None)
+        return noted
+
+    async def after(self, number: int, most: int) -> tuple[list[JournalPoll], int]:
+        behind = [each for each in self.polls if each.first > number]
+        return behind[:2], number
+
+
+def place_in(journal: FakeJournal, confirmed: int, waiting: int) -> JournalPlace:
+    return JournalPlace("x", journal, confirmed, waiting)
+
+
+@in_simulated_time
+async def test_an_output_that_confirms_twice_or_late_goes_on_where_it_was() -> None:
+    journal = FakeJournal(*polls(1, 4))
+    place = place_in(journal, 0, 8)
+    first, second = await place.take_polls(2), await place.take_polls(2)
+    await place.confirm_readings(second)
+    for old in (second, first, []):  # an output that confirms twice, or late
+        await place.confirm_readings(old)
+        place.drop_readings(old)
+    assert (place.confirmed, place.dropped, journal.noted) == (4, 0, 1)
+    place.put_back(first)
+    assert [each.id for each in await place.take_polls(2)] == [5, 6]
