@@ -29,7 +29,7 @@ from libmodbus_py import (
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.testing import SerialWire
-from tests.support.cases import each_case
+from tests.support.golden import Refused
 from tests.support.peers import LinePeer, until
 from tests.support.signals import in_child
 from tests.support.talk import rtu
@@ -179,20 +179,8 @@ def test_a_forked_child_leaves_the_transceiver_to_its_parent(events: list[object
     assert events == [False, True, False]
 
 
-@each_case(
-    ("rs485", "text"),
-    [
-        ("gpio", "rs485 must be"),
-        ("gpio:17", "rs485 must be"),
-        ("gpio:gpiochip0/17", "rs485 must be"),
-        ("gpio:/dev/gpiochip0/", "rs485 must be"),
-        (17, "rs485 must be a function, not int"),
-        (True, "rs485 must be a function, not bool"),
-    ],
-)
-def test_what_switches_nothing_is_refused(rs485: Any, text: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=text):
-        SerialPort("/dev/ttyUSB0", rs485=rs485)
+def test_what_switches_nothing_is_refused(refused: Refused) -> None:
+    refused("wrong_rs485.txt", lambda rs485: SerialPort("/dev/ttyUSB0", rs485=rs485))
 
 
 def test_a_coroutine_is_no_switch(events: list[object]) -> None:

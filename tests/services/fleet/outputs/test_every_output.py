@@ -22,6 +22,7 @@ from libmodbus_py.services.fleet.outputs.output import OutputError
 from libmodbus_py.services.workers.messages import _messages
 from libmodbus_py.tools.page.text import value_text
 from tests.support.cases import each_case
+from tests.support.golden import Refused
 from tests.support.outputs import reading, write
 
 POINTS = RegisterMap([Point("level", "holding_registers", 0)])
@@ -148,19 +149,8 @@ def test_points_with_states_stay_text_when_their_device_is_removed(tmp_path: Pat
     assert 'level="7"' in line
 
 
-@each_case(
-    ("labels", "told"),
-    [
-        ("site", "labels must be a list"),
-        ([1], r"labels\[0\] must be text"),
-        ([""], r"labels\[0\] must be text"),
-        (["time"], r"labels\[0\]: there is a column 'time' already"),
-        (["site", "site"], r"labels\[1\]: there is a column 'site' already"),
-    ],
-)
-def test_bad_columns_are_refused(labels: Any, told: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=told):
-        CsvOutput(labels=labels)
+def test_bad_columns_are_refused(refused: Refused) -> None:
+    refused("wrong_columns.txt", lambda labels: CsvOutput(labels=labels))
 
 
 @pytest.mark.parametrize(
