@@ -6,6 +6,8 @@ wrong.py that is marked so, and pyright must know the types of what the package 
 Part of ./run lint; it ends with 1 and says where a checker disagrees.
 """
 
+from __future__ import annotations
+
 import json
 import os
 import re
@@ -35,6 +37,9 @@ def main() -> int:
     return bool(complaints)
 
 
+# --- what the files want -------------------------------------------------------------------
+
+
 def marked() -> set[Place]:
     return {
         (name, number)
@@ -56,6 +61,9 @@ def disagreements(checker: str, found: dict[Place, str]) -> list[str]:
         for place in sorted(wrong - found.keys())
     ]
     return said + silent
+
+
+# --- what the checkers say -----------------------------------------------------------------
 
 
 def mypy() -> dict[Place, str]:

@@ -6,6 +6,8 @@ Nothing here runs.
 """
 # pyright: strict
 
+from __future__ import annotations
+
 from datetime import datetime
 from typing import assert_type
 

@@ -1,4 +1,6 @@
-"""The points of meter, written by libmodbus-py map class."""
+"""
+The points of meter, written by libmodbus-py map class.
+"""
 # fmt: off
 
 from __future__ import annotations
@@ -138,24 +140,32 @@ class Meter(_MeterRequests[ClientT]):
 
     @property
     def energy_total(self) -> int:
-        """energy total: uint32, kWh, read-only."""
+        """
+        energy total: uint32, kWh, read-only.
+        """
         value: int = self._certain('energy total')
         return value
 
     @property
     def setpoint(self) -> float:
-        """setpoint: uint16, °C, 5..30."""
+        """
+        setpoint: uint16, °C, 5..30.
+        """
         value: float = self._certain('setpoint')
         return value
 
     @property
     def serial_number(self) -> str:
-        """serial number: string:8, read-only."""
+        """
+        serial number: string:8, read-only.
+        """
         value: str = self._certain('serial number')
         return value
 
     @property
     def run(self) -> bool:
-        """run: bit."""
+        """
+        run: bit.
+        """
         value: bool = self._certain('run')
         return value
