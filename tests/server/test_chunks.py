@@ -4,15 +4,12 @@ import struct
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import Device, Mapping
-from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.protocol.framing import Frame, cut, is_one_frame, split
 from tests.support.cases import each_case
 from tests.support.chunks import (
     HOLES,
@@ -243,32 +240,3 @@ def test_more_answers_than_one_call_has_room_for() -> None:
     end.receive(b"".join(adu(b"\x03\0\x07\0\x7d", number) for number in range(1000)))
     answer = device.answer(b"\x03\0\x07\0\x7d")
     assert end.sent == b"".join(adu(answer, number) for number in range(1000))
-
-
-@each_case("length", [*range(10), *range(250, 260), 0x1FE, 0xFFFF])
-@each_case("protocol", [0, 1, 0xFF00])
-def test_c_and_python_agree_on_headers(protocol: int, length: int) -> None:
-    """What C answers is a frame for Python, too; a frame that C leaves is not complete yet."""
-    request = bytes.fromhex("03 0007 0001")
-    data = struct.pack(">HHHB", 1, protocol, length, 1) + request.ljust(300, b"\0")
-    device = made_device()
-    end, *_ = device.answer_chunk(data, 0, 1)
-    found: list[Any] = []
-    try:
-        cut_at = cut(data, 0, found, 1)
-    except FrameError:
-        cut_at = 0
-    is_frame = bool(found) and isinstance(found[0], Frame)
-    is_whole = 6 + length <= len(data)
-    assert (end > 0) is (is_frame and is_whole)
-    assert end in (0, cut_at)
-    assert is_one_frame(data[: 6 + length]) is (is_frame and is_whole)
-
-
-@given(st.lists(bodies(), min_size=1, max_size=5))
-def test_a_chunk_is_split_as_it_is_cut(asked: list[bytes]) -> None:
-    frames = [adu(body, number) for number, body in enumerate(asked)]
-    assert list(split(b"".join(frames))) == frames
-    found: list[Any] = []
-    assert cut(b"".join(frames), 0, found, 99) == len(b"".join(frames))
-    assert [each.pdu for each in found] == asked

@@ -7,7 +7,6 @@ import asyncio
 import pytest
 
 from libmodbus_py.ports.hosts import host_and_port
-from libmodbus_py.server import limits as module
 from libmodbus_py.server import tls
 from libmodbus_py.server.limits import (
     Address,
@@ -20,7 +19,6 @@ from libmodbus_py.server.limits import (
 )
 from libmodbus_py.server.service import Session
 from libmodbus_py.server.tls import Handshakes, TlsSession
-from tests.simulation.network import Network
 from tests.support.cases import each_case
 from tests.support.certificates import Pki
 from tests.support.chunks import FakeChannel
@@ -43,11 +41,6 @@ from tests.support.chunks import FakeChannel
 def test_an_ipv6_address_counts_as_its_64(host: str, counted: str) -> None:
     assert counted_host(host) == counted
     assert host_of(host_and_port(host, 502)) == counted
-
-
-def test_a_serial_port_counts_as_itself() -> None:
-    for path in ("/dev/ttyUSB0", "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0"):
-        assert host_of(path) == path
 
 
 def test_all_addresses_of_a_64_share_an_allowance() -> None:
@@ -143,32 +136,3 @@ class Waiting:
     def resume(self) -> None:
         self.resumed.append(asyncio.get_running_loop().time())
         self.address.spend(self.asks)
-
-
-def overspent(addresses: Addresses[Waiting], host: str) -> Address[Waiting]:
-    address = addresses.get(host)
-    address.spend(1000)
-    addresses.keep(address)
-    return address
-
-
-def test_an_address_with_a_connection_is_remembered_whatever_comes(monkeypatch) -> None:
-    monkeypatch.setattr(module, "REMEMBERED_MAX", 1)
-
-    async def main() -> None:
-        addresses: Addresses[Waiting] = Addresses(1.0)
-        connected = addresses.get("192.0.2.1")
-        client = Waiting(connected)
-        connected.connections[client] = None
-        connected.spend(1000)
-        addresses.keep(connected)
-        for last in range(2, 9):
-            overspent(addresses, f"192.0.2.{last}")
-        assert addresses.get("192.0.2.1") is connected
-        connected.forget(client)
-        addresses.keep(connected)
-        assert addresses.get("192.0.2.1") is connected  # its connection is gone, its limit not
-        overspent(addresses, "192.0.2.9")
-        assert addresses.get("192.0.2.1") is not connected
-
-    Network().run(main)

@@ -5,7 +5,6 @@ from contextlib import ExitStack
 
 import pytest
 
-from libmodbus_py.server.limits import Allowance
 from libmodbus_py.server.peer import READ_BYTES, Peer
 from tests.simulation.stage import Stage
 from tests.support.attacks import READ_ONE, adu
@@ -18,29 +17,6 @@ NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
 
 # A header whose length cannot be: the connection is closed.
 OUT_OF_STEP = bytes.fromhex("0001 0000 ffff 11 03")
-
-
-def test_an_allowance_is_of_one_second_and_grows_with_time() -> None:
-    allowance = Allowance(10, now=100)
-    allowance.spend(10)
-    assert allowance.until(100) == 100
-    allowance.spend(5)
-    assert allowance.until(100) == pytest.approx(100.5)
-    assert allowance.until(100.2) == pytest.approx(100.5)
-    assert allowance.until(100.5) == 100.5
-    allowance.spend(1)
-    assert allowance.until(100.5) == pytest.approx(100.6)
-    allowance.until(1000)
-    allowance.spend(11)
-    assert allowance.until(1000) == pytest.approx(1000.1)
-
-
-def test_a_slow_allowance_begins_with_one_request() -> None:
-    allowance = Allowance(0.1, now=0)
-    allowance.spend(1)
-    assert allowance.until(0) == 0
-    allowance.spend(1)
-    assert allowance.until(0) == pytest.approx(10)
 
 
 @KIND
