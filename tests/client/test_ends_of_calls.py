@@ -96,11 +96,8 @@ def strike_each_moment(
     step: int = 1,
 ) -> int:
     """
-    Strike a write and a read at each of their moments; return how many there were.
-
-    Args:
-        settle: let what was sent arrive.
-        step: from one moment to the next that is tried.
+    Strike a write and a read at each of their moments; return how many there were. `settle`: let
+    what was sent arrive; `step`: from one moment to the next that is tried.
     """
     number = address = 0
     was_struck = True

@@ -33,10 +33,8 @@ BY_ID = pytest.mark.parametrize("scheme", ["tcp", "udp"])
 
 class Gathered:
     """
-    Hands over requests together, when none came for a while.
-
-    Args:
-        play: is given what came, and what answers it.
+    Hands over requests together, when none came for a while. `play`: is given what came, and what
+    answers it.
     """
 
     def __init__(

@@ -42,12 +42,9 @@ TOTALS = RegisterMap(
 
 class Wall:
     """
-    A simulated device, and clients that watch it.
-
-    Attributes:
-        registers: what is answered at an address, one value after the other; the last one stays.
-        refused, silent: addresses that get an exception, and no answer.
-        takes: how long an answer takes, in seconds.
+    A simulated device, and clients that watch it. `registers`: what is answered at an address, one
+    value after the other; the last one stays; `refused, silent`: addresses that get an exception,
+    and no answer; `takes`: how long an answer takes, in seconds.
     """
 
     def __init__(self, world: World) -> None:

@@ -45,10 +45,8 @@ _PUNCTUATION = set("();<>|&")
 @dataclass(frozen=True)
 class Command:
     """
-    Attributes:
-        text: what is typed.
-        expected: what it prints, or None if nobody says.
-        line: where it stands in its block, from 1.
+    `text`: what is typed; `expected`: what it prints, or None if nobody says; `line`: where it
+    stands in its block, from 1.
     """
 
     text: str
@@ -89,11 +87,9 @@ def of_sh(source: str) -> Iterator[Command]:
 
 class Shell:
     """
-    Types commands in a folder, and keeps what stays.
-
-    Args:
-        folder: where it begins; ``cd`` and ``export`` hold for what follows.
-        here, there: put addresses of this machine in, and out again.
+    Types commands in a folder, and keeps what stays. `folder`: where it begins; ``cd`` and
+    ``export`` hold for what follows; `here, there`: put addresses of this machine in, and out
+    again.
     """
 
     def __init__(

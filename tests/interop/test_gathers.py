@@ -44,11 +44,8 @@ MIXED_RESULTS = [
 
 class Served(NamedTuple):
     """
-    A server that runs.
-
-    Attributes:
-        url: where it listens.
-        written: address and value of each write that was carried out, the first one first.
+    A server that runs. `url`: where it listens; `written`: address and value of each write that was
+    carried out, the first one first.
     """
 
     url: str

@@ -31,9 +31,7 @@ LONG = 20.0
 class SServer:
     """
     A server that is told what to send on its standard input, and prints what it receives.
-
-    Args:
-        options: of s_server.
+    `options`: of s_server.
     """
 
     def __init__(self, pki: Pki, identity: Any, *options: str) -> None:

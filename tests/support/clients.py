@@ -38,12 +38,7 @@ def read(client: Any, address: int) -> int:
 
 
 class Awaited:
-    """
-    An `AsyncClient` with the calls of a `Client`.
-
-    Args:
-        run: returns what an awaitable returns.
-    """
+    """An `AsyncClient` with the calls of a `Client`. `run`: returns what an awaitable returns."""
 
     def __init__(self, run: Callable[[Any], Any], plc: AsyncClient) -> None:
         vars(self).update(_run=run, _plc=plc)
@@ -136,10 +131,7 @@ def running_loop() -> Iterator[asyncio.AbstractEventLoop]:
 class World:
     """
     Clients of one kind, and peers for them, on a network in memory: waiting takes no time, and
-    times are exact.
-
-    Attributes:
-        kind: one of `KINDS`.
+    times are exact. `kind`: one of `KINDS`.
     """
 
     def __init__(self, kind: str, network: Network, loop: VirtualLoop) -> None:
@@ -180,11 +172,8 @@ class World:
     @contextmanager
     def lasting(self, seconds: float, more: float = 0.002) -> Iterator[None]:
         """
-        Demand that what is done within takes so many seconds.
-
-        Args:
-            more: how much longer it may take: the way of a request, and the millisecond that
-                `poll` counts.
+        Demand that what is done within takes so many seconds. `more`: how much longer it may take:
+        the way of a request, and the millisecond that `poll` counts.
         """
         start = self.now
         yield

@@ -63,12 +63,9 @@ def run(
     *arguments: object, out: TextIO | None = None, environment: Mapping[str, str] | None = None
 ) -> Done:
     """
-    Call the command line in this process.
-
-    Args:
-        arguments: as they are typed, without the name of the program.
-        out: the standard output; None collects it.
-        environment: variables beside those of this process.
+    Call the command line in this process. `arguments`: as they are typed, without the name of the
+    program; `out`: the standard output; None collects it; `environment`: variables beside those of
+    this process.
     """
     printed, errors = _Collected(), _Collected()
     with (
@@ -149,16 +146,10 @@ def _fork(request: Mapping[str, object], descriptors: list[int]) -> int:
 
 class Started:
     """
-    A command in a process of its own, with the methods of `subprocess.Popen`.
-
-    Args:
-        stdin, stdout, stderr: descriptors; None is a pipe for both outputs, and an empty input.
-        environment: variables beside those of this process.
-        folder: the command's; None is that of this process.
-
-    Attributes:
-        stdout, stderr: the pipes.
-        returncode: None while the command runs.
+    A command in a process of its own, with the methods of `subprocess.Popen`. `stdin, stdout,
+    stderr`: descriptors; None is a pipe for both outputs, and an empty input; `environment`:
+    variables beside those of this process; `folder`: the command's; None is that of this process.
+    `stdout, stderr`: the pipes; `returncode`: None while the command runs.
     """
 
     def __init__(
@@ -214,10 +205,8 @@ class Started:
 
     def wait(self, seconds: float = PATIENCE) -> int:
         """
-        Wait until the command ends, and return its exit code; minus a signal's number.
-
-        Raises:
-            subprocess.TimeoutExpired: the command still runs.
+        Wait until the command ends, and return its exit code; minus a signal's number. Raise
+        `subprocess.TimeoutExpired`: the command still runs.
         """
         if self.poll() is None:
             descriptor = os.pidfd_open(self.pid)
@@ -270,10 +259,8 @@ def _pipe(given: contextlib.ExitStack, descriptor: int | None) -> tuple[TextIO, 
 
 class Terminal:
     """
-    A command whose input and outputs are a terminal.
-
-    Args:
-        stdout: a descriptor in place of the terminal.
+    A command whose input and outputs are a terminal. `stdout`: a descriptor in place of the
+    terminal.
     """
 
     def __init__(

@@ -119,10 +119,8 @@ def tried(
 ) -> Generator[tuple[Check, Case], None, None]:
     """
     Yield each case with its check, as `each` does, and record under its id what became of it.
-
-    Args:
-        record: the fixture record_property, whose records interop_report.py reads.
-        cases: each with its id, of `case_id`.
+    `record`: the fixture record_property, whose records interop_report.py reads; `cases`: each with
+    its id, of `case_id`.
     """
     for check, (name, case) in each(cases, lambda case: case[0]):
         yield check, case
@@ -131,17 +129,11 @@ def tried(
 
 def case_id(peer: str, role: str, transport: str, function: int, *more: str) -> str:
     """
-    Name a test, or a case of one, as interop_report.py reads it.
-
-    Such a name is "mbpoll-server-tcp-fc03-most".
-
-    Args:
-        peer: the other program.
-        role: "client" or "server": what this package is.
-        transport: the scheme of the URL.
-        function: the function code.
-        more: what else tells it from its neighbours. "refused" says that an
-            exception is the right answer, "pinned" that the peer errs.
+    Name a test, or a case of one, as interop_report.py reads it. Such a name is
+    "mbpoll-server-tcp-fc03-most". `peer`: the other program; `role`: "client" or "server": what
+    this package is; `transport`: the scheme of the URL; `function`: the function code; `more`: what
+    else tells it from its neighbours. "refused" says that an exception is the right answer,
+    "pinned" that the peer errs.
     """
     return "-".join([peer, role, transport, f"fc{function:02}", *more])
 

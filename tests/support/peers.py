@@ -107,13 +107,9 @@ def answer(request: bytes, scheme: str, unit: int | None = None) -> bytes:
 
 class Peer:
     """
-    Runs in a thread of its own between `__enter__` and `__exit__`.
-
-    Attributes:
-        on_request: called in that thread, with each request and what answers it.
-        requests: all that came, oldest first; `times` when (time.monotonic).
-        connections: how many were made.
-        url: where the client goes.
+    Runs in a thread of its own between `__enter__` and `__exit__`. `on_request`: called in that
+    thread, with each request and what answers it; `requests`: all that came, oldest first; `times`
+    when (time.monotonic); `connections`: how many were made; `url`: where the client goes.
     """
 
     url: str
@@ -180,11 +176,8 @@ class Peer:
 
 class TcpPeer(Peer):
     """
-    Answers all connections.
-
-    Args:
-        scheme: of the URL. "tcp" and "tls" have each request cut out whole; else whatever came
-            together is one.
+    Answers all connections. `scheme`: of the URL. "tcp" and "tls" have each request cut out whole;
+    else whatever came together is one.
     """
 
     def __init__(self, on_request: OnRequest, scheme: str = "tcp") -> None:
@@ -294,15 +287,8 @@ class TcpPeer(Peer):
 
 class UdpPeer(Peer):
     """
-    Answers datagrams.
-
-    Args:
-        scheme: of the URL.
-        family: AF_INET or AF_INET6, on the loopback address.
-        port: 0 for any that is free.
-
-    Attributes:
-        clients: the address of each request's sender.
+    Answers datagrams. `scheme`: of the URL; `family`: AF_INET or AF_INET6, on the loopback address;
+    `port`: 0 for any that is free. `clients`: the address of each request's sender.
     """
 
     def __init__(
@@ -339,12 +325,7 @@ class UdpPeer(Peer):
 
 
 class LinePeer(Peer):
-    """
-    A unit on a pseudo-terminal.
-
-    Attributes:
-        path: of the device.
-    """
+    """A unit on a pseudo-terminal. `path`: of the device."""
 
     def __init__(self, on_request: OnRequest, scheme: str = "rtu") -> None:
         super().__init__(on_request)

@@ -44,12 +44,7 @@ def with_certificates(url: str) -> str:
 
 
 class Sealing:
-    """
-    One connection of a server.
-
-    Attributes:
-        is_ended: the client said goodbye, or is refused.
-    """
+    """One connection of a server. `is_ended`: the client said goodbye, or is refused."""
 
     def __init__(self) -> None:
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()

@@ -71,11 +71,8 @@ class SealedTalker:
 
 class Served:
     """
-    A server on a stage.
-
-    Attributes:
-        statistics: what it counts.
-        url: where it listens; `place` the same as a host and a port.
+    A server on a stage. `statistics`: what it counts; `url`: where it listens; `place` the same as
+    a host and a port.
     """
 
     def __init__(self, stage: Stage, server: Server, url: str) -> None:
@@ -125,12 +122,8 @@ def unit_one(
     url: str, *, is_gateway: bool = False, **settings: Any
 ) -> Iterator[tuple[Any, list[Access]]]:
     """
-    Serve unit 1 from a device, or through a gateway on the stage.
-
-    Args:
-        settings: of the server.
-
-    Yields what serves there, and all that is written, oldest first.
+    Serve unit 1 from a device, or through a gateway on the stage. `settings`: of the server. Yields
+    what serves there, and all that is written, oldest first.
     """
     writes: list[Access] = []
     device = Device(Mapping(holding_registers=4, coils=4), before_write=writes.append)

@@ -41,12 +41,7 @@ class TimeLimit(KeyboardInterrupt):
 
 
 class Limit:
-    """
-    The limit of the test that runs.
-
-    Attributes:
-        text: what the report says; "" before the limit.
-    """
+    """The limit of the test that runs. `text`: what the report says; "" before the limit."""
 
     def __init__(self, seconds: float, item: pytest.Item) -> None:
         self.text = ""

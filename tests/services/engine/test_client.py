@@ -25,13 +25,8 @@ INFO = {"server_id": "x", "version": "2.10.0", "max_payload": 1000, "headers": T
 
 class Server:
     """
-    As much of a NATS server as clients need to connect and subscribe.
-
-    Args:
-        greet: returns the INFO of a connection with a number, and its TLS context or None.
-
-    Attributes:
-        heard: the lines of each connection.
+    As much of a NATS server as clients need to connect and subscribe. `greet`: returns the INFO of
+    a connection with a number, and its TLS context or None. `heard`: the lines of each connection.
     """
 
     def __init__(self, greet: Callable[[int], tuple[dict[str, Any], ssl.SSLContext | None]]):

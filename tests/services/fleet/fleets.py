@@ -111,10 +111,8 @@ async def until(is_so: Callable[[], object]) -> None:
 
 class Peer:
     """
-    A Modbus/TCP server of any manners, on the network of `simulated_run`.
-
-    Args:
-        answer: gives the bytes to send for a request, in its own time; None for nothing.
+    A Modbus/TCP server of any manners, on the network of `simulated_run`. `answer`: gives the bytes
+    to send for a request, in its own time; None for nothing.
     """
 
     url: str

@@ -118,13 +118,10 @@ class Asker:
 
 class Plant:
     """
-    A line, and units on it that answer each request after a while, if at all.
-
-    Attributes:
-        asked: the units that were asked, in their order; or the function, with a minus.
-        silent: units that give no answer; and `unanswered` functions.
-        damaging: units whose answers have wrong check bytes.
-        delay: seconds that an answer takes; or `delays`, by unit.
+    A line, and units on it that answer each request after a while, if at all. `asked`: the units
+    that were asked, in their order; or the function, with a minus; `silent`: units that give no
+    answer; and `unanswered` functions; `damaging`: units whose answers have wrong check bytes;
+    `delay`: seconds that an answer takes; or `delays`, by unit.
     """
 
     def __init__(self, url: str = f"{LINE}?timeout={TIMEOUT}", **options: Any) -> None:

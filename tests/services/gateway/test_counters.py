@@ -22,14 +22,10 @@ DELAY = 0.1
 
 class Case(NamedTuple):
     """
-    Requests, and what they count.
-
-    Attributes:
-        asked: unit and request of each; they are sent together, or else one after the other.
-        answers: the function and the second byte of each answer, in hexadecimal.
-        gateway, line: what of their counters is not 0 afterwards.
-        units: the same for each unit of the line.
-        options: of the gateway, and `route` of its route.
+    Requests, and what they count. `asked`: unit and request of each; they are sent together, or
+    else one after the other; `answers`: the function and the second byte of each answer, in
+    hexadecimal; `gateway, line`: what of their counters is not 0 afterwards; `units`: the same for
+    each unit of the line; `options`: of the gateway, and `route` of its route.
     """
 
     asked: list[tuple[int, str]]

@@ -25,11 +25,8 @@ INBOX = "_INBOX.u9ii73oAyVwgjXVUkC6cqN"
 
 class Listener:
     """
-    A client that hears all that is published.
-
-    Attributes:
-        messages: subject and content of each message.
-        raw: the last message.
+    A client that hears all that is published. `messages`: subject and content of each message;
+    `raw`: the last message.
     """
 
     raw = b""
