@@ -1,7 +1,5 @@
 """A page as a whole: what it shows first, what changes on it, other pages, and its end."""
 
-from typing import Any
-
 import pytest
 
 from libmodbus_py import (
@@ -14,29 +12,9 @@ from libmodbus_py import (
     ServerDeviceBusy,
 )
 from libmodbus_py.page import live_page
-from libmodbus_py.tools.page.streams import difference
-from tests.support.cases import each_case
 from tests.tools.page.watching import NAMES, Visitor, made_server, shown
 
 TOKEN = "Bookmarked-by_the-plant-2026"
-
-
-BEFORE = {"log": {1: ["a"], 2: ["b"]}, "view": {"count": 1}}
-
-
-@each_case(
-    ("after", "message"),
-    [
-        (BEFORE, {}),
-        ({"log": {1: ["a"], 2: ["b"]}}, {"view": None}),
-        (BEFORE | {"log": {2: ["c"], 3: ["d"]}}, {"log": {1: None, 2: ["c"], 3: ["d"]}}),
-        (BEFORE | {"log": {}, "rows": {}}, {"log": {1: None, 2: None}, "rows": {}}),
-        (BEFORE | {"log": {2: ["b"], 1: ["new"]}}, {"log": {1: ["new"]}}),  # gone, and there again
-    ],
-)
-def test_a_message_is_the_difference_of_rows(after: Any, message: object) -> None:
-    assert difference(BEFORE, after) == message  # type: ignore[arg-type]
-    assert difference({}, after) == after
 
 
 def test_the_first_message_has_all_tables() -> None:

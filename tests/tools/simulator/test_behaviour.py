@@ -1,8 +1,6 @@
 """Values that move by themselves."""
 
 import math
-import resource
-import time
 
 import pytest
 from hypothesis import assume, given
@@ -214,36 +212,6 @@ def test_no_move_of_a_random_walk_is_longer_than_its_step(step: float, start: in
         assert before is None or abs(value - before) <= step * 1.000001
         before = value
         clock.now += 1
-
-
-def test_random_walks_get_about() -> None:
-    """To both sides of where they begin, each its own way, as far as they may."""
-    clock = Clock()
-    text = "random_walk = { low = 0, high = 60000, step = 1000, seed = 3 }"
-    device = unit(f"[[unit.input_registers]]\naddress = 0\ncount = 100\n{text}", clock)
-    for moves in (16, 256, 4096, 65536):
-        clock.now = 1000.0 + moves
-        found = inputs(device, 0, 100)
-        assert min(found) < 30000 < max(found)
-        assert len(set(found)) > 20
-    assert min(found) < 10_000
-    assert max(found) > 50_000
-
-
-def test_2000_random_walks_at_once_do_not_stop_the_server() -> None:
-    """Not after an hour in which nobody looked, nor at each later read."""
-    clock = Clock()
-    walk = "random_walk = { low = 0, high = 1, step = 1, interval = 0.001 }"
-    device = unit(f"[[unit.coils]]\naddress = 0\ncount = 65536\n{walk}", clock)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    start = time.process_time()
-    for at in range(0, 65536 - 2000, 2000):
-        clock.now += 3600
-        assert len(answer(device, pdu.ReadCoils(at, 2000))) == 2000
-    # 32 reads; a move for each millisecond would take one second for each read.
-    assert time.process_time() - start < 8
-    # A random generator for each would take 2.5 KB.
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
 
 
 @given(low=numbers, span=st.floats(1, 1e5), moments=st.lists(st.floats(0, 100), max_size=20))

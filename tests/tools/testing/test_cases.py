@@ -33,35 +33,8 @@ def test_every_failed_case_is_named_and_the_others_are_not() -> None:
     assert "(6, 3)" not in text
 
 
-def raising(error: BaseException) -> None:
-    for check, _ in each([b"ab", b"cd"], name=lambda case: f"bytes {case!r}"):
-        with check:
-            raise error
-
-
-@pytest.mark.parametrize(
-    "error",
-    [
-        pytest.skip.Exception("why"),
-        KeyboardInterrupt(),
-        pytest.fail.Exception("Timeout (>180.0s) from pytest-timeout."),
-    ],
-)
-def test_an_exception_that_ends_the_test_leaves_the_loop(error: BaseException) -> None:
-    with pytest.raises(type(error)) as caught:
-        raising(error)
-    assert caught.value is error
-
-
 def test_an_empty_table_fails() -> None:
     assert failure([]) == "the table of cases is empty"
-
-
-def test_a_check_that_is_not_used_fails() -> None:
-    loop = each("ab")
-    next(loop)
-    with pytest.raises(AssertionError, match="was not used: 'a'"):
-        next(loop)
 
 
 def test_each_case_calls_the_test_with_every_combination() -> None:
