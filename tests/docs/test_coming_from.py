@@ -12,7 +12,7 @@ import re
 import socket
 import struct
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -207,13 +207,7 @@ def ask_as_libmodbus_py(port: int, timeout: float) -> str:
     ],
 )
 def test_errors_over_tcp_are_those_of_the_tables(
-    ask: Callable[[int, float], str],
-    refused: str,
-    silence: str,
-    damaged: str,
-    absent: str,
-    served: int,
-    silent: int,
+    ask, refused, silence, damaged, absent, served: int, silent: int
 ) -> None:
     with FakeServer(lambda request: [b"HTTP/1.1 400 Bad Request\r\n\r\n"]) as server:
         assert ask(server.port, 1) == damaged

@@ -122,11 +122,7 @@ def test_a_function_is_called_with_the_delays_of_rts(events: list[object]) -> No
     ],
 )
 def test_what_a_function_raises_fails_its_request_and_the_line_receives(
-    numbers: list[int],
-    calls: list[object],
-    events: list[object],
-    unit: LinePeer,
-    caplog: pytest.LogCaptureFixture,
+    numbers, calls, events: list[object], unit: LinePeer, caplog
 ) -> None:
     """The second number is that of the call which the port makes when it is closed."""
     turn = failing(events, *numbers)

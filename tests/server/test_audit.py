@@ -5,7 +5,7 @@ import json
 import os
 import re
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -352,11 +352,7 @@ TROUBLES = [
 
 @pytest.mark.parametrize(("trouble", "reason"), TROUBLES)
 def test_no_write_is_carried_out_that_a_required_file_cannot_record(
-    trouble: Callable[[Path], None],
-    reason: str,
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
+    trouble, reason, tmp_path, caplog, monkeypatch
 ) -> None:
     monkeypatch.setattr(audit, "ROOM_BYTES", audit.ROOM_BYTES)
     path, reader = tmp_path / "audit.json", -1

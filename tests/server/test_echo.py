@@ -87,13 +87,7 @@ def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
 @pytest.mark.parametrize("stray", STRAYS)
 @pytest.mark.parametrize("is_set", [False, True])
 def test_writes_are_carried_out_once(
-    stage: Stage,
-    scheme: str,
-    is_gateway: bool,
-    request_: str,
-    stray: tuple[bytes, bytes],
-    is_set: bool,
-    caplog: pytest.LogCaptureFixture,
+    stage: Stage, scheme, is_gateway, request_, stray, is_set, caplog
 ) -> None:
     """From the first on if the echo is set; else from the first read on, which shows it."""
     frame = FRAMES[scheme]
@@ -157,13 +151,7 @@ def test_an_echo_over_tcp_is_found_beside_writes_that_go_round(
 @pytest.mark.parametrize("late", [0.0, 0.016])
 @pytest.mark.parametrize("stray", STRAYS)
 def test_a_line_on_which_nothing_was_read_carries_out_writes_once(
-    stage: Stage,
-    scheme: str,
-    baudrate: int,
-    late: float,
-    stray: tuple[bytes, bytes],
-    is_gateway: bool,
-    caplog: pytest.LogCaptureFixture,
+    stage: Stage, scheme, baudrate, late, stray, is_gateway, caplog
 ) -> None:
     """USB adapters keep bytes for up to 16 ms. Nothing was read, which would show the echo."""
     frame = FRAMES[scheme]

@@ -238,11 +238,7 @@ def failing(number: int) -> Callable[..., Any]:
     ],
 )
 def test_a_file_that_cannot_be_written_is_told_once(
-    step: str,
-    number: int,
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    step, number, folder: Path, monkeypatch, caplog
 ) -> None:
     caplog.clear()
     (folder / "state").unlink(missing_ok=True)

@@ -367,12 +367,7 @@ def test_a_session_that_is_resumed_keeps_its_role(
 
 @VERSION
 def test_a_certificate_that_expired_meanwhile_resumes_nothing(
-    stage: Stage,
-    pki: Pki,
-    served: tuple[Server, int],
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
-    version: ssl.TLSVersion,
+    stage: Stage, pki: Pki, served: tuple[Server, int], caplog, monkeypatch, version: ssl.TLSVersion
 ) -> None:
     """OpenSSL looks at the dates when a session begins, and not again."""
     server, port = served

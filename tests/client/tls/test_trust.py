@@ -105,13 +105,7 @@ def test_a_bad_certificate_is_named_with_what_is_wrong(
     ],
 )
 def test_names_and_addresses(
-    monkeypatch: pytest.MonkeyPatch,
-    connect: Connect,
-    pki: Pki,
-    serving: Serving,
-    host: str,
-    hosts: tuple[str, ...],
-    is_good: bool,
+    monkeypatch, connect: Connect, pki: Pki, serving: Serving, host, hosts, is_good
 ) -> None:
     resolve(monkeypatch, "plc.example")
     with (

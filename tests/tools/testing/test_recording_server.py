@@ -111,11 +111,7 @@ class TestMaker:
 class TestSerialLine:
     @pytest.mark.parametrize("framing", ["rtu", "ascii"])
     def test_a_server_sits_on_one_end_and_goes_before_it(
-        self,
-        quiet: None,
-        make_modbus_server: ServerMaker,
-        modbus_serial_line: SerialWire,
-        framing: str,
+        self, quiet: None, make_modbus_server: ServerMaker, modbus_serial_line: SerialWire, framing
     ) -> None:
         server = make_modbus_server(f"{framing}://{modbus_serial_line.server}")
         assert (server.host, server.port) == ("", 0)

@@ -48,13 +48,7 @@ BROKEN = OSError(errno.EIO, "Input/output error")
     ],
 )
 def test_a_disk_that_fails_for_long_is_logged_delays_no_output_and_loses_no_reading(
-    path: str,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    kind: object,
-    name: str,
-    error: Exception,
-    told: str,
+    path: str, monkeypatch, caplog, kind, name, error, told
 ) -> None:
     failing = Failing(monkeypatch, kind, name)
     broker, away = FakeOutput(), FakeOutput("away", is_away=True)

@@ -140,12 +140,7 @@ def test_removed_devices_take_no_room() -> None:
 )
 @in_real_time
 async def test_retained_messages_are_published_again_after_each_reconnection(
-    broker: Broker,
-    caplog: pytest.LogCaptureFixture,
-    options: Any,
-    polls: list[list[Reading]],
-    retained: dict[str, Any],
-    qos: int,
+    broker: Broker, caplog, options, polls, retained, qos
 ) -> None:
     """Nothing is read again: mosquitto keeps nothing on the disk unless told to."""
 
