@@ -9,10 +9,13 @@ from hypothesis import strategies as st
 
 from libmodbus_py import Client, Device, Limits, Mapping, Server, framing
 from libmodbus_py.server.peer import READ_BYTES
+from libmodbus_py.server.sessions import ByChunk
 from tests.simulation.attackers import Attackers, Innocent
 from tests.simulation.stage import Stage
 from tests.support.attacks import ATTACKS, UNIT, Attack, adu, ask, connect
 from tests.support.certificates import Pki
+from tests.support.served import ask as server_ask
+from tests.support.served import served
 
 READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
@@ -153,3 +156,21 @@ def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack, tm
         assert waited.longest <= others(attack) + 1
         assert stage.until(lambda: server.statistics.connections == 1)
         assert innocent.poll(5).turns == [0] * 5
+
+
+def test_a_defect_of_ours_costs_its_connection_and_no_other(stage: Stage, monkeypatch, caplog):
+    receive = ByChunk.receive
+
+    def fail_at_noise(session: ByChunk, data: bytes) -> int:
+        if data == b"!":
+            raise RuntimeError("a defect")
+        return receive(session, data)
+
+    monkeypatch.setattr(ByChunk, "receive", fail_at_noise)
+    with served(stage) as server:
+        bad, good = server.connect(), server.connect()
+        bad.sendall(b"!")
+        server_ask(good)
+        assert bad.is_closed()
+        assert server.counts(connections=1)
+    assert "connection closed" in caplog.text

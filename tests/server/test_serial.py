@@ -3,6 +3,9 @@
 import asyncio
 import itertools
 import os
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
 
 import pytest
 
@@ -12,10 +15,11 @@ from libmodbus_py.server import serial as serial_server
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.serial import SerialServer
 from libmodbus_py.server.server import Devices
+from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.units import Units
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.stage import LineEnd, Stage
-from tests.support.peers import until
+from tests.support.peers import LinePeer, ignore, until
 from tests.support.served import unit_one
 from tests.support.talk import ascii_frame, rtu
 
@@ -122,3 +126,92 @@ def test_ascii_ports_have_seven_data_bits(device: Device, url, data_bits, is_sil
     port = asyncio.run(made())._port
     assert port.data_bits == data_bits
     assert (port.silence.seconds > 0) is is_silent
+
+
+ANSWERS = [b"%04d" % number * 64 for number in range(1000)]
+
+
+class Service:
+    """Makes one session, which answers when it is told to."""
+
+    def sessions(self, endpoint: Any, statistics: Any, later: Any = None) -> Any:
+        def made(channel: Any) -> Service:
+            self.channel = channel
+            return self
+
+        return made
+
+    state = SessionState.READING
+
+    def receive(self, data: bytes) -> int:
+        return 0
+
+    def end(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+def test_the_latest_answers_wait_and_no_more_than_a_port_keeps() -> None:
+    service = Service()
+
+    async def write_all(path: str, is_over: Callable[[], bool]) -> None:
+        url = f"rtu://{path}?baudrate=115200&rs485=rts-up&rts_delay=0.01"
+        server = SerialServer(parse(url), service, ServerStatistics())
+        await server.open()
+        for answer in ANSWERS:
+            service.channel.write(answer)
+        while not is_over():
+            await asyncio.sleep(0.001)
+        server.close()
+
+    with LinePeer(ignore) as line:
+        asyncio.run(write_all(line.path, lambda: ANSWERS[-1] in b"".join(line.requests)))
+    found = b"".join(line.requests)
+    pieces = [found[at : at + 256] for at in range(0, len(found), 256)]
+    assert pieces == [ANSWERS[0], *ANSWERS[-16:]]
+
+
+SHORT_ANSWERS = [rtu(f"01 03 04 {number:04X} 0000") for number in range(4)]
+
+
+class TimedEnd(LineEnd):
+    """Notes when it hears what."""
+
+    def __init__(self, stage: Stage, line: Any) -> None:
+        super().__init__(line)
+        self.pieces: list[tuple[float, bytes]] = []
+        self._stage = stage
+
+    def hear(self, data: bytes) -> None:
+        self.pieces.append((self._stage.now, data))
+
+
+@pytest.mark.parametrize("baudrate", [1200, 9600, 115200])
+@pytest.mark.parametrize("rest", ["", "&rs485=rts-up"])
+def test_a_silence_is_between_two_answers(stage: Stage, baudrate: int, rest: str) -> None:
+    service = Service()
+
+    async def begun() -> SerialServer:
+        endpoint = parse(f"rtu:///dev/line?baudrate={baudrate}{rest}")
+        server = SerialServer(endpoint, service, ServerStatistics())
+        await server.open()
+        return server
+
+    other = TimedEnd(stage, stage.line("/dev/line"))
+    server = stage.wait(begun())
+    try:
+        for answer in SHORT_ANSWERS:
+            service.channel.write(answer)
+        stage.pass_time(2.0)
+    finally:
+        stage.wait(closed(server))
+    assert [data for _, data in other.pieces] == SHORT_ANSWERS
+    times = [at for at, _ in other.pieces]
+    character = 11 / baudrate
+    pause = 3.5 * character if baudrate <= 19200 else 0.00175
+    for before, after in pairwise(times):
+        assert after - before >= len(SHORT_ANSWERS[0]) * character + pause - 1e-6
+
+
+async def closed(server: SerialServer) -> None:
+    server.close()
