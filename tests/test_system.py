@@ -2,7 +2,6 @@
 
 import importlib
 import os
-import select
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,39 +19,6 @@ def flag(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     made = Flag()
     yield made
     made.close()
-
-
-def is_set(flag: Flag) -> bool:
-    return bool(select.select([flag.descriptor], [], [], 0)[0])
-
-
-def test_a_flag_is_readable_from_set_to_clear(flag: Flag) -> None:
-    assert not is_set(flag)
-    flag.clear()
-    flag.set()
-    assert is_set(flag)
-    flag.set()
-    flag.clear()
-    assert not is_set(flag)
-
-
-def test_a_flag_may_be_set_more_often_than_a_pipe_has_room(flag: Flag) -> None:
-    for _ in range(70_000):
-        flag.set()
-    flag.clear()
-    assert not is_set(flag)
-
-
-def test_a_closed_flag_does_nothing_and_leaves_no_descriptor(flag: Flag) -> None:
-    before = set(os.listdir("/proc/self/fd"))
-    other = Flag()
-    other.set()
-    for _ in range(2):
-        other.close()
-        other.set()
-        other.clear()
-    assert other.descriptor == -1
-    assert set(os.listdir("/proc/self/fd")) == before
 
 
 def test_programs_that_are_started_do_not_inherit_a_flag(flag: Flag) -> None:

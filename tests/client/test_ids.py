@@ -6,24 +6,13 @@ import pytest
 
 from libmodbus_py import FrameError, ModbusConnectionError, ModbusTimeoutError, Traced, pdu
 from tests.support.replies import exchange
-from tests.support.talk import TCP, Talk, kinds, tcp
-
-UDP = TCP.replace("tcp", "udp")
+from tests.support.talk import Talk, kinds, tcp
 
 
 def test_a_request_has_the_header_of_the_specification() -> None:
     talk = Talk()
     talk.ask(0x6B, unit=0x11)
     assert talk.sent == [bytes.fromhex("0001 0000 0006 11 03 006B 0001")]
-
-
-@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]])
-def test_answers_find_their_requests_in_any_order(order: list[int]) -> None:
-    talk = Talk()
-    batches = [talk.ask(address) for address in range(4)]
-    talk.come(*(tcp(talk.sent[at]) for at in order))
-    assert [batch.outcomes for batch in batches] == [[[0]], [[1]], [[2]], [[3]]]
-    assert talk.is_at_rest
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -77,14 +66,6 @@ def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
     assert talk.statistics.late_answers == 1
 
 
-def test_any_unit_is_taken_where_that_is_wanted() -> None:
-    talk = Talk(accept_unit="any")
-    batch, refused = talk.ask(1), talk.ask(2)
-    talk.come(tcp(talk.sent[0], unit=255), tcp(talk.sent[1], "83 09", unit=255))
-    assert batch.outcomes == [[1]]
-    assert refused.outcomes[0].received == tcp(talk.sent[1], "83 09", unit=255)
-
-
 @pytest.mark.parametrize("length", [0, 1, 255, 0xFFFF])
 def test_a_length_that_cannot_be_fails_all_and_breaks_the_connection(length: int) -> None:
     talk = Talk()
@@ -98,15 +79,6 @@ def test_a_length_that_cannot_be_fails_all_and_breaks_the_connection(length: int
     talk.replace_broken()
     talk.come(tcp(talk.sent[2]))
     assert waiting.outcomes == [[3]]
-
-
-def test_a_datagram_that_is_no_frame_does_not_end_the_wait() -> None:
-    talk = Talk(UDP)
-    batch = talk.ask(1)
-    right = tcp(talk.sent[0])
-    talk.come(b"", b"\0", right[:-1], right + b"\0", right + right, right)
-    assert batch.outcomes == [[1]]
-    assert talk.statistics.invalid == 4
 
 
 def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
@@ -167,14 +139,3 @@ def test_an_id_in_flight_or_owed_is_skipped() -> None:
     talk.matching._last = 0
     talk.ask(3)
     assert ids(talk) == [1, 2, 3]
-
-
-def test_requests_are_spaced() -> None:
-    talk = Talk(request_spacing=0.25)
-    talk.ask(*range(3), one_by_one=False)
-    talk.ask(9)
-    talk.wait(1)
-    assert talk.times == pytest.approx([0, 0.25, 0.5, 0.75])
-    talk.wait(1)
-    talk.ask(5)
-    assert talk.times[-1] == 2

@@ -7,13 +7,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from libmodbus_py import Client, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.ports.hosts import (
-    host_and_port,
-    host_of_peer,
     is_loopback,
     is_this_machine,
     own_address,
@@ -73,26 +69,6 @@ WRONG += ["a b", "me@h", "h/x", "[::1]:1:2", "[[::1]]", "h:502\n", "h:\u0665"]
 def test_other_texts_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"must be"):
         split_host_and_port(text)
-
-
-HOSTS = st.one_of(
-    st.ip_addresses().map(str),
-    st.from_regex(r"[a-z0-9.-]{1,20}", fullmatch=True),
-    st.ip_addresses(v=6).map(lambda address: f"{address}%enP8p1s0"),
-)
-
-
-@given(HOSTS, st.integers(0, 65535))
-def test_what_is_formatted_is_parsed(host: str, port: int) -> None:
-    text = host_and_port(host, port)
-    assert split_host_and_port(text) == (host, port)
-    assert host_of_peer(text) == host
-
-
-@each_case("path", ["/dev/serial/by-path/pci-0000:00:14.0", "/run/a pid b.sock uid 0"])
-def test_the_host_of_a_path_is_the_path(path: str) -> None:
-    assert host_of_peer(path) == path
-    assert host_of_peer(f"{path} pid 7") == path
 
 
 GONE = ModbusConnectionError("no such device", errno=19)

@@ -22,7 +22,6 @@ from libmodbus_py.listen import listen
 from libmodbus_py.ports import serial, serial_devices, serial_read_only, serial_settings
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.ports.serial_read_only import ReadOnlySerialPort
-from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support import certificates
 from tests.support.certificates import Pki
@@ -319,114 +318,6 @@ class TestReadOnly:
         assert caught.value.errno == number
         assert made.descriptor == -1
         assert is_free(wire.client)
-
-
-class Socket:
-    """A socket whose calls fail with error numbers, one after the other, or give bytes."""
-
-    def __init__(self, *outcomes: int | bytes) -> None:
-        self._outcomes = list(outcomes)
-        self.sent = b""
-        self.is_shut = False
-
-    def _next(self) -> bytes:
-        outcome = self._outcomes.pop(0) if self._outcomes else errno.EAGAIN
-        if isinstance(outcome, int):
-            raise OSError(outcome, os.strerror(outcome))
-        return outcome
-
-    def recv(self, size: int) -> bytes:
-        return self._next()
-
-    def send(self, data: bytes) -> int:
-        taken = min(len(data), len(self._next()))
-        self.sent += bytes(data[:taken])
-        return taken
-
-    def shutdown(self, how: int) -> None:
-        self.is_shut = True
-
-
-def tcp(*outcomes: int | bytes) -> tuple[TcpPort, Socket]:
-    made, socket = TcpPort("192.0.2.1", 502, None), Socket(*outcomes)
-    made._socket = socket  # type: ignore[assignment]
-    return made, socket
-
-
-def udp(*outcomes: int | bytes) -> tuple[UdpPort, Socket]:
-    made, socket = UdpPort("192.0.2.1", 502), Socket(*outcomes)
-    made._socket, made._refusal = socket, 0  # type: ignore[assignment]
-    return made, socket
-
-
-class TestTcp:
-    @pytest.mark.parametrize("number", [errno.ECONNRESET, errno.ETIMEDOUT, errno.EHOSTUNREACH])
-    def test_a_connection_that_ends_says_why(self, number: int) -> None:
-        with failing(number):
-            tcp(number)[0].receive()
-        with failing(number):
-            tcp(number)[0].send([b"request"], 0.0)
-
-    def test_the_other_side_closes(self) -> None:
-        with failing(errno.ECONNRESET, "closed by the other side"):
-            tcp(b"")[0].receive()
-
-    def test_nothing_has_come(self) -> None:
-        assert tcp()[0].receive() == []
-        assert tcp(b"answer")[0].receive() == [b"answer"]
-
-    def test_what_is_not_taken_is_sent_later_and_in_order(self) -> None:
-        made, socket = tcp(b"123", errno.EAGAIN, b"12", b"1234567890", b"1")
-        made.send([b"first", b" second"], 0.0)
-        assert (socket.sent, made.has_unsent) == (b"fir", True)
-        made.go_on(0.0)
-        made.send([b"!"], 0.0)
-        made.go_on(0.0)
-        assert (socket.sent, made.has_unsent) == (b"first", True)
-        made.go_on(0.0)
-        assert (socket.sent, made.has_unsent) == (b"first second!", False)
-
-
-class TestUdp:
-    def test_all_that_came_is_given_datagram_by_datagram(self) -> None:
-        assert udp(b"one", b"two", b"three")[0].receive() == [b"one", b"two", b"three"]
-
-    def test_a_closed_port_is_told_when_there_is_nothing_else(self) -> None:
-        with failing(errno.ECONNREFUSED, "refused"):
-            udp(errno.ECONNREFUSED)[0].receive()
-
-    @pytest.mark.parametrize(
-        "outcomes",
-        [(b"one", errno.ECONNREFUSED, b"two"), (errno.ECONNREFUSED, b"one", b"two")],
-        ids=["between", "before"],
-    )
-    def test_what_came_before_the_port_was_closed_is_given_first(self, outcomes) -> None:
-        made, socket = udp(*outcomes)
-        assert made.receive() == [b"one", b"two"]
-        # Whoever waits is to have the news at once.
-        assert socket.is_shut
-        with pytest.raises(ModbusConnectionError, match="refused"):
-            made.receive()
-
-    def test_a_second_error_ends_the_look(self) -> None:
-        made, _ = udp(errno.ECONNREFUSED, b"one", errno.EHOSTUNREACH, b"two")
-        assert made.receive() == [b"one"]
-
-    def test_the_refusal_of_an_earlier_datagram_does_not_lose_this_one(self) -> None:
-        made, socket = udp(errno.ECONNREFUSED, b"1234567")
-        made.send([b"request"], 0.0)
-        assert socket.sent == b"request"
-
-    def test_a_datagram_that_is_not_taken_is_lost(self) -> None:
-        made, socket = udp(errno.EAGAIN, b"1234567")
-        made.send([b"request"], 0.0)
-        assert socket.sent == b""
-        assert not made.has_unsent
-
-    @pytest.mark.parametrize("number", [errno.ENETUNREACH, errno.EPERM])
-    def test_another_error_is_told(self, number: int) -> None:
-        with failing(number):
-            udp(number)[0].send([b"request"], 0.0)
 
 
 SCHEMES = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls"]

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import math
 import os
 import select
 import socket
@@ -18,9 +17,7 @@ from libmodbus_py import ModbusConnectionError
 from libmodbus_py.ports.hosts import Resolve
 from libmodbus_py.ports.sockets import TcpPort, UdpPort
 from libmodbus_py.ports.waiting import READ, WRITE, Ready, Steps, Waker, Woken, milliseconds, run
-from libmodbus_py.ports.waiting_async import Alarm, run_async
-from tests.simulation.loop import VirtualLoop
-from tests.simulation.network import Network
+from libmodbus_py.ports.waiting_async import run_async
 from tests.support.cases import each_case
 from tests.support.names import NEEDS_IPV6, resolve
 from tests.support.peers import dead, until
@@ -307,59 +304,3 @@ def test_the_system_waits_a_second_at_a_time(seconds, monkeypatch) -> None:
         assert seconds <= counted.now - before <= seconds + 0.0011
     assert max(counted.waits) <= 1000
     waker.close()
-
-
-def rung(*times: float, until: float, is_cancelled: bool = False) -> tuple[list[float], float]:
-    """Return when an alarm that was set for these times rang, and when it would ring again."""
-    found: list[float] = []
-
-    async def main() -> float:
-        loop = asyncio.get_running_loop()
-        began = loop.time()
-        alarm = Alarm(lambda now: found.append(now - began))
-        for each in times:
-            alarm.set(began + each, loop)
-        if is_cancelled:
-            alarm.cancel()
-        await asyncio.sleep(until)
-        at = alarm.at
-        alarm.cancel()
-        return at - began
-
-    return found, Network(1).run(main)
-
-
-def test_the_earliest_time_counts_in_any_order() -> None:
-    assert rung(5, 2, 3, until=10) == ([2], math.inf)
-    assert rung(2, 5, until=10) == ([2], math.inf)
-
-
-def test_a_timer_that_ends_early_is_told_the_time_it_was_set_for(monkeypatch) -> None:
-    monkeypatch.setattr(VirtualLoop, "early", 0.25)
-    assert rung(5, 2, 3, until=10) == ([2], math.inf)
-
-
-def test_before_its_time_it_is_silent_and_tells_when() -> None:
-    assert rung(5, 3, until=1) == ([], 3)
-
-
-def test_once_cancelled_it_never_rings() -> None:
-    assert rung(2, until=10, is_cancelled=True) == ([], math.inf)
-
-
-def test_after_it_rang_it_can_be_set_for_a_later_time() -> None:
-    async def main() -> list[float]:
-        loop, found = asyncio.get_running_loop(), []
-        began = loop.time()
-
-        def ring(now: float) -> None:
-            found.append(now - began)
-            if len(found) < 3:
-                alarm.set(now + len(found), loop)
-
-        alarm = Alarm(ring)
-        alarm.set(began + 1, loop)
-        await asyncio.sleep(10)
-        return found
-
-    assert Network(1).run(main) == [1, 2, 4]

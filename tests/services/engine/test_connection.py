@@ -25,7 +25,6 @@ from libmodbus_py.services.engine.connection import (
     connected,
     parse_servers,
 )
-from tests.services.fleet.fleets import in_real_time
 from tests.support.certificates import authority, make, save
 from tests.support.secret_files import write_secret
 
@@ -123,7 +122,6 @@ def test_a_file_that_is_not_there_is_named(client: type[Client]) -> None:
     assert client.made == []
 
 
-@in_real_time
 async def test_a_connection_that_is_lost_is_sought_for_ever_and_each_change_told(
     client: type[Client],
 ) -> None:

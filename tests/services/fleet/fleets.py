@@ -23,7 +23,6 @@ METER = RegisterMap(
 
 LONGEST = 20.0  # seconds that anything may take on a busy machine
 
-LONGEST_TEST = 180.0  # seconds for all steps of a test together
 
 LONGEST_SIMULATED = 3600.0
 
@@ -80,16 +79,6 @@ def in_simulated_time(test: Callable[..., Coroutine[Any, Any, None]]) -> Callabl
     @wraps(test)
     def run(*arguments: Any, **fixtures: Any) -> None:
         simulated_run(test(*arguments, **fixtures))
-
-    return run
-
-
-def in_real_time(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
-    """Decorate a test whose sockets, files and programs are real."""
-
-    @wraps(test)
-    def run(*arguments: Any, **fixtures: Any) -> None:
-        asyncio.run(asyncio.wait_for(test(*arguments, **fixtures), LONGEST_TEST))
 
     return run
 

@@ -16,7 +16,6 @@ from tests.services.fleet.fleets import (
     NETWORK,
     Peer,
     good,
-    in_real_time,
     in_simulated_time,
     meter,
     polling,
@@ -75,7 +74,6 @@ async def test_fifty_dead_units_on_a_gateway_cost_the_others_nothing() -> None:
         assert of_the_dead == [1] * 150
 
 
-@in_real_time
 async def test_real_connections_are_polled() -> None:
     """Over TCP, and on a line with a unit that is not there."""
     with SerialWire() as wire:

@@ -25,7 +25,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.commands import parsed
-from tests.services.fleet.fleets import LONGEST, in_real_time, until
+from tests.services.fleet.fleets import LONGEST, until
 from tests.services.fleet.outputs.influxdb import Database
 from tests.support.commands import Started, ended
 from tests.support.programs import HeldPort, listens, missing, program
@@ -161,7 +161,6 @@ def test_telegraf_gets_lines_from_the_command_at_once(plant: Path) -> None:
         assert started.wait() == 0
 
 
-@in_real_time
 async def test_telegraf_reads_what_the_broker_gets(plant: Path, broker: Broker) -> None:
     (inputs,) = tomllib.loads(block("Telegraf", "toml", "mqtt_consumer"))["inputs"]["mqtt_consumer"]
     heard = await heard_from(plant, broker, *inputs["topics"])
@@ -192,7 +191,6 @@ async def heard_from(plant: Path, broker: Broker, *topics: str) -> dict[str, Any
             return {topic: payload for topic, payload, _ in heard}
 
 
-@in_real_time
 async def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, broker: Broker) -> None:
     nodes = {node["id"]: node for node in json.loads(block("Node-RED", "json"))}
     for node in nodes.values():
@@ -207,7 +205,6 @@ async def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, brok
     assert nodes["show"]["complete"] == "payload.value"
 
 
-@in_real_time
 async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> None:
     from tests.services.fleet.outputs.brokers import hearing, publish
 
@@ -224,7 +221,6 @@ async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> Non
     assert result["ok"] is True
 
 
-@in_real_time
 async def test_home_assistant_finds_a_device_that_goes_in_a_reload(plant: Path, broker: Broker):
     from tests.services.fleet.outputs.home_assistant import home_assistant
 

@@ -21,7 +21,7 @@ from libmodbus_py.fleet import Journal
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.journal.schema import JournalDamaged, JournalError
 from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
-from tests.services.fleet.fleets import NETWORK, Peer, in_real_time, in_simulated_time, meter, until
+from tests.services.fleet.fleets import NETWORK, Peer, in_simulated_time, meter, until
 from tests.services.fleet.journal.journals import (
     Failing,
     asked,
@@ -160,7 +160,6 @@ def confirmed(polls: KilledPolls) -> int:
     return 0
 
 
-@in_real_time
 async def test_a_poll_that_is_killed_loses_nothing_that_was_journalled(tmp_path: Path) -> None:
     async with devices(5) as urls:
         polls = KilledPolls(tmp_path, urls, interval=0.05)

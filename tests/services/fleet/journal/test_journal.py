@@ -17,7 +17,7 @@ from libmodbus_py.services.fleet.journal import journal as journal_module
 from libmodbus_py.services.fleet.journal import place as recent
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
-from tests.services.fleet.fleets import Peer, in_real_time, in_simulated_time, meter, until
+from tests.services.fleet.fleets import Peer, in_simulated_time, meter, until
 from tests.services.fleet.journal.journals import asked, in_journal, journal_of, readings, run_for
 from tests.support.outputs import FakeOutput
 
@@ -131,7 +131,6 @@ async def test_a_journal_that_cannot_be_used_ends_the_fleet_before_it_polls(
         assert peer.connections == []
 
 
-@in_real_time
 async def test_a_journal_may_be_behind_a_link_and_is_the_same_one(path: str, tmp_path) -> None:
     link = tmp_path / "link.db"
     link.symlink_to(path)
@@ -146,7 +145,6 @@ async def test_a_journal_may_be_behind_a_link_and_is_the_same_one(path: str, tmp
     assert {each.name for each in tmp_path.iterdir() if each.name.startswith("link")} == {link.name}
 
 
-@in_real_time
 async def test_a_journal_belongs_to_one_fleet(path: str) -> None:
     journal = Journal(path)
     await journal.open([])
@@ -158,7 +156,6 @@ async def test_a_journal_belongs_to_one_fleet(path: str) -> None:
     await journal.close()
 
 
-@in_real_time
 async def test_waiting_readings_are_written_when_the_fleet_ends(path: str) -> None:
     journal = Journal(path)
     await journal.open(["x"])
@@ -171,7 +168,6 @@ async def test_waiting_readings_are_written_when_the_fleet_ends(path: str) -> No
     assert found[-1] == last
 
 
-@in_real_time
 async def test_a_cancelled_opening_leaves_the_file_to_others(path: str, monkeypatch) -> None:
     opening, goes_on = threading.Event(), threading.Event()
     original = JournalFile.open
@@ -193,7 +189,6 @@ async def test_a_cancelled_opening_leaves_the_file_to_others(path: str, monkeypa
     await other.close()
 
 
-@in_real_time
 async def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     hangs, goes_on = threading.Event(), threading.Event()
     write = JournalFile.write_polls

@@ -16,7 +16,6 @@ from libmodbus_py.services.fleet.outputs.output import OutputError
 from tests.services.fleet.fleets import (
     Peer,
     good,
-    in_real_time,
     in_simulated_time,
     meter,
     polling,
@@ -48,7 +47,6 @@ class SmallDisk:
 
 @pytest.mark.parametrize("make", [JsonOutput, CsvOutput])
 @pytest.mark.parametrize("room", [0, 10, 60, 200])
-@in_real_time
 async def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[str], LineFile], room: int
 ) -> None:
@@ -113,7 +111,6 @@ async def test_an_answer_after_a_reload_is_of_nobody(after: list[str]) -> None:
             assert statistics.down == 0
 
 
-@in_real_time
 async def test_metrics_can_be_scraped_while_a_fleet_is_read_again() -> None:
     """From another thread, as a server of metrics does."""
     prometheus = pytest.importorskip("prometheus_client")

@@ -17,7 +17,7 @@ from libmodbus_py.services.fleet.outputs import mqtt_connection
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.tools.certificates import Identity
-from tests.services.fleet.fleets import in_real_time, meter, real_peer, until
+from tests.services.fleet.fleets import meter, real_peer, until
 from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish, told
 from tests.support import certificates
 from tests.support.certificates import Pki
@@ -38,7 +38,6 @@ def secure(broker: Broker, pki: Pki, identity: Identity) -> str:
     return f"mqtts://127.0.0.1:{port}"
 
 
-@in_real_time
 async def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
     pki = Pki(tmp_path)
     url = secure(broker, pki, certificates.server())
@@ -51,7 +50,6 @@ async def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wrong", ["another authority", "another host"])
-@in_real_time
 async def test_a_broker_that_is_not_trusted_gets_nothing(broker: Broker, tmp_path, wrong) -> None:
     pki = Pki(tmp_path)
     is_foreign = wrong == "another authority"
@@ -67,7 +65,6 @@ async def test_a_broker_that_is_not_trusted_gets_nothing(broker: Broker, tmp_pat
         assert heard == []
 
 
-@in_real_time
 async def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> None:
     (tmp_path / "ca.pem").write_text("nothing")
     output = Mqtt("mqtts://127.0.0.1:1", ca=str(tmp_path / "ca.pem"))
@@ -75,7 +72,6 @@ async def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> Non
         await output.open_output()
 
 
-@in_real_time
 async def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) -> None:
     """A poller is killed: the broker says so, not the poller."""
     (tmp_path / "meter.csv").write_text("name,table,address\nx,holding_registers,0\n")
@@ -92,7 +88,6 @@ async def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("options", [{"user": "user", "password": "wrong"}, {}])
-@in_real_time
 async def test_wrong_credentials_are_one_line(broker: Broker, options, caplog) -> None:
     said = "Not authorized"
     broker.settings[1] = f"password_file {broker._folder / 'passwords'}"
@@ -114,7 +109,6 @@ async def test_wrong_credentials_are_one_line(broker: Broker, options, caplog) -
     assert "secret" not in caplog.text
 
 
-@in_real_time
 async def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mqtt_connection, "TIMEOUT_S", 0.2)
     silent = socket.create_server(("127.0.0.1", 0))
@@ -128,7 +122,6 @@ async def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.M
     silent.close()
 
 
-@in_real_time
 async def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
     cases: list[tuple[str, bytes, str]] = [
         ("a/setpoint", b"21", ""),
@@ -167,7 +160,6 @@ async def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
         assert fleet.statistics.commands == 1
 
 
-@in_real_time
 async def test_off_unless_enabled(broker: Broker) -> None:
     async with commanded(broker) as (fleet, heard, device):
         await publish(broker, "modbus/a/setpoint/set", b"21")
@@ -176,7 +168,6 @@ async def test_off_unless_enabled(broker: Broker) -> None:
         assert (heard, device.mapping.holding_registers[2]) == ([], 20)
 
 
-@in_real_time
 async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
     async with commanded(broker, commands=True) as (fleet, heard, _):
         async with aiomqtt.Client("127.0.0.1", broker.port) as client:
@@ -207,7 +198,6 @@ async def written(pump: Pump, readings: list[Reading]) -> None:
     await until(lambda: pump.statistics.written == count)
 
 
-@in_real_time
 async def test_a_retained_message_has_the_last_values_of_all_points(broker: Broker) -> None:
     """The broker retains one message of a topic; with changes only, a poll has few values."""
     async with pumping(Mqtt(broker.url, topic=TOPIC)) as pump:
@@ -225,7 +215,6 @@ async def test_a_retained_message_has_the_last_values_of_all_points(broker: Brok
             assert told(heard[-1][1]) == {"y": 5, "z": 4}
 
 
-@in_real_time
 async def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
     broker.change("message_size_limit 2000")
     output = Mqtt(broker.url, topic=TOPIC, retain=False, max_message=2000)

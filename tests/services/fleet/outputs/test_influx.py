@@ -17,7 +17,6 @@ from libmodbus_py.services.fleet.outputs import influx
 from libmodbus_py.services.fleet.outputs.influx import Influx, LineProtocol, _shown
 from libmodbus_py.services.fleet.readings import Quality
 from libmodbus_py.services.other_servers import SecretFile
-from tests.services.fleet.fleets import in_real_time
 from tests.support import outputs
 from tests.support.cases import each_case
 from tests.support.golden import Refused
@@ -133,7 +132,6 @@ def test_no_credentials() -> None:
     assert "authorization" not in received.headers
 
 
-@in_real_time
 async def test_an_empty_write_asks_nothing() -> None:
     async with serving() as server:
         await outputs.write(Influx(url=server.url, database="plant"), [])

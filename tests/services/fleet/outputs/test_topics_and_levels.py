@@ -6,7 +6,7 @@ from libmodbus_py import Fleet, Server
 from libmodbus_py.fleet import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Levels, Topic
-from tests.services.fleet.fleets import in_real_time, meter, simulated, until
+from tests.services.fleet.fleets import meter, simulated, until
 from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish
 from tests.support.cases import each_case
 
@@ -85,7 +85,6 @@ def test_a_device_without_the_label_is_told_when_the_file_is_read(labels, tmp_pa
     assert str(raised.value).startswith(f"{file}, line {line}: ")
 
 
-@in_real_time
 async def test_a_device_without_the_label_is_not_added() -> None:
     with Server({1: simulated()}).background("tcp://127.0.0.1:0") as served:
         url = served.urls[0]
@@ -113,7 +112,6 @@ async def test_a_device_without_the_label_is_not_added() -> None:
     ],
     ids=["with labels", "without the name of a point"],
 )
-@in_real_time
 async def test_a_command_goes_to_the_own_topic_of_a_point_only(
     broker: Broker, template: str, reading: str, other: str, own: str
 ) -> None:
