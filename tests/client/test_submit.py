@@ -91,16 +91,13 @@ def test_failures_are_told_of_too(kind: str) -> None:
     run_peer(ignore, main)
 
 
-def test_what_cannot_be_sent_is_refused_at_once() -> None:
-    async def use() -> None:
-        client = AsyncClient("rtu:///dev/nowhere")
-        with pytest.raises(TypeError):
-            Sender(client).submit(1, b"\3", lambda: None)  # type: ignore[arg-type]
-        with pytest.raises(ValueError, match="broadcast"):
-            Sender(client).submit(0, READ, lambda: None)
-        await client.close()
-
-    asyncio.run(use())
+async def test_what_cannot_be_sent_is_refused_at_once() -> None:
+    client = AsyncClient("rtu:///dev/nowhere")
+    with pytest.raises(TypeError):
+        Sender(client).submit(1, b"\3", lambda: None)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="broadcast"):
+        Sender(client).submit(0, READ, lambda: None)
+    await client.close()
 
 
 class Gate:

@@ -364,21 +364,18 @@ def test_connected_is_what_pymodbus_says(named: ModuleType, served: int) -> None
     client.close()
 
 
-def test_asyncio_programs_close_without_await(named: ModuleType, served: int) -> None:
-    async def run() -> None:
-        client = named.AsyncModbusTcpClient("127.0.0.1", port=served)
-        assert await client.connect()
-        assert client.connected
-        client.close()
-        assert not client.connected
-        assert await client.connect()
-        assert (await client.read_holding_registers(0, count=1)).registers == [0]
-        client.close()
-        await asyncio.sleep(0.01)
-        absent = named.AsyncModbusTcpClient("127.0.0.1", port=1)
-        assert not await absent.connect()
-
-    asyncio.run(run())
+async def test_asyncio_programs_close_without_await(named: ModuleType, served: int) -> None:
+    client = named.AsyncModbusTcpClient("127.0.0.1", port=served)
+    assert await client.connect()
+    assert client.connected
+    client.close()
+    assert not client.connected
+    assert await client.connect()
+    assert (await client.read_holding_registers(0, count=1)).registers == [0]
+    client.close()
+    await asyncio.sleep(0.01)
+    absent = named.AsyncModbusTcpClient("127.0.0.1", port=1)
+    assert not await absent.connect()
 
 
 def test_what_does_not_answer_raises_the_errors_of_its_names(named: ModuleType, silent: int):

@@ -93,20 +93,17 @@ def test_each_who_asked_gets_an_error_of_its_own(resolver: Resolver) -> None:
     assert first.errno == second.errno == socket.EAI_NONAME
 
 
-def test_no_name_waits_for_others(resolver: Resolver) -> None:
+async def test_no_name_waits_for_others(resolver: Resolver) -> None:
     """Nor does an address or this machine, for which the system asks nobody."""
 
-    async def main() -> None:
-        names = [f"stuck{number}" for number in range(100)]
-        tasks = [asyncio.create_task(look_up(wanted(name))) for name in names]
-        await asyncio.to_thread(until, lambda: len(resolver.asked) == 100)
-        for name in ("localhost", "good"):
-            assert await look_up(wanted(name)) == FOUND
-        assert not any(task.done() for task in tasks)
-        for task in tasks:
-            task.cancel()
-
-    asyncio.run(main())
+    names = [f"stuck{number}" for number in range(100)]
+    tasks = [asyncio.create_task(look_up(wanted(name))) for name in names]
+    await asyncio.to_thread(until, lambda: len(resolver.asked) == 100)
+    for name in ("localhost", "good"):
+        assert await look_up(wanted(name)) == FOUND
+    assert not any(task.done() for task in tasks)
+    for task in tasks:
+        task.cancel()
 
 
 def test_a_name_has_one_thread_however_often_its_clients_give_up(resolver: Resolver) -> None:

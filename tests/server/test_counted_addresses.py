@@ -43,17 +43,14 @@ def test_an_ipv6_address_counts_as_its_64(host: str, counted: str) -> None:
     assert host_of(host_and_port(host, 502)) == counted
 
 
-def test_all_addresses_of_a_64_share_an_allowance() -> None:
-    async def main() -> None:
-        addresses: Addresses[Paused] = Addresses(2.0)
-        for last in range(3):
-            address = addresses.get(f"2001:db8::{last}")
-            addresses.keep(address)
-            address.spend(1)
-        assert addresses.get("2001:db8::ffff").is_overspent()
-        assert not addresses.get("2001:db8:0:1::1").is_overspent()
-
-    asyncio.run(main())
+async def test_all_addresses_of_a_64_share_an_allowance() -> None:
+    addresses: Addresses[Paused] = Addresses(2.0)
+    for last in range(3):
+        address = addresses.get(f"2001:db8::{last}")
+        addresses.keep(address)
+        address.spend(1)
+    assert addresses.get("2001:db8::ffff").is_overspent()
+    assert not addresses.get("2001:db8:0:1::1").is_overspent()
 
 
 class Client(FakeChannel):
@@ -72,34 +69,33 @@ def never(_: object) -> Session:
     raise AssertionError("no handshake ends here")
 
 
-def test_half_open_handshakes_of_one_address_take_nobody_elses_place(monkeypatch, pki: Pki) -> None:
+async def test_half_open_handshakes_of_one_address_take_nobody_elses_place(
+    monkeypatch, pki: Pki
+) -> None:
     monkeypatch.setattr(tls, "HALF_OPEN", 10)
 
-    async def main() -> None:
-        statistics = ServerStatistics()
-        security = pki.server()
-        handshakes = Handshakes(security, Limits(), statistics)
-        sessions: list[TlsSession] = []
+    statistics = ServerStatistics()
+    security = pki.server()
+    handshakes = Handshakes(security, Limits(), statistics)
+    sessions: list[TlsSession] = []
 
-        def begin(address: str) -> Client:
-            client = Client(address)
-            session = TlsSession(client, handshakes, never)
-            sessions.append(session)
-            session.receive(b"\x16")
-            return client
+    def begin(address: str) -> Client:
+        client = Client(address)
+        session = TlsSession(client, handshakes, never)
+        sessions.append(session)
+        session.receive(b"\x16")
+        return client
 
-        innocent = begin("192.0.2.1:1000")
-        crowd = [begin(f"2001:db8::{number:x}:1000") for number in range(30)]
-        other = begin("192.0.2.2:1000")
-        assert not innocent.is_closed
-        assert not other.is_closed
-        assert [each.is_closed for each in crowd] == [True] * 22 + [False] * 8
-        assert statistics.closed_for_others == 22
-        for session in sessions:
-            session.close()
-        assert (handshakes._count, handshakes._half_open, handshakes._line) == (0, {}, {})
-
-    asyncio.run(main())
+    innocent = begin("192.0.2.1:1000")
+    crowd = [begin(f"2001:db8::{number:x}:1000") for number in range(30)]
+    other = begin("192.0.2.2:1000")
+    assert not innocent.is_closed
+    assert not other.is_closed
+    assert [each.is_closed for each in crowd] == [True] * 22 + [False] * 8
+    assert statistics.closed_for_others == 22
+    for session in sessions:
+        session.close()
+    assert (handshakes._count, handshakes._half_open, handshakes._line) == (0, {}, {})
 
 
 def test_handshakes_of_addresses_take_turns(monkeypatch: pytest.MonkeyPatch, pki: Pki) -> None:

@@ -1,6 +1,5 @@
 """The server on UDP: one request in a datagram, its answer in another to whoever asked."""
 
-import asyncio
 import contextlib
 import gc
 from collections.abc import Callable, Iterator
@@ -224,7 +223,7 @@ def test_addresses_of_other_machines_get_no_more_than_a_thousand_answers_a_secon
     assert admitted() == later
 
 
-def test_however_many_sources_are_forged_little_is_remembered(monkeypatch) -> None:
+async def test_however_many_sources_are_forged_little_is_remembered(monkeypatch) -> None:
     monkeypatch.setattr(source_module, "REMEMBERED_MAX", 300)
     monkeypatch.setattr(limits, "REMEMBERED_MAX", 200)
 
@@ -232,18 +231,15 @@ def test_however_many_sources_are_forged_little_is_remembered(monkeypatch) -> No
         gc.collect()
         return sum(isinstance(each, kind) for each in gc.get_objects())
 
-    async def flood() -> None:
-        sources = Sources(Limits(), ServerStatistics())
-        before = remembered(Address), remembered(Allowance)
-        for number in range(2000):
-            source = (f"10.0.{number >> 8}.{number & 255}", 40_000)
-            datagram = adu(WRITE)
-            assert sources.admit(datagram, source)
-            sources.note_answer(datagram, datagram[7:], source)
-        assert remembered(Address) - before[0] == 200
-        assert remembered(Allowance) - before[1] == 200 + 300
-
-    asyncio.run(flood())
+    sources = Sources(Limits(), ServerStatistics())
+    before = remembered(Address), remembered(Allowance)
+    for number in range(2000):
+        source = (f"10.0.{number >> 8}.{number & 255}", 40_000)
+        datagram = adu(WRITE)
+        assert sources.admit(datagram, source)
+        sources.note_answer(datagram, datagram[7:], source)
+    assert remembered(Address) - before[0] == 200
+    assert remembered(Allowance) - before[1] == 200 + 300
 
 
 def test_a_late_answer_does_not_hold_up_the_others(stage: Stage) -> None:

@@ -206,7 +206,7 @@ class TestEnding:
         gathering.close()
         assert list(gathering.line) == []
 
-    def test_close_from_a_signal_handler_and_in_asyncio(self, port: Line) -> None:
+    async def test_close_from_a_signal_handler_and_in_asyncio(self, port: Line) -> None:
         line = listen(f"rtu://{port.path}")
         before = signal.signal(signal.SIGALRM, lambda *_: line.close())
         try:
@@ -215,12 +215,9 @@ class TestEnding:
         finally:
             signal.signal(signal.SIGALRM, before)
 
-        async def heard() -> None:
-            line = listen(f"rtu://{port.path}")
-            asyncio.get_running_loop().call_later(0.1, line.close)
-            assert [each async for each in line] == []
-
-        asyncio.run(heard())
+        line = listen(f"rtu://{port.path}")
+        asyncio.get_running_loop().call_later(0.1, line.close)
+        assert [each async for each in line] == []
 
     def test_cancelling_loses_nothing(self, port: Line) -> None:
         async def heard() -> Transaction:
