@@ -4,7 +4,6 @@ import pytest
 
 from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, pdu
 from libmodbus_py.client.call import NOT_ASKED
-from tests.support.cases import each_case
 from tests.support.replies import BOTH, addresses, answer, refusal, unanswered
 from tests.support.talk import LINE, LOST, TCP, Talk, kinds, tcp
 
@@ -244,20 +243,3 @@ def test_a_request_that_nobody_answers_makes_a_batch_go_one_by_one() -> None:
     talk.wait(0.1)
     talk.come(answer(talk))
     assert batch.outcomes == [[1], None, [2]]
-
-
-@each_case(
-    ("most", "batches", "halves"), [(16, 1, [8, 8, 0]), (2, 1, [1, 1, 0]), (16, 20, [8, 8, 0])]
-)
-def test_up_to_half_of_what_may_be_in_flight_is_sent_at_once(most, batches, halves) -> None:
-    """The server works on one half while the answers to the other one are decoded."""
-    talk = Talk(max_in_flight=most)
-    for _ in range(batches):
-        batch = talk.batch(*range(20), one_by_one=batches > 1)
-        talk.connection.submit(batch, talk.now)
-    sent = []
-    for _ in halves:
-        talk.forget()
-        talk.connection.start(talk.now, talk.receive)
-        sent.append(len(talk.sent))
-    assert sent == halves

@@ -13,8 +13,7 @@ import pytest
 
 from libmodbus_py import Client, Device, Fault, Mapping, Server, pdu
 from libmodbus_py.protocol import errors
-from libmodbus_py.protocol.framing import Frame, TcpFramer
-from libmodbus_py.server.faults import Faults
+from libmodbus_py.protocol.framing import TcpFramer
 from tests.support.attacks import READ_ONE, adu, ask, connect
 from tests.support.cases import each_case
 
@@ -191,42 +190,3 @@ def test_a_message_that_cannot_be_answered_is_one(scheme: str) -> None:
     ):
         peer.sendall(adu(b"\x83\2", 1))
         ask(peer, adu(b"\x08\0\x0b\0\0", 2), adu(b"\x08\0\x0b\0\2", 2))
-
-
-READ = b"\3\0\0\0\1"
-
-
-def test_a_fault_that_cannot_happen_leaves_others_their_turn() -> None:
-    """Serial lines have no transactions."""
-    transaction, answer = Fault("wrong_transaction"), Fault("no_answer")
-    for has_transaction, expected in ((True, transaction), (False, answer)):
-        faults = Faults({1: [transaction, answer]})
-        found = faults.due(Frame(1, READ), has_transaction=has_transaction)
-        assert found == expected
-
-
-def test_faults_that_are_given_again_go_on_counting() -> None:
-    third, other = Fault("no_answer", every=3), Fault("exception", code=2, every=3)
-    before = Faults({1: [third]})
-    for _ in range(2):
-        assert before.due(Frame(1, READ), has_transaction=True) is None
-    after = Faults({1: [third, third, other]}, before)
-    found = [after.due(Frame(1, READ), has_transaction=True) for _ in range(3)]
-    assert found == [third, None, third]
-
-
-def test_no_faults_are_none() -> None:
-    assert not Faults({})
-    assert not Faults({1: [], None: []})
-    assert Faults({1: [], 2: [Fault("no_answer")]})
-    faults = Faults({1: [Fault("no_answer")]})
-    assert [faults.concerns(unit) for unit in (0, 1, 2)] == [False, True, False]
-    assert Faults({None: [Fault("no_answer")]}).concerns(7)
-
-
-@pytest.mark.parametrize("pdu", [b"\x41\1", b"\x08\0\0\0\7", b"\x07", b"\3"])
-def test_a_fault_everywhere_happens_to_requests_without_an_address(pdu: bytes) -> None:
-    everywhere = Faults({1: [Fault("no_answer")]})
-    assert everywhere.due(Frame(1, pdu), has_transaction=True) is not None
-    in_a_table = Faults({1: [Fault("no_answer", table="coils")]})
-    assert in_a_table.due(Frame(1, pdu), has_transaction=True) is None

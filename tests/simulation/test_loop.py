@@ -3,7 +3,6 @@
 import asyncio
 import math
 import struct
-from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +29,7 @@ from tests.support.served import ANSWER_ONE, served
 
 from .casts import CASTS
 from .events import START
-from .loop import Stuck, VirtualLoop
+from .loop import VirtualLoop
 from .network import Network
 from .playing import chosen, play
 from .stage import Stage
@@ -65,52 +64,6 @@ def test_no_timer_ends_before_its_time_or_more_than_a_step_later(start: float) -
             assert due <= loop.time() <= math.nextafter(due, math.inf)
 
     network.run(wait)
-
-
-async def ask_the_clock() -> None:
-    while True:
-        await asyncio.sleep(0)
-
-
-async def set_a_timer_that_is_due() -> None:
-    loop = asyncio.get_running_loop()
-    while True:
-        await asyncio.sleep(math.ulp(loop.time()) / 4)
-
-
-@each_case("spin", [ask_the_clock, set_a_timer_that_is_due])
-def test_who_keeps_the_loop_turning_at_one_time_ends_it(spin) -> None:
-    with pytest.raises(Stuck, match=r"the loop turns without end at 1000\.0 s"):
-        Network().run(spin)
-
-
-async def wait_in_vain() -> None:
-    while True:
-        try:
-            await asyncio.get_running_loop().create_future()
-        except asyncio.CancelledError:
-            continue
-
-
-async def never_wait() -> None:
-    while True:
-        try:
-            await asyncio.sleep(0)
-        except asyncio.CancelledError:
-            continue
-
-
-@each_case("last", [wait_in_vain, never_wait])
-def test_a_task_that_does_not_end_is_named(last: Callable[[], Coroutine[Any, Any, None]]) -> None:
-    kept: list[asyncio.Task[None]] = []
-
-    async def main() -> None:
-        task = asyncio.create_task(last(), name="the endless one")
-        await asyncio.sleep(0)
-        kept.append(task)  # else it is garbage while it waits, of which asyncio complains
-
-    with pytest.raises(AssertionError, match=r"did not end: .*the endless one"):
-        Network().run(main)
 
 
 @pytest.mark.parametrize("cast", QUICK)
