@@ -13,7 +13,8 @@ import pytest
 
 from libmodbus_py import Client, Device, Fault, Mapping, Server, pdu
 from libmodbus_py.protocol import errors
-from libmodbus_py.protocol.framing import TcpFramer
+from libmodbus_py.protocol.framing import Frame, TcpFramer
+from libmodbus_py.server.faults import Faults
 from tests.support.attacks import READ_ONE, adu, ask, connect
 from tests.support.cases import each_case
 
@@ -190,3 +191,23 @@ def test_a_message_that_cannot_be_answered_is_one(scheme: str) -> None:
     ):
         peer.sendall(adu(b"\x83\2", 1))
         ask(peer, adu(b"\x08\0\x0b\0\0", 2), adu(b"\x08\0\x0b\0\2", 2))
+
+
+READ = b"\3\0\0\0\1"
+
+
+def test_a_fault_that_cannot_happen_leaves_others_their_turn() -> None:
+    """Serial lines have no transactions."""
+    transaction, answer = Fault("wrong_transaction"), Fault("no_answer")
+    for has_transaction, expected in ((True, transaction), (False, answer)):
+        faults = Faults({1: [transaction, answer]})
+        found = faults.due(Frame(1, READ), has_transaction=has_transaction)
+        assert found == expected
+
+
+@pytest.mark.parametrize("pdu", [b"\x41\1", b"\x08\0\0\0\7", b"\x07", b"\3"])
+def test_a_fault_everywhere_happens_to_requests_without_an_address(pdu: bytes) -> None:
+    everywhere = Faults({1: [Fault("no_answer")]})
+    assert everywhere.due(Frame(1, pdu), has_transaction=True) is not None
+    in_a_table = Faults({1: [Fault("no_answer", table="coils")]})
+    assert in_a_table.due(Frame(1, pdu), has_transaction=True) is None
