@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import select
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +20,20 @@ def flag(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ite
     made = Flag()
     yield made
     made.close()
+
+
+def test_a_flag_is_readable_from_set_to_clear_and_closed_for_good(flag: Flag) -> None:
+    for count in (1, 70_000):  # more than a pipe has room
+        for _ in range(count):
+            flag.set()
+        assert select.select([flag.descriptor], [], [], 0)[0]
+        flag.clear()
+        assert not select.select([flag.descriptor], [], [], 0)[0]
+    for _ in range(2):
+        flag.close()
+        flag.set()
+        flag.clear()
+    assert flag.descriptor == -1
 
 
 def test_programs_that_are_started_do_not_inherit_a_flag(flag: Flag) -> None:

@@ -181,11 +181,9 @@ def test_a_connection_that_was_lost_begins_with_nothing_in_flight() -> None:
     assert talk.connection.in_flight == 1
 
 
-def batch(count: int, **options: Any) -> Batch:
-    requests: list[pdu.Request[Any]] = [pdu.ReadCoils(number, 1) for number in range(count)]
-    return Batch(1, requests, Timeouts(1, 0, 0), **options)
-
-
-def settle(made: Batch, *outcomes: tuple[int, Any]) -> None:
-    for index, outcome in outcomes:
-        made.calls[index].settle(outcome)
+def test_a_batch_that_fails_keeps_the_outcomes_it_has() -> None:
+    made = Batch(1, [pdu.ReadCoils(0, 1), pdu.ReadCoils(1, 1)], Timeouts(1, 0, 0))
+    made.calls[1].settle("first")
+    made.settle(failure := ModbusConnectionError("interrupted", errno=errno.EINTR))
+    assert made.is_done
+    assert made.outcomes == [failure, "first"]

@@ -85,6 +85,13 @@ def test_nothing_is_sent_for_bad_arguments(world: World, ask: Any, named: str) -
 
 def test_a_bad_argument_of_a_client_is_named(world: World, refused: Refused) -> None:
     refused("wrong_options.txt", lambda given: world.connect(given[0], **given[1]))
+    for word, hint in (
+        ("slave", "did you mean unit"),
+        ("unti", "did you mean unit"),
+        ("parity", "parity is part of the URL of a serial port: rtu:///dev/ttyUSB0.parity="),
+    ):
+        with pytest.raises(TypeError, match=f"'{word}' must be one of unit, timeout, .*; {hint}"):
+            world.connect("tcp://192.0.2.1", **{word: 1})
 
 
 @pytest.mark.parametrize(

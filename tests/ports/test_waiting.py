@@ -183,6 +183,29 @@ def test_udp_is_connected_at_once(drive: Drive) -> None:
     made.close()
 
 
+def test_udp_tells_a_closed_port_after_what_came_and_sends_to_it_once_it_is_open() -> None:
+    def listener(port: int = 0) -> socket.socket:
+        made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        made.bind(("127.0.0.1", port))
+        made.settimeout(5)
+        return made
+
+    with listener() as first:
+        made = UdpPort("127.0.0.1", port := first.getsockname()[1])
+        asyncio.run(run_async(made.opening(soon())))
+        made.send([b"hello"], 0.0)
+        first.sendto(b"answer", first.recvfrom(5)[1])
+    made.send([b"lost"], 0.0)
+    with listener(port) as again:
+        made.send([b"request"], 0.0)
+        assert again.recv(100) == b"request"
+    made.send([b"lost"], 0.0)
+    assert made.receive() == [b"answer"]
+    with pytest.raises(ModbusConnectionError, match="refused"):
+        made.receive()
+    made.close()
+
+
 def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))
 
