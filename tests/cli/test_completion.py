@@ -1,6 +1,4 @@
-"""
-Completion in real shells and whatever the order of the words.
-"""
+"""Completion in real shells and whatever the order of the words."""
 
 import os
 import re

@@ -1,6 +1,4 @@
-"""
-What is built, what the extras install, and the library that another build shares.
-"""
+"""What is built, what the extras install, and the library that another build shares."""
 
 import importlib.util
 import os
@@ -35,9 +33,7 @@ def loaded(path: Path) -> ModuleType:
 
 
 @pytest.mark.parametrize(("is_free", "tags"), [(1, {}), (0, {"py_limited_api": "cp311"})])
-def test_the_limited_api_is_asked_for_where_there_is_one(
-    is_free: int, tags: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_limited_api_is_asked_for_where_there_is_one(is_free, tags, monkeypatch) -> None:
     """A free-threaded Python has none, and setuptools refuses to ask for it there."""
     real = sysconfig.get_config_var
 
@@ -203,9 +199,7 @@ def test_debian_suggests_and_the_documents_name_each_package() -> None:
         ),
     ],
 )
-def test_a_hint_fits_the_installation(
-    place: str, extra: str, command: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hint_fits_the_installation(place, extra, command, monkeypatch) -> None:
     monkeypatch.setattr("libmodbus_py.version.__file__", f"{place}/libmodbus_py/version.py")
     assert how_to_add(extra) == command
 
@@ -245,9 +239,7 @@ def test_man_finds_no_mistake_in_the_manual_page(page: Path) -> None:
 
 
 @pytest.mark.parametrize(("typed", "found"), [("dia", ["diagnose"]), ("ga", ["gateway"])])
-def test_the_installed_script_completes_in_bash(
-    typed: str, found: list[str], tmp_path: Path
-) -> None:
+def test_the_installed_script_completes_in_bash(typed, found, tmp_path) -> None:
     pytest.importorskip("argcomplete")
     program = tmp_path / "libmodbus-py"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m libmodbus_py "$@"\n')

@@ -1,6 +1,4 @@
-"""
-Serial ports that are only read: whose settings they take, and that nothing is written.
-"""
+"""Serial ports that are only read: whose settings they take, and that nothing is written."""
 
 import os
 import pty
@@ -53,9 +51,7 @@ def test_settings_of_another_program_stay() -> None:
         os.close(slave)
 
 
-def test_settings_of_a_program_elsewhere_stay_and_it_is_named(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_settings_of_a_program_elsewhere_stay_and_it_is_named(caplog) -> None:
     """Whoever has the port open in another process."""
     master, slave = pty.openpty()
     path = os.ttyname(slave)
@@ -91,9 +87,7 @@ def test_a_port_that_has_the_settings_already_but_no_parity() -> None:
     os.close(master)
 
 
-def test_a_setting_that_the_driver_keeps_otherwise_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_setting_that_the_driver_keeps_otherwise_is_refused(monkeypatch) -> None:
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     os.close(slave)

@@ -1,6 +1,4 @@
-"""
-What all transports have in common: their names, traces, and what a fork leaves.
-"""
+"""What all transports have in common: their names, traces, and what a fork leaves."""
 
 import os
 from pathlib import Path

@@ -1,6 +1,4 @@
-"""
-Length rules of registered classes that raise or return nonsense: a frame is lost, and no line.
-"""
+"""Length rules of registered classes that raise or return nonsense: only a frame is lost."""
 
 from collections.abc import Callable
 from typing import Any

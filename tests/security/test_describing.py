@@ -1,6 +1,4 @@
-"""
-Certificates: how they are made, and how they are described.
-"""
+"""Certificates: how they are made, and how they are described."""
 
 import hashlib
 import subprocess

@@ -1,6 +1,4 @@
-"""
-Roles in certificates: MB-TCP-Security-v36, R-21, R-22, R-23 and R-65, and X.690 for the DER.
-"""
+"""Roles in certificates: MB-TCP-Security-v36, R-21, R-22, R-23 and R-65, and X.690 for the DER."""
 
 import subprocess
 import sys

@@ -212,8 +212,6 @@ def test_a_system_without_threads_is_told(where: str, monkeypatch: pytest.Monkey
     assert is_left(before)
 
 
-# --- hooks that end the program ----------------------------------------------------------
-
 ENDS = [SystemExit(3), KeyboardInterrupt()]
 
 
@@ -240,9 +238,7 @@ ANSWER = adu(bytes.fromhex("03 02 0000"))
 
 @pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])
-def test_what_ends_the_program_is_raised_where_the_block_is_left(
-    scheme: str, error: BaseException
-) -> None:
+def test_what_ends_the_program_is_raised_where_the_block_is_left(scheme, error) -> None:
     before = left()
     with raised(error), ending(error).background(*URLS) as running:
         end(running, scheme)

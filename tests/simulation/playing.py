@@ -1,6 +1,4 @@
-"""
-Runs of a simulated world: which one a seed stands for, and the shortest that fails as it does.
-"""
+"""Runs of a simulated world: that of a seed, and the shortest that fails as it does."""
 
 import inspect
 import json

@@ -84,12 +84,7 @@ class _InMemory:
 
     descriptor: int
 
-    def join(
-        self,
-        descriptors: Descriptors,
-        connect: Connect,
-        waker: Callable[[], Waker],
-    ) -> None:
+    def join(self, descriptors: Descriptors, connect: Connect, waker: Callable[[], Waker]) -> None:
         """Use a network in memory."""
         self._descriptors = descriptors
         self._connect = connect

@@ -21,8 +21,7 @@ Ask = Callable[[AsyncClient, int], Awaitable[None]]
 # A unit that the client does not ask: what its own master asks, and what it answers.
 OTHER = (rtu("f0 03 0000 0001"), rtu("f0 03 02 0007"))
 
-TRIES = 10
-"""After so many requests each unit has answered, although others go on to talk."""
+TRIES = 10  # after so many requests each unit has answered, although others go on to talk
 
 
 async def on_busy_line(world: World) -> None:

@@ -1,6 +1,4 @@
-"""
-A server's end of a connection, without the connection, and random requests for it.
-"""
+"""A server's end of a connection, without the connection, and random requests for it."""
 
 from __future__ import annotations
 
@@ -21,8 +19,7 @@ from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.sessions import ByChunk, ByFrame, Singles
 from libmodbus_py.server.units import TcpUnits, Units
 
-REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
-"""The functions that libmodbus answers from a mapping."""
+REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)  # the functions that libmodbus answers from a mapping
 
 
 BITS = [number % 3 == 0 for number in range(37)]

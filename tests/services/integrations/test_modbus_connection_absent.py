@@ -1,6 +1,4 @@
-"""
-The backend of modbus-connection where that is not installed.
-"""
+"""The backend of modbus-connection where that is not installed."""
 
 import importlib
 import sys
