@@ -20,12 +20,15 @@ from ..protocol.checks import integer, seconds
 from ..protocol.errors import (
     ExceptionResponse,
     FrameError,
+    IllegalDataAddress,
     ModbusConnectionError,
     ModbusError,
     ModbusTimeoutError,
 )
 from ..protocol.frames import Frame, Framer
+from ..protocol.mistakes import NamesAttributes
 from ..protocol.pdu.request import Request
+from ..protocol.words import explain_reference
 
 __all__ = ["BUSY", "CLOSED", "FOREIGN", "OPEN", "READY", "ContextBase", "too_many_descriptors"]
 
@@ -53,7 +56,7 @@ class ContextState(enum.Enum):
 CLOSED, OPEN, READY, BUSY, FOREIGN = ContextState
 
 
-class ContextBase(ABC):
+class ContextBase(NamesAttributes, ABC):
     """The base of both contexts: one modbus_t, and one call of it at a time."""
 
     _is_serial: ClassVar[bool]
@@ -239,6 +242,9 @@ class ContextBase(ABC):
         error.unit, error.endpoint = self.unit, self._endpoint
         if request is not None:
             error.function, error.asked = request.function, str(request)
+            hint = explain_reference(getattr(request, "address", None), request.function)
+            if hint and isinstance(error, IllegalDataAddress):
+                error.args = (f"{error.args[0]}; {hint}",)
 
     def _receive_frames(self, framer: Framer, deadline: float) -> list[Frame | FrameError]:
         """

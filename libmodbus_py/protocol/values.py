@@ -290,8 +290,8 @@ class Interpretation(NamedTuple):
         """
         The degree of implausibility, to compare the value with others of the same registers.
 
-        A number, or a text without control characters, is the more plausible the fewer characters
-        it has for its registers. Behind these come what few devices have, and what is mostly
+        A number, or a text without control characters, is the more plausible the fewer characters,
+        but for points, it has for its registers. Behind these come what few devices have, and what is mostly
         chance: numbers with an exponent, short texts, float16 and BCD; then bits.
         """
         kind = value_type(self.type)
@@ -300,7 +300,8 @@ class Interpretation(NamedTuple):
             is_chance = len(text) < LEAST_TEXT or not text.isprintable()
         else:
             is_chance = not re.fullmatch("-?[0-9.]+", text) or not self.type.startswith(_LIKELY)
-        return self.type.startswith("bits"), is_chance, len(text) - REGISTER_DIGITS * kind.registers
+        length = len(text) - text.count(".")
+        return self.type.startswith("bits"), is_chance, length - REGISTER_DIGITS * kind.registers
 
 
 LEAST_TEXT = 4

@@ -14,7 +14,7 @@ from ..device.device import Device
 from ..device.reply import replier
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
-from ..protocol.mistakes import named_arguments
+from ..protocol.mistakes import NamesAttributes, named_arguments
 from .faults import Faults, FaultsByUnit, FaultSwitch, ServerFault
 from .framed import SessionSettings
 from .limits import Limits, ServerStatistics
@@ -31,7 +31,7 @@ __all__ = ["Devices", "Server"]
 
 
 @named_arguments
-class Server(Serving):
+class Server(NamesAttributes, Serving):
     """
     A server that answers the requests of any number of clients from devices.
 

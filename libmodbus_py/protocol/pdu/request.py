@@ -17,6 +17,7 @@ from ..errors import ExceptionResponse, InvalidResponse, in_hex
 from ..mistakes import WrongType, WrongValue
 from ..scan import MAX_PDU as MAX_PDU
 from ..scan import lib
+from ..words import explain_reference
 
 Result = TypeVar("Result")
 
@@ -92,7 +93,11 @@ def checked_data(name: str, value: object, limit: int) -> bytes:
 
 
 def checked_span(name: str, address: object, count_name: str, count: int) -> int:
-    start = integer(name, address, 0, TABLE_SIZE - 1)
+    try:
+        start = integer(name, address, 0, TABLE_SIZE - 1)
+    except WrongValue as error:
+        hint = explain_reference(address)
+        raise WrongValue(name, f"{error.reason}; {hint}" if hint else error.reason) from None
     if start + count > TABLE_SIZE:
         raise AddressError(
             name, f"+ {count_name} must not pass {TABLE_SIZE}, but {start} + {count} does"
