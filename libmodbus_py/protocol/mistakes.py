@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar
 # fmt: off
 __all__ = [
     "OTHER_SPELLINGS", "SERIAL_SETTINGS", "Mistake", "NamesAttributes", "Path", "Problem",
-    "WrongType", "WrongValue", "close_option", "close_to", "inside", "item", "named_arguments", "named_parameters",
-    "path_text", "placed", "unknown_option",
+    "WrongType", "WrongValue", "close_option", "close_to", "inside", "item", "named_arguments",
+    "named_parameters", "path_text", "placed", "unknown_option",
 ]
 # fmt: on
 

@@ -10,7 +10,7 @@ import sys
 __all__ = ["attribute_here", "unknown_name"]
 
 CLIENT = 'Client("tcp://HOST:PORT", unit=1)'
-ASYNC_CLIENT = "Async" + CLIENT
+ASYNC_CLIENT = f"Async{CLIENT}"
 SERIAL_CLIENT = 'Client("rtu:///dev/ttyUSB0?baudrate=9600&parity=N", unit=1)'
 SERVER = 'Server(device).serve_forever("tcp://0.0.0.0:502")'
 MAPPING = "Device(Mapping(holding_registers=100))"
@@ -69,7 +69,9 @@ ATTRIBUTES = {
     "set_debug": "debug",
     "get_socket": "socket",
     **dict.fromkeys(("serve", "listen", "run"), "serve_forever(url)"),
-    **dict.fromkeys(("start", "stop", "shutdown"), "background(url) behind with, whose end stops it"),
+    **dict.fromkeys(
+        ("start", "stop", "shutdown"), "background(url) behind with, whose end stops it"
+    ),
 }
 """Name of an attribute -> what is typed here, if the class has the first word of it."""
 

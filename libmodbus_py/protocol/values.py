@@ -291,8 +291,8 @@ class Interpretation(NamedTuple):
         The degree of implausibility, to compare the value with others of the same registers.
 
         A number, or a text without control characters, is the more plausible the fewer characters,
-        but for points, it has for its registers. Behind these come what few devices have, and what is mostly
-        chance: numbers with an exponent, short texts, float16 and BCD; then bits.
+        but for points, it has for its registers. Behind these come what few devices have, and what
+        is mostly chance: numbers with an exponent, short texts, float16 and BCD; then bits.
         """
         kind = value_type(self.type)
         text = self.value if kind.is_text else text_of(self.value, kind)

@@ -11,8 +11,8 @@ bits or 64, and a wrong guess would be a wrong value.
 from __future__ import annotations
 
 import re
-from contextlib import suppress
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Literal, NamedTuple, NewType, TypeAlias, TypedDict, get_args
 
 from .checks import integer
