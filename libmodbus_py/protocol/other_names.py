@@ -81,7 +81,7 @@ def unknown_name(error: AttributeError, name: str) -> Exception:
     if name in NAMES:
         hint = f"type {NAMES[name]}"
     elif re.fullmatch("modbus_[a-z_]+|MODBUS_[A-Z_]+", name):
-        hint = f"TcpContext and RtuContext are libmodbus, and low_level.lib.{name} is its function"
+        hint = f"TcpContext and RtuContext are libmodbus, and low_level.lib.{name} is that of C"
     else:
         return error
     # "from libmodbus_py import NAME" would hide an AttributeError.
