@@ -20,7 +20,7 @@ from ..protocol.errors import (
     alike,
 )
 from ..protocol.framing import crc16, is_one_frame
-from ..protocol.words import explain_reference
+from ..protocol.mistakes import explain_reference
 from .call import Call
 from .queue import Queue
 from .reconnecting import Reconnecting

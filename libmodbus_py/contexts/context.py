@@ -26,9 +26,8 @@ from ..protocol.errors import (
     ModbusTimeoutError,
 )
 from ..protocol.frames import Frame, Framer
-from ..protocol.mistakes import NamesAttributes
+from ..protocol.mistakes import NamesAttributes, explain_reference
 from ..protocol.pdu.request import Request
-from ..protocol.words import explain_reference
 
 __all__ = ["BUSY", "CLOSED", "FOREIGN", "OPEN", "READY", "ContextBase", "too_many_descriptors"]
 

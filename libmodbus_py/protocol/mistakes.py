@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar
 # fmt: off
 __all__ = [
     "OTHER_SPELLINGS", "SERIAL_SETTINGS", "Mistake", "NamesAttributes", "Path", "Problem",
-    "WrongType", "WrongValue", "close_option", "close_to", "inside", "item", "named_arguments",
-    "named_parameters", "path_text", "placed", "unknown_option",
+    "WrongType", "WrongValue", "close_option", "close_to", "explain_reference", "inside", "item",
+    "named_arguments", "named_parameters", "path_text", "placed", "unknown_option",
 ]
 # fmt: on
 
@@ -98,6 +98,17 @@ def inside(*around: Any) -> Iterator[None]:
         yield
     except (TypeError, ValueError) as error:
         raise placed(error, around) from None
+
+
+def explain_reference(address: object, function: int | None = None) -> str:
+    """Return which address is meant if one of a function, or of any, looks like a reference."""
+    digits = "134" if function is None else {2: "1", 3: "4", 4: "3", 6: "4", 16: "4"}.get(function)
+    text = str(address) if isinstance(address, int) else ""
+    if not digits or text[:1] not in digits or len(text) != (6 if function is None else 5):
+        return ""
+    item_number = int(text[1:])  # counted from 1, up to 65536 (PI-MBUS-300)
+    is_item = 0 < item_number <= 1 << 16
+    return f"if {text} is a reference, its address is {item_number - 1}" if is_item else ""
 
 
 # --- close names ---------------------------------------------------------------------------

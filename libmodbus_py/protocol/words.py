@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from contextlib import suppress
 from typing import Literal, NamedTuple, NewType, TypeAlias, TypedDict, get_args
 
 from .checks import integer
@@ -22,9 +21,8 @@ from .mistakes import WrongValue, close_to
 __all__ = [
     "MAX_STRING_BYTES", "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "BitsType",
     "FloatType", "IntegerType", "Layout", "NumberType", "Order", "PlainIntegerType", "Reference",
-    "StringType", "TextOptions", "TextType", "TimeType", "TypeName", "close_word",
-    "explain_reference", "order_named", "parse_reference", "plain", "string_type", "table_named",
-    "type_named",
+    "StringType", "TextOptions", "TextType", "TimeType", "TypeName", "close_word", "order_named",
+    "parse_reference", "plain", "string_type", "table_named", "type_named",
 ]
 # fmt: on
 
@@ -235,16 +233,6 @@ class Reference(NamedTuple):
 
     table: str
     address: int
-
-
-def explain_reference(address: object, function: int | None = None) -> str:
-    """Return which address is meant if one of a function, or of any, looks like a reference."""
-    digit = {2: "1", 3: "4", 4: "3", 6: "4", 16: "4"}.get(function or 0, "-")
-    text = str(address)
-    if re.fullmatch(f"{digit}[0-9]{{4}}" if function else "[134][0-9]{5}", text):
-        with suppress(ValueError):  # one such as 40000 is none
-            return f"if {text} is a reference, its address is {parse_reference(text).address}"
-    return ""
 
 
 def parse_reference(text: str) -> Reference:

@@ -14,10 +14,9 @@ from weakref import WeakSet
 
 from ..checks import are_registers, integer, log_failure
 from ..errors import ExceptionResponse, InvalidResponse, in_hex
-from ..mistakes import WrongType, WrongValue
+from ..mistakes import WrongType, WrongValue, explain_reference
 from ..scan import MAX_PDU as MAX_PDU
 from ..scan import lib
-from ..words import explain_reference
 
 Result = TypeVar("Result")
 
