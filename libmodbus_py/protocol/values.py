@@ -290,9 +290,9 @@ class Interpretation(NamedTuple):
         """
         The degree of implausibility, to compare the value with others of the same registers.
 
-        A number, or a text without control characters, is the more plausible the fewer characters,
-        but for points, it has for its registers. Behind these come what few devices have, and what
-        is mostly chance: numbers with an exponent, short texts, float16 and BCD; then bits.
+        A number, or a text without control characters, is the more plausible the fewer characters
+        it has for its registers. Behind these come what few devices have, and what is mostly
+        chance: numbers with an exponent, short texts, float16 and BCD; then bits.
         """
         kind = value_type(self.type)
         text = self.value if kind.is_text else text_of(self.value, kind)
@@ -300,8 +300,7 @@ class Interpretation(NamedTuple):
             is_chance = len(text) < LEAST_TEXT or not text.isprintable()
         else:
             is_chance = not re.fullmatch("-?[0-9.]+", text) or not self.type.startswith(_LIKELY)
-        length = len(text) - text.count(".")
-        return self.type.startswith("bits"), is_chance, length - REGISTER_DIGITS * kind.registers
+        return self.type.startswith("bits"), is_chance, len(text) - REGISTER_DIGITS * kind.registers
 
 
 LEAST_TEXT = 4
@@ -346,4 +345,7 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
                 continue  # numbers with a 0 in front, rather than text
             # By repr, because a nan is not equal to itself.
             interpretations.setdefault((name, repr(value)), Interpretation(name, order, value))
-    return sorted(interpretations.values(), key=lambda reading: reading.doubt)
+    # Of equal doubt, an unsigned integer is the last: it is mostly a signed one, too.
+    return sorted(
+        interpretations.values(), key=lambda one: (one.doubt, one.type.startswith("uint"))
+    )

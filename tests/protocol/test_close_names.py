@@ -148,7 +148,7 @@ def test_public_examples_are_among_the_first_three() -> None:
 
 
 @each_case("order", ["ABCD", "CDAB", "BADC", "DCBA"])
-@each_case("value", [230.0, 100.0, 12.75, 50.0, 1e6, -5.5])
+@each_case("value", [230.0, 100.0, 12.75, 50.0, 400.0, -5.5])
 def test_round_floats_stand_before_the_integers_that_their_registers_are_too(
     order: str, value: float
 ) -> None:
