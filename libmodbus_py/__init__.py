@@ -51,7 +51,15 @@ from .version import __version__ as __version__
 # The public names are those of __init__.pyi; each is imported when it is first used.
 _PUBLIC = Public(__name__, __file__)
 __all__ = _PUBLIC.names
-__getattr__ = _PUBLIC.named
+
+
+def __getattr__(name: str) -> object:
+    try:
+        return _PUBLIC.named(name)
+    except AttributeError as error:
+        from .protocol.other_names import unknown_name
+
+        raise unknown_name(error, name) from None
 
 
 def __dir__() -> list[str]:

@@ -8,20 +8,25 @@ from typing import Any
 
 import pytest
 
+import libmodbus_py
 from libmodbus_py import (
+    AsyncClient,
     Client,
     Device,
     Fault,
     Gateway,
     Hook,
+    IllegalDataAddress,
     Limits,
     Mapping,
     Plan,
     Point,
     Read,
     Route,
+    RtuContext,
     Security,
     Server,
+    TcpContext,
 )
 from libmodbus_py.fleet import DeviceConfig, Fleet
 from libmodbus_py.listen import listen
@@ -32,6 +37,7 @@ from tests.support.cases import each_case
 from tests.support.commands import run
 
 URL = "tcp://192.0.2.10"
+DEVICE = Device(Mapping(holding_registers=9, input_registers=9, discrete_inputs=9))
 
 
 @each_case(
@@ -130,6 +136,112 @@ def test_signatures_and_copies_are_as_before() -> None:
     assert copy.copy(route) == pickle.loads(pickle.dumps(route)) == route
     assert [*inspect.signature(Read).parameters][:2] == ["table", "address"]
     assert Read.__init__.__name__ == "__init__"
+
+
+# What a program for another package types first, and what the error names.
+FIRST_LINES: list[tuple[Callable[[], object], str]] = [
+    (lambda: Client("127.0.0.1", 1502), "tcp://127.0.0.1:1502"),  # type: ignore[call-arg]
+    (lambda: Client("/dev/ttyUSB0", 9600), r"rtu:///dev/ttyUSB0\?baudrate=9600"),  # type: ignore[call-arg]
+    (lambda: Client(URL, 17), "unit=17"),  # type: ignore[call-arg]
+    (lambda: Client(URL, slave=17), r"did you mean unit\?"),  # type: ignore[call-arg]
+    (lambda: Client(URL, framer="rtu"), r"rtu\+tcp://"),  # type: ignore[call-arg]
+    (lambda: TcpContext("127.0.0.1", slave=1), r"did you mean unit\?"),  # type: ignore[call-arg]
+    (lambda: RtuContext("/dev/ttyUSB0", baud=1), "did you mean baudrate"),  # type: ignore[call-arg]
+    (lambda: Server(URL, DEVICE), r"Server\(device\).serve_forever\(url\)"),  # type: ignore[call-arg, arg-type]
+    (lambda: Server(DEVICE, before_write=print), r"Device\(mapping, before_write=...\)"),  # type: ignore[call-arg]
+    (lambda: Server(Mapping()), r"Device\(mapping\)"),  # type: ignore[arg-type]
+    (lambda: Device(holding_registers=9), r"Device\(Mapping\(holding_registers="),  # type: ignore[call-arg]
+    (lambda: Mapping(hr=9), r"did you mean holding_registers\?"),  # type: ignore[call-arg]
+    (lambda: DEVICE.change_hooks(befor_write=None), "did you mean before_write"),  # type: ignore[call-arg]
+]
+
+
+@each_case(("make", "named"), FIRST_LINES)
+def test_an_argument_of_another_package_is_answered_with_what_is_typed_here(
+    make: Callable[[], object], named: str
+) -> None:
+    with pytest.raises(TypeError, match=named):
+        make()
+
+
+@each_case(
+    ("maker", "name", "named"),
+    [
+        (Client, "read_registers", "read_holding_registers(address, count)"),
+        (Client, "write_multiple_registers", "write_registers(address, values)"),
+        (Client, "convert_from_registers", "read_value("),
+        (Client, "set_slave", "unit; unit=17"),
+        (Client, "is_socket_open", "state is State.CONNECTED"),
+        (AsyncClient, "connected", "state is State.CONNECTED"),
+        (TcpContext, "read_input_bits", "read_discrete_inputs(address, count)"),
+        (TcpContext, "modbus_connect", "connect"),
+        (TcpContext, "modbus_read_bits", "read_coils(address, count)"),
+        (TcpContext, "set_response_timeout", "response_timeout"),
+    ],
+)
+def test_a_method_of_another_package_is_answered_with_that_of_this_one(
+    maker: Callable[[str], object], name: str, named: str
+) -> None:
+    with pytest.raises(AttributeError) as raised:
+        getattr(maker("192.0.2.10"), name)
+    kind = maker.__name__
+    assert str(raised.value).startswith(f"{kind!r} object has no attribute {name!r}; type {named}")
+
+
+def test_attributes_that_no_package_has_are_refused_as_python_refuses_them() -> None:
+    for owner, name in ((Client(URL), "nonsense"), (Server(DEVICE), "set_slave")):
+        with pytest.raises(AttributeError) as raised:
+            getattr(owner, name)
+        kind = type(owner).__name__
+        assert str(raised.value) == f"{kind!r} object has no attribute {name!r}"
+
+
+@each_case(
+    ("name", "named"),
+    [
+        ("ModbusTcpClient", 'Client("tcp://HOST:PORT", unit=1)'),
+        ("AsyncModbusTcpClient", "AsyncClient("),
+        ("StartTcpServer", "Server(device)"),
+        ("modbus_new_tcp", "TcpContext(host, port)"),
+        ("modbus_new_rtu", "RtuContext(device, baudrate, "),
+        ("modbus_set_slave", "low_level.lib.modbus_set_slave"),
+    ],
+)
+def test_a_name_of_another_package_is_answered_with_that_of_this_one(name: str, named: str) -> None:
+    with pytest.raises(AttributeError) as raised:
+        getattr(libmodbus_py, name)
+    with pytest.raises(ImportError) as imported:
+        exec(f"from libmodbus_py import {name}", {})
+    for text in (str(raised.value), str(imported.value)):
+        assert named in text
+    with pytest.raises(ImportError, match="cannot import name 'nonsense'"):
+        exec("from libmodbus_py import nonsense", {})
+
+
+@each_case(
+    ("ask", "address"),
+    [
+        (lambda plc: plc.read_holding_registers(40001, 2), 0),
+        (lambda plc: plc.read_input_registers(30123, 2), 122),
+        (lambda plc: plc.read_discrete_inputs(10002, 2), 1),
+        (lambda plc: plc.write_register(40101, 2), 100),
+    ],
+)
+def test_a_reference_in_place_of_an_address_is_answered_with_its_address(
+    ask: Callable[[Any], object], address: int
+) -> None:
+    with Server(DEVICE).background("tcp://127.0.0.1:0") as running:
+        url = running.urls[0]
+        host, port = url.removeprefix("tcp://").split(":")
+        for plc in (Client(url), TcpContext(host, int(port))):
+            with plc, pytest.raises(IllegalDataAddress, match=rf"its address is {address}$"):
+                ask(plc)
+
+
+@each_case(("address", "hint"), [(400001, "; if 400001 .* address is 0"), (499999, "not 499999")])
+def test_a_reference_of_six_digits_is_no_address(address: int, hint: str) -> None:
+    with pytest.raises(ValueError, match=f"{hint}$"):
+        Client(URL).read_holding_registers(address, 2)
 
 
 @each_case(

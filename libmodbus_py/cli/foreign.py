@@ -66,6 +66,7 @@ SWITCHES = ("-B", "-f", "-i", "-0", "-1", "-R", "-F", "--swap", "--float", "--re
 
 COMMANDS = {
     "help": "COMMAND --help",
+    "version": "--version",
     **dict.fromkeys(("watch", "monitor"), "read ... --watch"),
     **dict.fromkeys(("simulate", "simulator", "server", "slave"), "serve"),
     **dict.fromkeys(("sniff", "sniffer", "spy"), "listen"),

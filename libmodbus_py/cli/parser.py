@@ -102,6 +102,8 @@ class Parser(argparse.ArgumentParser):
         from .foreign import COMMANDS as FOREIGN
 
         close = close_to(word, self.commands)
+        if "check" in self.commands and word.endswith((".csv", ".toml", ".md", ".xlsx")):
+            close = f"; type {self.prog} check {word}"
         if not close and self.prog != PROGRAM:
             self.error(f"argument ACTION: {_wanted(word, self.commands)}")
         if (other := FOREIGN.get(word)) and not close:

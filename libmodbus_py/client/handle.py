@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from ..ports.port import make_port
 from ..protocol.checks import integer, seconds
+from ..protocol.mistakes import NamesAttributes
 from .call import Batch, Timeouts
 from .keywords import NoOthers, public_methods, unexpected
 from .options import Options, checked_options, line_options
@@ -30,7 +31,7 @@ __all__ = ["Handle"]
 
 
 @public_methods("Handle")
-class Handle:
+class Handle(NamesAttributes):
     """The base of both clients: a unit, its timeouts, and the connection that handles share."""
 
     _driver: Any

@@ -12,6 +12,7 @@ from ..ports.schemes import SCHEMES, TRANSPORTS
 from ..protocol.errors import (
     Acknowledge,
     ExceptionResponse,
+    IllegalDataAddress,
     IllegalFunction,
     InvalidResponse,
     ModbusError,
@@ -19,6 +20,7 @@ from ..protocol.errors import (
     alike,
 )
 from ..protocol.framing import crc16, is_one_frame
+from ..protocol.mistakes import explain_reference
 from .call import Call
 from .queue import Queue
 from .reconnecting import Reconnecting
@@ -90,6 +92,8 @@ class Outcomes:
             is_answer = isinstance(error, InvalidResponse | ExceptionResponse)
             if error.received and call.adu and not is_answer:
                 add_hint(error, explain(self._scheme, call.adu, error.received))
+            if isinstance(error, IllegalDataAddress):
+                add_hint(error, _explain_address(call))
             if isinstance(error, IllegalFunction):
                 add_hint(error, _explain_role(self._port.certificate))
         except BaseException as mistake:
@@ -159,6 +163,13 @@ def explain_end(scheme: str, number: int | None) -> str:
     """Return the likely mistake if a connection ended, with this errno, before any answer."""
     is_plain = scheme in PLAIN and number in CLOSED
     return "nothing was answered yet; does it want tls://?" if is_plain else ""
+
+
+def _explain_address(call: Call) -> str:
+    """Return which address is meant if that of a single request looks like a reference."""
+    if call.batch is not None:
+        return ""
+    return explain_reference(getattr(call.request, "address", None), call.function)
 
 
 def _explain_role(certificate: bytes | None) -> str:

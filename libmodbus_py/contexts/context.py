@@ -17,6 +17,7 @@ from ..ports.waiting import READ, Waker, Woken
 from ..protocol import errors
 from ..protocol.checks import integer, seconds
 from ..protocol.frames import Frame, Framer
+from ..protocol.mistakes import NamesAttributes, explain_reference
 from ..protocol.pdu.request import Request
 
 Result = TypeVar("Result")
@@ -43,7 +44,7 @@ class ContextState(enum.Enum):
 CLOSED, OPEN, READY, BUSY, FOREIGN = ContextState
 
 
-class ContextBase(ABC):
+class ContextBase(NamesAttributes, ABC):
     """The base of both contexts: one modbus_t, and one call of it at a time."""
 
     _is_serial: ClassVar[bool]
@@ -230,6 +231,9 @@ class ContextBase(ABC):
         error.unit, error.endpoint = self.unit, self._endpoint
         if request is not None:
             error.function, error.asked = request.function, str(request)
+            hint = explain_reference(getattr(request, "address", None), request.function)
+            if hint and isinstance(error, errors.IllegalDataAddress):
+                error.args = (f"{error.args[0]}; {hint}",)
 
     def _receive_frames(self, framer: Framer, deadline: float) -> list[Frame | errors.FrameError]:
         """

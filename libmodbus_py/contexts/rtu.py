@@ -15,6 +15,7 @@ from ..ports.waiting import READ
 from ..protocol.checks import checked_callback, finished, seconds
 from ..protocol.errors import ModbusConnectionError, ModbusTimeoutError
 from ..protocol.framing import RtuFramer
+from ..protocol.mistakes import named_arguments
 from ..protocol.pdu.request import Request
 from ..protocol.rtu import has_own_length
 from .context import CLOSED, OPEN, too_many_descriptors
@@ -37,6 +38,7 @@ RTS: dict[RtsMode, int] = {
 }
 
 
+@named_arguments
 class RtuContext(Slave):
     """
     A modbus_t on a serial port: each method is one call of libmodbus, which waits without the GIL.

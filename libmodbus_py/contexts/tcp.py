@@ -18,6 +18,7 @@ from ..ports.waiting import READ, Woken, run
 from ..protocol.checks import integer
 from ..protocol.errors import ModbusConnectionError, ModbusError
 from ..protocol.framing import TcpFramer
+from ..protocol.mistakes import named_arguments
 from ..protocol.pdu.request import Request
 from .context import CLOSED, FOREIGN, READY, closed_meanwhile, too_many_descriptors
 from .functions import Slave
@@ -31,6 +32,7 @@ class _Opening(TcpPort):
         return self._socket
 
 
+@named_arguments
 class TcpContext(Slave):
     """
     A modbus_t over TCP: each method is one call of libmodbus, which waits without the GIL.

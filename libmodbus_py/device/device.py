@@ -25,7 +25,7 @@ from ..protocol.errors import (
     ServerDeviceFailure,
 )
 from ..protocol.logs import HarmlessLogger
-from ..protocol.mistakes import named_arguments
+from ..protocol.mistakes import named_arguments, named_parameters
 from ..protocol.pdu import (
     MAX_PDU,
     REQUESTS,
@@ -177,6 +177,7 @@ class Device(NamedValues, PythonFunctions):
     # Called before `before_read`; that of a subclass.
     _refresh_hook: Hook | None = None
 
+    @named_parameters
     def change_hooks(
         self,
         before_write: HookLike | None = None,

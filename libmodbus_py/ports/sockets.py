@@ -214,7 +214,7 @@ class HostPort(SocketPort):
     def __init__(self, host: str, port: int, source: str | None = None) -> None:
         if not isinstance(host, str):
             raise TypeError(f"host must be a string, not {type(host).__name__}")
-        if not host.strip() or "\0" in host:
+        if not host.strip() or "\0" in host or "//" in host:
             raise ValueError(f"host must be a name or an address, not {host!r}")
         self.host = host
         self.port: int = integer("port", port, 1, 65535)

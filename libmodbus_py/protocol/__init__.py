@@ -5,6 +5,7 @@ Bottom up:
 
     errors     the exceptions, grouped by cause
     mistakes   errors about arguments: the path of a wrong value, and close names
+               (other_names: names of other packages, and what is typed here in their place)
     checks     what callers pass: numbers, durations, functions; what is logged when one fails
     words      the names of types and orders, and vendors' words for them; references such as 40123
     logs       loggers whose handlers may fail

@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import wraps
-from typing import Any, ParamSpec, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar
 
 Path = tuple[str | int, ...]
 Class = TypeVar("Class", bound=type)
@@ -92,6 +92,17 @@ def inside(*around: Any) -> Iterator[None]:
         raise placed(error, around) from None
 
 
+def explain_reference(address: object, function: int | None = None) -> str:
+    """Return which address is meant if one of a function, or of any, looks like a reference."""
+    digits = "134" if function is None else {2: "1", 3: "4", 4: "3", 6: "4", 16: "4"}.get(function)
+    text = str(address) if isinstance(address, int) else ""
+    if not digits or text[:1] not in digits or len(text) != (6 if function is None else 5):
+        return ""
+    item_number = int(text[1:])  # counted from 1, up to 65536 (PI-MBUS-300)
+    is_item = 0 < item_number <= 1 << 16
+    return f"if {text} is a reference, its address is {item_number - 1}" if is_item else ""
+
+
 # --- close names ---------------------------------------------------------------------------
 
 OTHER_SPELLINGS = {
@@ -120,6 +131,10 @@ OTHER_SPELLINGS = {
         "interval": "poll_interval period scan_interval",
         "url": "host uri endpoint to",
         "source": "source_address local_address bind",
+        "holding_registers": "hr holding registers nb_registers",
+        "input_registers": "ir input nb_input_registers",
+        "discrete_inputs": "di discrete nb_input_bits",
+        "coils": "co bits nb_bits",
     }.items()
     for word in words.split()
 }
@@ -132,6 +147,9 @@ SERIAL_SETTINGS = frozenset(
 
 URLS = frozenset(("url", "devices", "routes", "security"))
 """Names of arguments beside which a setting of a serial port may be expected."""
+
+HOOKS = frozenset(("before_write", "after_write", "before_read"))
+CELLS = frozenset(("coils", "discrete_inputs", "holding_registers", "input_registers"))
 
 
 def close_to(name: object, names: Iterable[str], prefix: str = "") -> str:
@@ -152,6 +170,12 @@ def close_option(name: str, names: Collection[str]) -> str:
         return f"; {spelling} is part of the URL of a serial port: {url}"
     if spelling == "port" and "max_in_flight" in names:
         return "; the port is part of the URL: tcp://HOST:PORT"
+    if spelling in ("framer", "method") and "max_in_flight" in names:
+        return "; the frames are part of the URL: tcp://, rtu+tcp://, rtu:// or ascii://"
+    if spelling in HOOKS and "devices" in names:
+        return f"; {spelling} is an argument of the device: Device(mapping, {spelling}=...)"
+    if spelling in CELLS and "mapping" in names:
+        return f"; {spelling} is an argument of the mapping: Device(Mapping({spelling}=...))"
     return close_to(name, names)
 
 
@@ -178,9 +202,42 @@ def named_parameters(function: Callable[Parameters, Result]) -> Callable[Paramet
             is_of_the_call = error.__traceback__ and not error.__traceback__.tb_next
             if is_of_the_call and (mistake := _refused(function, keywords)):
                 raise mistake from None
+            if is_of_the_call and (hint := _positional(function, arguments)):
+                raise TypeError(f"{error}{hint}") from None
             raise
 
     return call
+
+
+def _positional(function: Callable[..., object], arguments: Sequence[object]) -> str:
+    """Return the end of a message about what stands behind the URL of a client or a server."""
+    from inspect import signature
+
+    match [*signature(function).parameters], arguments:
+        case ["self", "devices", *_], (_, _, _, *_):
+            return "; type Server(device).serve_forever(url)"
+        case ["self", "url", "options"], (_, url, setting, *_):
+            if "://" in str(url):
+                return f"; type the name of the argument, as in unit={setting}"
+            is_port = str(url).startswith("/")
+            whole = f"rtu://{url}?baudrate={setting}" if is_port else f"tcp://{url}:{setting}"
+            return f'; type "{whole}"'
+    return ""
+
+
+class NamesAttributes:
+    """The base of classes whose attributes have other names in other packages: errors say which."""
+
+    if not TYPE_CHECKING:  # else every attribute would be known
+
+        def __getattr__(self, name: str) -> object:
+            kind, hint = type(self), ""
+            if not name.startswith("_"):
+                from .other_names import attribute_here
+
+                hint = attribute_here(kind, name)
+            text = f"{kind.__name__!r} object has no attribute {name!r}{hint}"
+            raise AttributeError(text, name=name, obj=self)
 
 
 def _refused(function: Callable[..., object], keywords: Iterable[str]) -> TypeError | None:

@@ -331,4 +331,7 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
                 continue  # numbers with a 0 in front, rather than text
             # By repr, because a nan is not equal to itself.
             interpretations.setdefault((name, repr(value)), Interpretation(name, order, value))
-    return sorted(interpretations.values(), key=lambda reading: reading.doubt)
+    # Of equal doubt, an unsigned integer is the last: it is mostly a signed one, too.
+    return sorted(
+        interpretations.values(), key=lambda one: (one.doubt, one.type.startswith("uint"))
+    )

@@ -62,7 +62,8 @@ class Units:
             return
         if not isinstance(devices, Mapping):
             kind = type(devices).__name__
-            raise TypeError(f"devices must be a Device or {{unit: Device}}, not {kind}")
+            hint = "; type Device(mapping)" if kind == "Mapping" else ""
+            raise TypeError(f"devices must be a Device or {{unit: Device}}, not {kind}{hint}")
         for unit, device in devices.items():
             if not isinstance(device, Device):
                 raise TypeError(f"devices[{unit!r}] must be a Device, not {type(device).__name__}")

@@ -23,7 +23,14 @@ from ...protocol.checks import integer
 from ...protocol.errors import IllegalDataAddress, ModbusError
 from ...protocol.plain import number_of
 from ...protocol.tables import REGISTER_TABLES, TABLE_SIZE, TABLES, checked_values
-from ...protocol.words import REFERENCE_TABLES, close_word, parse_reference, plain, table_named
+from ...protocol.words import (
+    REFERENCE_TABLES,
+    close_word,
+    parse_reference,
+    plain,
+    table_named,
+    type_named,
+)
 from ...protocol.words import TABLE_WORDS as VENDORS
 from ..arguments import list_keys
 from ..main import advice
@@ -196,9 +203,14 @@ class Words:
             return self._referred(first)
         if self.map is not None:
             self.map.plan([first])  # raises an error with similar names
+        close = close_word(first.lower(), TABLE_WORDS, VENDORS)
+        if first.endswith((".csv", ".toml")):
+            close = f"; type --map {first}"
+        elif type_named(first):
+            close = f"; type --type {first}, or the type behind the address, as in hr 0:{first}"
         raise ValueError(
             f"{first!r} must be one of {', '.join(TABLE_WORDS)}, a reference such as 40123,"
-            f" or with --map FILE a name{close_word(first.lower(), TABLE_WORDS, VENDORS)}"
+            f" or with --map FILE a name{close}"
         )
 
     def take_values(self) -> list[str]:

@@ -98,6 +98,9 @@ def add_command(command: Parser) -> None:
 def _poll(options: argparse.Namespace) -> int:
     if options.push and options.engine is None:
         raise ValueError("--push needs --engine")
+    if options.file.endswith(".csv"):
+        in_file = f'a fleet file in TOML names it as map = "{options.file}", or devices'
+        raise ValueError(f"{options.file} is a list: {in_file}")
     if options.once and options.engine is not None:
         raise ValueError("--once cannot be used with --engine")
     with logs.logged(options), tracing.wire_printed(is_on=options.verbose), Hangup() as hangup:

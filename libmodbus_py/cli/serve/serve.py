@@ -106,8 +106,9 @@ def _serve(options: argparse.Namespace) -> int:
     urls = options.urls or ([EXAMPLE_URL] if options.example is not None else [])
     if not urls:
         raise ValueError("the following arguments are required: URL")
-    if path is None and (files := [url for url in urls if url.endswith(".toml")]):
-        raise ValueError(f"{files[0]} is no URL: type --device {files[0]}")
+    if path is None and (files := [url for url in urls if url.endswith((".toml", ".csv"))]):
+        option = "--device" if files[0].endswith(".toml") else "--map"
+        raise ValueError(f"{files[0]} is no URL: type {option} {files[0]}")
     urls = [each.url for each in with_options(urls, options, OF_SERVERS)]
     if options.reload and path is None:
         raise ValueError("--reload needs --device or --example")

@@ -14,7 +14,7 @@ from weakref import WeakSet
 
 from ..checks import are_registers, instance, integer, log_failure
 from ..errors import ExceptionResponse, InvalidResponse, in_hex
-from ..mistakes import Path, WrongType, WrongValue
+from ..mistakes import Path, WrongType, WrongValue, explain_reference
 from ..scan import MAX_PDU as MAX_PDU
 from ..scan import lib
 
@@ -89,7 +89,11 @@ def checked_data(name: str, value: object, limit: int) -> bytes:
 
 
 def checked_span(name: str, address: object, count_name: str, count: int) -> int:
-    start = integer(name, address, 0, TABLE_SIZE - 1)
+    try:
+        start = integer(name, address, 0, TABLE_SIZE - 1)
+    except WrongValue as error:
+        hint = explain_reference(address)
+        raise WrongValue(name, f"{error.reason}; {hint}" if hint else error.reason) from None
     if start + count > TABLE_SIZE:
         reason = f"must not pass {TABLE_SIZE}, but {start} + {count} does"
         raise AddressError(name, f"+ {count_name} {reason}")
