@@ -33,16 +33,6 @@ if TYPE_CHECKING:
     from ..ports.options import Form, Option
     from .parser import Parser
 
-# fmt: off
-__all__ = [
-    "OF_CLIENTS", "OF_SERVERS", "SCHEMES_OF_URLS", "URL", "URLS", "add_client",
-    "add_client_options", "add_columns", "add_forms", "add_requests", "add_security_options",
-    "add_serial_options", "add_units", "add_verbose", "connected", "endpoint_of",
-    "given", "list_keys", "lists_of_parities", "maps", "names_of_maps", "read_as", "refuse_given",
-    "with_forms", "with_options",
-]
-# fmt: on
-
 
 def _listed(shapes: Iterable[str]) -> str:
     """Return an enumeration of URLs in lines of at most 79 characters."""

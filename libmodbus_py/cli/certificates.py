@@ -19,8 +19,6 @@ from .parser import Parser, declare
 if TYPE_CHECKING:
     from ..tools.authority import Authority
 
-__all__ = ["add_command"]
-
 HOSTS = ("localhost", "127.0.0.1", "::1")
 
 ROLES = ("Viewer", "Operator", "Engineer")

@@ -18,8 +18,6 @@ TYPE_CHECKING = False  # typing alone takes a twentieth of what --version may
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-__all__ = ["COMMANDS", "PROGRAM", "parsed", "parser_of", "whole_parser"]
-
 COMMANDS = {
     "read": ("ask.values", "read registers, coils, records and named points, once or repeatedly"),
     "write": ("ask.values", "write registers, coils, records and named points"),

@@ -1,6 +1,4 @@
-"""
-The command completion, and the answers to shells that complete.
-"""
+"""The command completion, and the answers to shells that complete."""
 
 from __future__ import annotations
 
@@ -13,8 +11,6 @@ from .commands import COMMANDS, whole_parser
 from .foreign import is_place
 from .output import PROGRAM
 from .parser import Parser, declare
-
-__all__ = ["add_command", "complete"]
 
 SHELLS = ("bash", "zsh", "fish")
 

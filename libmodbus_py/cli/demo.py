@@ -27,8 +27,6 @@ from ..tools.testing.wires import SerialWire, TcpWire
 from .output import PROGRAM, styled
 from .parser import Parser
 
-__all__ = ["add_command"]
-
 BOLD, RED, GREEN = "1", "31", "32"
 
 EXAMPLES: tuple[tuple[str, int, pdu.Request[Any], Any], ...] = (

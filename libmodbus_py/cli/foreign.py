@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from typing import Any
 
-__all__ = ["COMMANDS", "equivalents", "is_place", "place"]
-
 UNIT = "-u VALUE"
 PORT = "HOST:VALUE"
 URL = "HOST, udp://HOST, rtu+tcp://HOST:PORT, /dev/ttyUSB0 or ascii:///dev/ttyUSB0"

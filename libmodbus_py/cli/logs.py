@@ -17,8 +17,6 @@ from ..protocol.plain import time_text
 from .output import log_line
 from .parser import Parser, declare
 
-__all__ = ["add_arguments", "called_before_lines", "logged"]
-
 PACKAGE = "libmodbus_py"
 
 LEVELS = ("debug", "info", "warning", "error")

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from .parser import Parser
 
-__all__ = ["INTERRUPTED", "CommandError", "advice", "main"]
-
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as in shells."""
 

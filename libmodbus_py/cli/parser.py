@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
     from typing import Any, NoReturn
 
-__all__ = ["Group", "Parser", "Printing", "declare"]
-
 POSITIONAL, OPTIONS = "positional arguments", "options"
 """The titles of the arguments that are in no group."""
 

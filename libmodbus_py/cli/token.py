@@ -13,8 +13,6 @@ import secrets
 
 from .parser import Parser, declare
 
-__all__ = ["add_command"]
-
 TOKEN_BYTES = 24
 """32 letters; a page takes 22 to 200."""
 

@@ -37,8 +37,6 @@ from ..client.sender import Sender, Submitted
 from ..ports.waiting_async import Alarm
 from ..protocol.errors import ExceptionResponse, ModbusTimeoutError
 
-__all__ = ["FairQueue", "LineRequest", "SharedLine", "rest_after"]
-
 SHORTEST_TRIAL_S = 0.02
 """The least time of a trial that others wait for: a few requests of a fast line."""
 

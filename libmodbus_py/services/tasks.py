@@ -14,8 +14,6 @@ import threading
 from collections.abc import Callable, Collection, Coroutine
 from typing import Any
 
-__all__ = ["AGAIN", "FINISHING_S", "KeptTasks", "Pauses", "WriterThread", "end_tasks", "finish"]
-
 # Seconds before the first try after a failure, and before the later ones: a server that is down
 # for an hour is asked 120 times.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0

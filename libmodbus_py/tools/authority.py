@@ -19,8 +19,6 @@ from ..security.describing import time_in
 from ..security.role import role_of
 from .certificates import EARLIER, Identity, check_days, load
 
-__all__ = ["Authority"]
-
 AUTHORITY = "ca"
 
 

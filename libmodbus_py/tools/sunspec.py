@@ -27,13 +27,6 @@ from ..protocol.extras import what_is_missing
 from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.tables import TABLE_SIZE, Table
 
-# fmt: off
-__all__ = [
-    "BASES", "ModelLayout", "SunSpecDevice", "SunSpecError", "SunSpecModel", "definition_of",
-    "discover", "folder", "walk",
-]
-# fmt: on
-
 BASES = (0, 40000, 50000)
 """The addresses at which SunSpec allows a chain to begin."""
 

@@ -22,13 +22,6 @@ if TYPE_CHECKING:
     from ...maps.point import Point
     from ...protocol.values import Interpretation, ValueType
 
-# fmt: off
-__all__ = [
-    "Printer", "ReadResult", "TerminalTable", "ValueText", "aligned", "printer_of", "result_of",
-    "rows_of_point",
-]
-# fmt: on
-
 CHANGED = "*"
 """Mark of a line whose value has just changed."""
 

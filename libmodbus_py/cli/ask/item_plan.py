@@ -14,8 +14,6 @@ from ...maps.items import Borders
 from ...maps.plan import Plan
 from .items import Item, cells_of, requests_of
 
-__all__ = ["ItemPlan"]
-
 
 class ItemPlan(Plan):
     """A plan whose results are cells; files and queues are read by themselves, behind all else."""

@@ -34,13 +34,6 @@ if TYPE_CHECKING:
     from ...maps.register_map import RegisterMap
     from ...protocol.values import ValueType
 
-# fmt: off
-__all__ = [
-    "ALL", "HEX", "REGISTERS", "TABLE_WORDS", "Item", "Words", "cells_of", "map_of", "reason_of",
-    "requests_of",
-]
-# fmt: on
-
 TABLE_WORDS = {
     "coils": "coils",
     "discrete": "discrete_inputs",

@@ -1,6 +1,4 @@
-"""
-The command map: the arguments of its actions, and the action list.
-"""
+"""The command map: the arguments of its actions, and the action list."""
 
 from __future__ import annotations
 
@@ -13,8 +11,6 @@ from .. import arguments
 from ..arguments import maps, names_of_maps
 from ..output import complain
 from ..parser import Parser, declare
-
-__all__ = ["add_command"]
 
 CHECK = "check register maps, and print their points and requests"
 LIST = "list the register maps that come with the package"

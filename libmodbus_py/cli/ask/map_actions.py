@@ -1,6 +1,4 @@
-"""
-The actions of the command map: check maps, make a class of one, or a map of a device.
-"""
+"""The actions of the command map: check maps, make a class of one, or a map of a device."""
 
 from __future__ import annotations
 
@@ -28,13 +26,6 @@ from ...tools.simulator.example_files import map_file
 from ..arguments import OF_CLIENTS, connected, endpoint_of, list_keys, refuse_given
 from ..main import INTERRUPTED, CommandError
 from ..output import PROGRAM, Status, complain, counted, missing, progress, written_to
-
-# fmt: off
-__all__ = [
-    "TEXTS", "check", "check_output", "class_of", "from_device", "from_sunspec", "import_list",
-    "write_map",
-]
-# fmt: on
 
 MOST_MISTAKES = 20
 """Mistakes in a file that are printed, at most."""

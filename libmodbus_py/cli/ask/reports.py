@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from ...client.blocking import Client
     from .units import Named
 
-__all__ = ["add_command"]
-
 IDENTIFY = """\
 Print the device identification (function 43/14) and the server id
 (function 17). Devices have one, both or neither; with neither the exit code

@@ -22,12 +22,6 @@ from ..arguments import connected, endpoint_of
 from ..main import CommandError, advice
 from ..output import complain, print_json
 
-# fmt: off
-__all__ = [
-    "Named", "ask_units", "client_of", "fail", "print_report", "report_units", "units_of",
-]
-# fmt: on
-
 Named = Iterable[tuple[str, Any]]
 
 MAX_SILENT = 4

@@ -1,6 +1,4 @@
-"""
-The commands read and write: their arguments. What they do is imported when they run.
-"""
+"""The commands read and write: their arguments. What they do is imported when they run."""
 
 from __future__ import annotations
 
@@ -15,8 +13,6 @@ from .. import arguments
 from ..arguments import maps
 from ..parser import Parser, declare
 from ..serve import over_http
-
-__all__ = ["add_command", "names"]
 
 WHAT = """\
 WHAT is one of

@@ -28,8 +28,6 @@ from .formatters import Printer, ReadResult, TerminalTable, printer_of
 from .reading import Reader
 from .units import units_of
 
-__all__ = ["watch"]
-
 
 class Watcher(Reader):
     """

@@ -1,6 +1,4 @@
-"""
-The command write: a request for each item, all checked before the first is sent.
-"""
+"""The command write: a request for each item, all checked before the first is sent."""
 
 from __future__ import annotations
 
@@ -26,8 +24,6 @@ from .items import Item, Words, reason_of
 if TYPE_CHECKING:
     from ...maps.register_map import RegisterMap
     from ...protocol.tables import WriteFunction
-
-__all__ = ["write"]
 
 Request = pdu.Request[Any]
 

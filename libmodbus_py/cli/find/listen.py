@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from ...tools.listener.named import LearnedMap, MapDecoder, NamedValue
     from ..ask.formatters import ValueText
 
-__all__ = ["add_command"]
-
 RED, YELLOW = "31", "33"
 
 STYLES = {"answered": "", "broadcast": "", "late": YELLOW, "exception": YELLOW}

@@ -1,6 +1,4 @@
-"""
-The command ports: the serial ports of this machine.
-"""
+"""The command ports: the serial ports of this machine."""
 
 from __future__ import annotations
 
@@ -11,8 +9,6 @@ from ...ports.serial_devices import SerialDevice, serial_devices
 from .. import arguments
 from ..output import harmless, print_csv, print_json
 from ..parser import Parser, declare
-
-__all__ = ["add_command"]
 
 DESCRIPTION = """\
 List the serial ports of this machine, and what the system knows of them.

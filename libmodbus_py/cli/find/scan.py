@@ -37,8 +37,6 @@ from ..main import INTERRUPTED
 from ..output import Status, counted, duration, missing, print_json, progress
 from ..parser import Parser, declare
 
-__all__ = ["add_command"]
-
 MOST_IN_ALL = 10 * MOST_REQUESTS
 """Requests of all searches together, at most."""
 

@@ -1,6 +1,4 @@
-"""
-The command sunspec: the SunSpec models of a device, and their values.
-"""
+"""The command sunspec: the SunSpec models of a device, and their values."""
 
 from __future__ import annotations
 
@@ -13,8 +11,6 @@ from .. import arguments
 from ..ask.units import ask_units, fail, units_of
 from ..output import complain, harmless, print_csv, print_json
 from ..parser import Parser, declare
-
-__all__ = ["add_command"]
 
 DESCRIPTION = """\
 Print the SunSpec models of a device, and their values with units.

@@ -1,6 +1,4 @@
-"""
-Fleets on several machines: poll --engine, which is one worker, and the command fleet.
-"""
+"""Fleets on several machines: poll --engine, which is one worker, and the command fleet."""
 
 from __future__ import annotations
 
@@ -37,8 +35,6 @@ from ..main import CommandError
 from ..output import complain, print_json
 from ..parser import Parser, declare
 from .running import Hangup, notify_ready
-
-__all__ = ["add_arguments", "add_command", "poll", "waited_for"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

@@ -1,6 +1,4 @@
-"""
-The command gateway: forward requests until a signal; SIGHUP reads the gateway file again.
-"""
+"""The command gateway: forward requests until a signal; SIGHUP reads the gateway file again."""
 
 from __future__ import annotations
 
@@ -26,8 +24,6 @@ from .running import add_audit, add_limits, starting
 
 if TYPE_CHECKING:
     from ...tools.page.table_source import Shown
-
-__all__ = ["add_command"]
 
 OPTIONS = ("own_units", "queue", "longest_wait", "writes_first")
 """Arguments of `Gateway` that a gateway file contains too."""

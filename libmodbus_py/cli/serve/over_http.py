@@ -1,6 +1,4 @@
-"""
-Metrics for Prometheus and a live page, which commands serve over HTTP beside Modbus.
-"""
+"""Metrics for Prometheus and a live page, which commands serve over HTTP beside Modbus."""
 
 from __future__ import annotations
 
@@ -20,8 +18,6 @@ if TYPE_CHECKING:
     from ...server.server import Server
     from ...tools.page.page import Page
     from ...tools.page.table_source import Shown
-
-__all__ = ["add_metrics", "add_page", "exposed", "shown", "tables_shown"]
 
 Address = tuple[str, int]
 

@@ -1,6 +1,4 @@
-"""
-The command poll: poll a fleet of devices until a signal; SIGHUP reads the fleet file again.
-"""
+"""The command poll: poll a fleet of devices until a signal; SIGHUP reads the fleet file again."""
 
 from __future__ import annotations
 
@@ -38,8 +36,6 @@ from .running import Hangup, notify_ready
 if TYPE_CHECKING:
     from ...services.fleet.shown_fleet import PageOutput
     from ...tools.page.table_source import Shown
-
-__all__ = ["add_command"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

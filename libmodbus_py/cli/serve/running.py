@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from ...server.server import Server
     from ...tools.page.table_source import Shown
 
-__all__ = ["Hangup", "add_audit", "add_limits", "announce", "notify_ready", "starting"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 NOTHING = "there are no files, certificates or passwords to read again"

@@ -25,8 +25,6 @@ from ..parser import Parser, declare
 from . import over_http
 from .running import add_audit, add_limits, starting
 
-__all__ = ["add_command"]
-
 EXAMPLE_URL = "tcp://127.0.0.1:1502"
 
 DESCRIPTION = """\

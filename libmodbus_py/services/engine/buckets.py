@@ -1,6 +1,4 @@
-"""
-Key-value buckets and streams of JetStream: create, check, watch and conditionally write them.
-"""
+"""Key-value buckets and streams of JetStream: create, check, watch and conditionally write them."""
 
 from __future__ import annotations
 
@@ -15,8 +13,6 @@ if TYPE_CHECKING:
     from nats.aio.msg import Msg
     from nats.js import JetStreamContext
     from nats.js.kv import KeyValue
-
-__all__ = ["Bucket", "Change", "Watch", "keep_stream", "open_bucket"]
 
 # Seconds after which the server forgets a consumer whose client is gone.
 FORGOTTEN = 30.0

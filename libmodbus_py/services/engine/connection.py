@@ -27,13 +27,6 @@ from ..tasks import finish
 if TYPE_CHECKING:
     from nats.aio.client import Client
 
-# fmt: off
-__all__ = [
-    "EngineError", "EngineGone", "FileText", "NothingThere", "connected", "disconnect", "explained",
-    "parse_servers", "what",
-]
-# fmt: on
-
 # The oldest version of nats-server with the features that watches need.
 OLDEST = (2, 9)
 

@@ -27,13 +27,6 @@ from ...protocol.json_text import json_text
 from ...protocol.mistakes import Mistake, WrongType, WrongValue, inside, item, named_arguments
 from ...protocol.tables import WriteFunction, checked_write_function
 
-# fmt: off
-__all__ = [
-    "ENGINE", "LONGEST_LEASE", "SHORTEST_LEASE", "DeviceConfig", "OnLoss", "by_connection",
-    "checked", "devices_from_json", "devices_to_json", "label_name", "misfits",
-]
-# fmt: on
-
 LONGEST_NAME = 100
 
 OWN_LABELS = ("device", "name", "unit")

@@ -41,8 +41,6 @@ from .journal.journal import Journal
 from .outputs.kinds import KINDS, made, output_keys
 from .outputs.output import Output, file_at, shared, used
 
-__all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "keys_in", "load", "table_of"]
-
 # Keys whose values must not be written in the fleet file, which many can read.
 SECRET = ("password", "token")
 

@@ -1,6 +1,4 @@
-"""
-The fleet: devices on many lines, polled when they are due; readings are passed to outputs.
-"""
+"""The fleet: devices on many lines, polled when they are due; readings are passed to outputs."""
 
 from __future__ import annotations
 
@@ -31,8 +29,6 @@ from .readings import MOST_KEPT, Buffer
 from .receivers import Receivers
 from .rewriting import Rewrites
 from .statistics import FleetStatistics
-
-__all__ = ["Fleet", "first_time", "next_time"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

@@ -43,8 +43,6 @@ from .config import DeviceConfig, Reads
 from .readings import Changes, Reading, classified, is_down
 from .statistics import FleetStatistics
 
-__all__ = ["DeviceState", "FleetLine", "MayAsk", "Poller", "offline"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 LONGEST_REST_S = 60.0

@@ -1,6 +1,4 @@
-"""
-Readings, the choice of those that are reported, and those that wait for an output.
-"""
+"""Readings, the choice of those that are reported, and those that wait for an output."""
 
 from __future__ import annotations
 
@@ -21,12 +19,6 @@ from ...protocol.errors import (
     InvalidResponse,
     ModbusError,
 )
-
-# fmt: off
-__all__ = [
-    "MOST_KEPT", "NO_LABELS", "Buffer", "Changes", "Quality", "Reading", "classified", "is_down",
-]
-# fmt: on
 
 
 NO_LABELS: Mapping[str, str] = MappingProxyType({})

@@ -23,8 +23,6 @@ from .outputs.pump import Pump
 from .readings import Buffer, Reading
 from .statistics import FleetStatistics
 
-__all__ = ["Receivers"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 

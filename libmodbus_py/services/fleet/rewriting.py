@@ -18,8 +18,6 @@ from ...protocol.errors import ModbusError
 from ...protocol.logs import HarmlessLogger
 from ..tasks import KeptTasks
 
-__all__ = ["Rewrites"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 

@@ -29,8 +29,6 @@ from .poller import DeviceState, Poller
 from .readings import Reading
 from .statistics import JournalStatistics, OutputStatistics
 
-__all__ = ["PageOutput", "ShownFleet", "fleet_lines", "problems"]
-
 
 def problems(fleet: Fleet) -> list[str]:
     """

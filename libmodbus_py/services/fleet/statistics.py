@@ -1,6 +1,4 @@
-"""
-Counters of a fleet, of its outputs and of its journal.
-"""
+"""Counters of a fleet, of its outputs and of its journal."""
 
 from __future__ import annotations
 
@@ -9,8 +7,6 @@ from bisect import bisect_left
 from dataclasses import dataclass, field
 
 from .readings import Buffer
-
-__all__ = ["LATENESS_BOUNDS", "FleetStatistics", "JournalStatistics", "OutputStatistics"]
 
 LATENESS_BOUNDS: tuple[float, ...] = (*(0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0),)
 """Upper bounds of the classes in which polls are counted by their lateness, in seconds."""

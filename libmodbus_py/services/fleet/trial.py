@@ -1,6 +1,4 @@
-"""
-Checks before a fleet runs: which devices answer, and which serial lines are overloaded.
-"""
+"""Checks before a fleet runs: which devices answer, and which serial lines are overloaded."""
 
 from __future__ import annotations
 
@@ -15,8 +13,6 @@ from ...protocol.framing import Frame, make_framer
 from .config import DeviceConfig, by_connection
 from .poller import Poller
 from .readings import classified
-
-__all__ = ["Tried", "overloads", "trying"]
 
 MOST_AT_ONCE = 64
 """Connections that are tried at the same time."""

@@ -28,8 +28,6 @@ from ...tools.files.rights import parts_of_tables, roles
 from .gateway import Gateway
 from .routes import GatewayOptions, Route, check_line, check_routes
 
-__all__ = ["FILE", "ROUTE", "GatewayFile", "load", "parse"]
-
 
 @dataclass(frozen=True)
 class GatewayFile:

@@ -1,6 +1,4 @@
-"""
-The service of a gateway: sends each request to the line of its unit; responses come later.
-"""
+"""The service of a gateway: sends each request to the line of its unit; responses come later."""
 
 from __future__ import annotations
 
@@ -38,8 +36,6 @@ from ...server.service import Channel, Later, MakeSession
 from .line import Forwarded, GatewayLine, RequestBytes, request_of
 from .routes import Route
 from .statistics import GatewayStatistics
-
-__all__ = ["Dispatcher", "ResolvedRoute"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

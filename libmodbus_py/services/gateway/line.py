@@ -42,8 +42,6 @@ from .routes import GatewayOptions
 from .silent_units import SilentUnits, UnitState
 from .statistics import LineStatistics, UnitStatistics
 
-__all__ = ["Cache", "Forwarded", "GatewayLine", "RequestBytes", "request_of"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 NO_ANSWER = GatewayTargetFailedToRespond.code

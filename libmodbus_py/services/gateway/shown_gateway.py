@@ -1,6 +1,4 @@
-"""
-A gateway as a page shows it: its lines, the units behind them, its clients, and a log.
-"""
+"""A gateway as a page shows it: its lines, the units behind them, its clients, and a log."""
 
 from __future__ import annotations
 
@@ -17,8 +15,6 @@ from ...tools.page.text import cell_text, first_names
 from ...tools.page.units import ShownServer
 from .gateway import Gateway
 from .statistics import LineStatistics, UnitStatistics
-
-__all__ = ["ShownGateway"]
 
 MOST_ASKING = 2000
 """Clients, units and functions that are counted; the first is dropped for one more."""

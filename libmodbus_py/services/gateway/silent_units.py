@@ -16,8 +16,6 @@ from enum import Enum
 
 from ..line import rest_after
 
-__all__ = ["SilentUnits", "UnitState"]
-
 LONGEST_REST_S = 15.0
 """The longest rest between two trials, unless the first one is longer."""
 

@@ -21,8 +21,6 @@ from ...device.device import Device
 from ...device.mapping import Mapping
 from ...server.limits import ServerStatistics
 
-__all__ = ["GatewayStatistics", "LineStatistics", "UnitStatistics", "own_device"]
-
 LINES, MOST_LINES = 100, 40
 UNITS, MOST_UNITS = 1000, 256
 

@@ -27,12 +27,6 @@ from ..fleet.statistics import (
 )
 from ..gateway.statistics import GatewayStatistics, LineStatistics, UnitStatistics
 
-# fmt: off
-__all__ = [
-    "FAMILIES", "OF_DEVICES", "READERS", "Family", "Labels", "Sample", "values_of_devices",
-]
-# fmt: on
-
 Labels = tuple[tuple[str, str], ...]
 
 Type = Literal["counter", "gauge", "histogram"]

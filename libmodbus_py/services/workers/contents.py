@@ -27,13 +27,6 @@ from .worker import Put
 if TYPE_CHECKING:
     from ..engine.buckets import Change
 
-# fmt: off
-__all__ = [
-    "Pushed", "changes", "connections_of", "devices_of", "fleet_seen", "fleet_status", "is_polled",
-    "push", "seen_now", "tables",
-]
-# fmt: on
-
 # The most attempts while other programs change the bucket at the same time.
 MOST_TRIES = 5
 

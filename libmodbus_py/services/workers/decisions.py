@@ -49,8 +49,6 @@ from typing import Any
 from .records import Connection, Holding, Member, Slot
 from .worker import Decision, Put, Worker
 
-__all__ = ["decide", "share", "step"]
-
 # The fraction of a lease that other workers wait, counted from when they saw the renewal.
 OTHERS_PART = 1.05
 

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from nats.aio.client import Client
     from nats.aio.msg import Msg
 
-__all__ = ["CommandService", "Stream", "refusal"]
-
 STREAM = "modbus-readings"
 
 READINGS = "modbus.readings"

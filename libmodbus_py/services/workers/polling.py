@@ -1,6 +1,4 @@
-"""
-Runs a worker: carries out its decisions with a clock, a bucket and a fleet.
-"""
+"""Runs a worker: carries out its decisions with a clock, a bucket and a fleet."""
 
 from __future__ import annotations
 
@@ -29,8 +27,6 @@ from .worker import OWN_PART, Put, Worker
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
-
-__all__ = ["Polling"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

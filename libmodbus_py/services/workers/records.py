@@ -28,13 +28,6 @@ from ...protocol.json_text import SORTED_JSON, json_text
 from ..engine.buckets import Change
 from ..fleet.config import ENGINE, LONGEST_LEASE, SHORTEST_LEASE, OnLoss
 
-# fmt: off
-__all__ = [
-    "BUCKET", "HEARD_PART", "SETTINGS", "BucketView", "Connection", "FleetSettings", "Holding",
-    "Member", "RecordError", "Slot", "decode", "digest_of", "in_key", "zone_of",
-]
-# fmt: on
-
 BUCKET = "modbus-fleet"
 
 SETTINGS = "settings"

@@ -12,8 +12,6 @@ from typing import NamedTuple
 from ..engine.buckets import Change
 from .records import HEARD_PART, BucketView, Connection, Slot
 
-__all__ = ["OWN_PART", "Decision", "Put", "Worker"]
-
 OWN_PART = 0.9
 """The fraction of a lease that its holder uses, counted from just before it sent the renewal."""
 

@@ -18,8 +18,6 @@ from ...protocol.mistakes import WrongType, WrongValue, named_arguments
 from ...protocol.tables import TABLE_SIZE, TABLES, Table
 from ...server.faults import Fragment
 
-__all__ = ["KINDS", "OPTIONAL", "PLACES", "Fault"]
-
 KINDS: dict[str, str | None] = {
     "delay": "seconds",
     "no_answer": None,

@@ -1,6 +1,4 @@
-"""
-Register maps as text: in the forms that files have, and as a Python class.
-"""
+"""Register maps as text: in the forms that files have, and as a Python class."""
 
 from __future__ import annotations
 
@@ -19,8 +17,6 @@ from ...maps.map_file import PADDINGS
 from ...maps.point import Point
 from ...maps.register_map import RegisterMap, attribute_names, spelled
 from ...protocol.words import IntegerType
-
-__all__ = ["MARK", "class_name", "class_text", "csv_text", "toml_text"]
 
 WHOLE = frozenset(get_args(IntegerType))
 """Types whose values are integers, if they are not scaled."""

@@ -33,8 +33,6 @@ from .separator import Candidate, Damage
 from .streams import LINKS, MODBUS_PORT
 from .transaction import Heard
 
-__all__ = ["CaptureError", "CaptureReader", "CaptureWriter"]
-
 # The type of link of exported PDUs: LINKTYPE_WIRESHARK_UPPER_PDU.
 UPPER_PDU = 252
 

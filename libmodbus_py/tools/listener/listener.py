@@ -1,6 +1,4 @@
-"""
-listen(url): the transactions on a line, for a ``for`` loop or an ``async for`` loop.
-"""
+"""listen(url): the transactions on a line, for a ``for`` loop or an ``async for`` loop."""
 
 from __future__ import annotations
 
@@ -28,8 +26,6 @@ from .separator import LineFraming, Separator
 from .sources import SerialSource, Tap, TimedBytes
 from .streams import TcpStreams
 from .transaction import Heard, Summary, Transaction
-
-__all__ = ["CAPTURES", "Listener", "listen"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

@@ -21,8 +21,6 @@ from ...protocol.mistakes import named_parameters
 from ...protocol.tables import TABLES
 from .transaction import Transaction
 
-__all__ = ["LearnedMap", "MapDecoder", "NamedValue"]
-
 HEARD = ("answered", "late", "broadcast")
 """The kinds of transactions whose cells have values, if there is no error."""
 

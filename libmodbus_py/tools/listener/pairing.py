@@ -33,8 +33,6 @@ from .transaction import (
     unasked,
 )
 
-__all__ = ["TIMEOUT", "Exchange", "OpenRequest", "Pairing", "TracePairing"]
-
 # Seconds after which a request counts as unanswered, even if no other request was sent.
 TIMEOUT = 5.0
 

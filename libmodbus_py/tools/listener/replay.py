@@ -26,8 +26,6 @@ from ...protocol.pdu import Request
 from .listener import CAPTURES, listen
 from .transaction import Transaction
 
-__all__ = ["differences", "replayed_devices"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 _UNKNOWN = Caller()

@@ -33,8 +33,6 @@ from ...protocol.scan import ALLOWANCE
 from .pairing import OpenRequest, Pairing
 from .transaction import Heard, OnHeard, Part, Transaction, decoded
 
-__all__ = ["Candidate", "Damage", "Direction", "LineFraming", "Separator"]
-
 LineFraming = Literal["rtu", "ascii"]
 
 Direction = Literal["client", "server"]

@@ -27,8 +27,6 @@ from ...protocol.logs import HarmlessLogger
 from ..timed_server import TimedServer
 from .separator import Direction
 
-__all__ = ["SerialSource", "Tap", "TimedBytes"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Seconds before connecting to the device times out.

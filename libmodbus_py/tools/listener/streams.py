@@ -18,8 +18,6 @@ from .packets import Packet
 from .pairing import Pairing
 from .transaction import Heard, Part, Transaction, misused
 
-__all__ = ["LINKS", "MODBUS_PORT", "TcpStreams"]
-
 # The number of TCP among the protocols of IP.
 TCP = 6
 

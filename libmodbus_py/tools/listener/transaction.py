@@ -1,6 +1,4 @@
-"""
-The result of listening: a request, its response, and how it ended; and counts of these.
-"""
+"""The result of listening: a request, its response, and how it ended; and counts of these."""
 
 from __future__ import annotations
 
@@ -12,13 +10,6 @@ from typing import Any, Literal, NamedTuple
 from ...protocol.errors import ExceptionResponse, FrameError, InvalidResponse, ModbusError
 from ...protocol.framing import Frame
 from ...protocol.pdu import RawRequest, Request, decode_request
-
-# fmt: off
-__all__ = [
-    "Ending", "Heard", "Kind", "OnHeard", "Part", "Summary", "Transaction", "answered",
-    "damage_alone", "decoded", "misused", "unasked",
-]
-# fmt: on
 
 Kind = Literal[
     "answered",  # the response fits the request

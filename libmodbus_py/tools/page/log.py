@@ -1,6 +1,4 @@
-"""
-The log of a page: transactions as rows of text, and which client wrote which addresses last.
-"""
+"""The log of a page: transactions as rows of text, and which client wrote which addresses last."""
 
 from __future__ import annotations
 
@@ -24,8 +22,6 @@ from ..listener.pairing import Exchange, TracePairing
 from .streams import Tables
 from .text import cell_text, in_words
 from .units import ShownServer, ShownUnit
-
-__all__ = ["Log", "LogRow", "named_cells", "request_name", "request_words"]
 
 # The most ADUs that wait to be shown, and the most rows that are remembered.
 MOST_ADUS = 2000

@@ -30,8 +30,6 @@ from ..timed_server import TimedServer
 from .server_source import ServerSource
 from .streams import Action, PageSource, Refused, Streams
 
-__all__ = ["Page", "live_page", "table_page"]
-
 # 22 characters have 128 bits, if they are chosen at random.
 TOKEN = re.compile("[A-Za-z0-9_-]{22,200}")
 

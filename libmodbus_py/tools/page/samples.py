@@ -16,8 +16,6 @@ from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-__all__ = ["Counts", "RowHistory", "Samples", "Series", "charted", "samples_of_each", "with_gaps"]
-
 # Samples of one value: with one a second, those of ten minutes; and however many values there are.
 MOST_SAMPLES = 600
 FEWEST = 60

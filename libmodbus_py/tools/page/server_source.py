@@ -24,8 +24,6 @@ from .samples import charted
 from .streams import Action, Download, Tables
 from .units import SAMPLED, ShownUnit, cell_rows, point_rows, shown_of
 
-__all__ = ["ServerSource", "set_point"]
-
 # Characters of a value that is typed, and faults of a server to which pages can add others.
 MOST_TEXT = 2000
 MOST_FAULTS = 200

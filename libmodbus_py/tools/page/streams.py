@@ -27,8 +27,6 @@ from ...protocol.json_text import COMPACT_JSON
 from ...protocol.logs import HarmlessLogger
 from ...system import Flag
 
-__all__ = ["Action", "Download", "PageSource", "Refused", "Streams", "Tables", "difference"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Pages that may be open at once: each takes a thread.

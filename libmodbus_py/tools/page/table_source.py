@@ -16,13 +16,6 @@ from .samples import Pairs, Samples, Series, charted, samples_of_each, with_gaps
 from .streams import Action, Download, Tables
 from .text import cell_text, in_words, value_text
 
-# fmt: off
-__all__ = [
-    "COLUMNS", "Column", "GroupRow", "Older", "PageRow", "Shown", "ShownPoint", "TableSource",
-    "Values", "problem_text",
-]
-# fmt: on
-
 # Rows of one view, of which a window shows fewer; characters of a search; the greatest index.
 MOST_VISIBLE = 200
 MOST_FOUND = 100

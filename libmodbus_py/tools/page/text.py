@@ -1,6 +1,4 @@
-"""
-Values and names as the text of a cell.
-"""
+"""Values and names as the text of a cell."""
 
 from __future__ import annotations
 
@@ -11,8 +9,6 @@ from typing import Any
 
 from ...maps.point import Point
 from ...protocol.plain import text_of
-
-__all__ = ["cell_text", "first_names", "in_words", "point_text", "value_text"]
 
 # Characters of a cell.
 MOST_TEXT = 200

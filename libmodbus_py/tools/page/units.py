@@ -24,8 +24,6 @@ from ..simulator.simulated import SimulatedDevice
 from .samples import Samples, samples_of_each
 from .text import point_text
 
-__all__ = ["SAMPLED", "ShownServer", "ShownUnit", "cell_rows", "point_rows", "shown_of"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Seconds between two attempts to compute refused cells. A device may refuse because it is busy; if

@@ -35,14 +35,6 @@ from ...protocol.pdu.interface import identify
 from ...security.security import Security
 from ..listener.pairing import TracePairing
 
-# fmt: off
-__all__ = [
-    "BAUDRATES", "FIRST_UNITS", "LONGEST_SIZE", "MOST_PAGES", "ON_LINES", "ON_NETWORKS", "PARITIES",
-    "PROBE_SIZE", "USUAL", "USUAL_UNITS", "Answer", "Place", "Prober", "Walker",
-    "checked_progress", "listed", "places",
-]
-# fmt: on
-
 Item = TypeVar("Item")
 
 State = TypeVar("State")

@@ -1,6 +1,4 @@
-"""
-A scan: all units at all settings, one after the other.
-"""
+"""A scan: all units at all settings, one after the other."""
 
 from __future__ import annotations
 
@@ -31,8 +29,6 @@ from .probe import (
     listed,
     places,
 )
-
-__all__ = ["Found", "Progress", "Scan", "scan"]
 
 UNITS = range(1, 248)
 

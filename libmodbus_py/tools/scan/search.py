@@ -32,8 +32,6 @@ from ...protocol.tables import TABLE_SIZE, TABLES
 from ...security.security import Security
 from .probe import LONGEST_SIZE, Place, Prober, Walker, checked_progress, places
 
-__all__ = ["MOST_REQUESTS", "Cells", "Extent", "Search", "Searching", "halving", "search"]
-
 UNKNOWN, THERE, MISSING = 0, 1, 2
 
 # Where tables usually begin, before halves of halves of the rest are tried.

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["DEVICES", "described", "map_file", "maps", "path_of"]
-
 # CSV files in the folder that are not register maps.
 LISTS = ("fleet",)
 

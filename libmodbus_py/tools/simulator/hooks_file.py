@@ -20,8 +20,6 @@ from ...protocol.checks import checked_callback
 from ...protocol.mistakes import close_to
 from ...system import open_file
 
-__all__ = ["HooksFile"]
-
 NAMES = ("before_write", "after_write", "before_read")
 
 # The name of the module that a file becomes.

@@ -25,8 +25,6 @@ from ...protocol.values import value_type
 from .example_files import map_file
 from .movements import BEHAVIOURS, SimulatedPoint
 
-__all__ = ["CONTENTS", "DEFAULTS", "Maps", "points_of"]
-
 MOVES = Keys(
     Key(name, keys_of(make).but("point", "others").read) for name, make in BEHAVIOURS.items()
 )

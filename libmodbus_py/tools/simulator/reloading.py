@@ -20,8 +20,6 @@ from .device_file import load
 from .hooks_file import HooksFile
 from .simulated import Simulation
 
-__all__ = ["Reloader"]
-
 LOOK_EVERY_S = 0.5
 """Two checks of the files in a row must see the same, because writing a file takes a while."""
 

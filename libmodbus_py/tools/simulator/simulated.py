@@ -1,6 +1,4 @@
-"""
-Simulated devices: they have named points, and can take over the values of former devices.
-"""
+"""Simulated devices: they have named points, and can take over the values of former devices."""
 
 from __future__ import annotations
 
@@ -20,8 +18,6 @@ from ...protocol.mistakes import WrongValue, placed
 from ...protocol.tables import TABLES
 from ..faults.fault import Fault
 from .movements import Movements, SimulatedPoint
-
-__all__ = ["SimulatedDevice", "Simulation"]
 
 
 class SimulatedDevice(Device):

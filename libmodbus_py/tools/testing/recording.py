@@ -1,6 +1,4 @@
-"""
-Servers for tests: they serve in the background, and record their transactions.
-"""
+"""Servers for tests: they serve in the background, and record their transactions."""
 
 from __future__ import annotations
 
@@ -23,8 +21,6 @@ from ...server.server import Server
 from ...server.units import UnknownUnit
 from ..listener.pairing import TracePairing
 from ..listener.transaction import Transaction
-
-__all__ = ["RecordingServer", "ServerMaker"]
 
 MOST = 20_000
 """ADUs of one server that are kept: more than a test needs, and a limit for long runs."""

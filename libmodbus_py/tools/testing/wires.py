@@ -15,8 +15,6 @@ import socket
 import threading
 from typing import Literal, NamedTuple, Self
 
-__all__ = ["SerialWire", "TcpWire", "open_line", "read_what_is_there", "write_all"]
-
 # Bytes are dropped if the line takes none for this many seconds, as without flow control.
 TIMEOUT = 1.0
 

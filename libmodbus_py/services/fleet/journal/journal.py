@@ -33,8 +33,6 @@ from .journal_reader import HistoricalValue, history
 from .place import JournalPlace, RecentPolls
 from .schema import JournalDamaged, JournalError, JournalPoll, numbered
 
-__all__ = ["Journal"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 KEEP_BOUNDS = ("1 minute", "100 years")

@@ -1,6 +1,4 @@
-"""
-The file of a journal: an SQLite database. Its methods block; one thread calls them.
-"""
+"""The file of a journal: an SQLite database. Its methods block; one thread calls them."""
 
 from __future__ import annotations
 
@@ -31,8 +29,6 @@ from .schema import (
     first_id,
     raised,
 )
-
-__all__ = ["Begun", "JournalFile"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

@@ -20,8 +20,6 @@ from .schema import JournalError, raised
 if TYPE_CHECKING:
     from ....tools.page.table_source import Older
 
-__all__ = ["HistoricalValue", "history", "past_in", "thinned"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Milliseconds to wait for a lock; readers need one only while a journal is opened or closed.

@@ -14,8 +14,6 @@ from ....protocol.logs import HarmlessLogger
 from ..readings import Buffer, Reading
 from .schema import JournalPoll
 
-__all__ = ["JournalPlace", "RecentPolls"]
-
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

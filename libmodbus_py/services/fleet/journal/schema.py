@@ -27,13 +27,6 @@ from ....protocol.json_text import COMPACT_JSON
 from ....protocol.plain import plain
 from ..readings import Reading
 
-# fmt: off
-__all__ = [
-    "APPLICATION", "SCHEMA", "VERSION", "JournalDamaged", "JournalError", "JournalPoll",
-    "Points", "Row", "decoded", "encoded", "first_id", "numbered", "raised",
-]
-# fmt: on
-
 
 # In the header of the file; `file` and other programs name the kind of a database by it.
 APPLICATION = 0x4D424A31

@@ -26,8 +26,6 @@ from ..readings import Reading
 from .mqtt_connection import Message
 from .topics import Topic
 
-__all__ = ["PREFIX", "Discovery", "Topics"]
-
 PREFIX = "homeassistant"
 """The first level of the topics of configurations, unless Home Assistant is told otherwise."""
 

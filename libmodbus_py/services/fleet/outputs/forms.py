@@ -1,6 +1,4 @@
-"""
-Readings as JSON and CSV, and messages in JSON with the readings of a poll.
-"""
+"""Readings as JSON and CSV, and messages in JSON with the readings of a poll."""
 
 from __future__ import annotations
 
@@ -16,8 +14,6 @@ from ....protocol.json_text import JSON, json_text
 from ....protocol.plain import plain, time_text
 from ..readings import Reading
 from .output import ReadingsRefused
-
-__all__ = ["COLUMNS", "as_csv", "as_json", "object_text", "poll_messages"]
 
 
 COLUMNS: tuple[str, ...] = "time", "device", "name", "value", "unit", "quality", "reason"

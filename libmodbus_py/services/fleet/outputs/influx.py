@@ -27,8 +27,6 @@ from .output import Output, OutputError, ReadingsRefused
 if TYPE_CHECKING:
     import httpx
 
-__all__ = ["Influx", "LineProtocol"]
-
 # Scheme -> port of a URL without one.
 PORTS = {"http": 80, "https": 443}
 

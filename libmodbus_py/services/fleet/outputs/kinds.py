@@ -1,6 +1,4 @@
-"""
-The kinds of outputs in fleet files and of options, and how an output of a kind is made.
-"""
+"""The kinds of outputs in fleet files and of options, and how an output of a kind is made."""
 
 from __future__ import annotations
 
@@ -8,8 +6,6 @@ from typing import Any
 
 from ....files.schema import Keys, keys_of
 from .output import Output
-
-__all__ = ["KINDS", "made", "output_keys"]
 
 KINDS: dict[str, str] = {
     "json": "lines of JSON",

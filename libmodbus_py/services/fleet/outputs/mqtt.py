@@ -26,8 +26,6 @@ from .topics import Topic, plain_topic
 if TYPE_CHECKING:
     import aiomqtt
 
-__all__ = ["DeviceStates", "Mqtt"]
-
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

@@ -1,6 +1,4 @@
-"""
-A connection to an MQTT broker. It needs aiomqtt (the extra ``mqtt``).
-"""
+"""A connection to an MQTT broker. It needs aiomqtt (the extra ``mqtt``)."""
 
 from __future__ import annotations
 
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
     import aiomqtt
 
     OnMessage = Callable[[aiomqtt.Message], Coroutine[Any, Any, None]]
-
-__all__ = ["Message", "MqttConnection"]
 
 # Seconds for a response of the broker.
 TIMEOUT_S = 5.0

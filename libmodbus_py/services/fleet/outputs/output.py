@@ -13,10 +13,6 @@ from ..commands import Commands
 from ..config import DeviceConfig
 from ..readings import MOST_KEPT, Reading
 
-__all__ = [
-    "Output", "OutputError", "ReadingsRefused", "check_exclusive", "file_at", "shared", "used",
-]  # fmt: skip
-
 
 class OutputError(Exception):
     """An output failed permanently: it will not accept readings again."""

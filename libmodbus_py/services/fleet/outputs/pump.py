@@ -20,8 +20,6 @@ from ..readings import Buffer, Reading
 from ..statistics import OutputStatistics
 from .output import Output, OutputError, ReadingsRefused
 
-__all__ = ["Pump"]
-
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
