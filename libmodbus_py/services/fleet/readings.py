@@ -20,7 +20,6 @@ from ...protocol.errors import (
     ModbusError,
 )
 
-
 NO_LABELS: Mapping[str, str] = MappingProxyType({})
 
 Quality = Literal["good", "bad", "down", "offline"]

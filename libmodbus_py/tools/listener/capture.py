@@ -24,7 +24,6 @@ from .packets import (
     INTERFACE,
     PACKET,
     SECTION,
-    CaptureError,
     Packet,
     PacketReader,
     pairs,

@@ -14,7 +14,6 @@ from ....protocol.logs import HarmlessLogger
 from ..readings import Buffer, Reading
 from .schema import JournalPoll
 
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 NOTING_S = 1.0

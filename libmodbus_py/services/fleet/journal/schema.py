@@ -27,7 +27,6 @@ from ....protocol.json_text import COMPACT_JSON
 from ....protocol.plain import plain
 from ..readings import Reading
 
-
 # In the header of the file; `file` and other programs name the kind of a database by it.
 APPLICATION = 0x4D424A31
 VERSION = 1

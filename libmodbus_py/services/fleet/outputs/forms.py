@@ -15,7 +15,6 @@ from ....protocol.plain import plain, time_text
 from ..readings import Reading
 from .output import ReadingsRefused
 
-
 COLUMNS: tuple[str, ...] = "time", "device", "name", "value", "unit", "quality", "reason"
 """The columns of CSV: what a reading has, but for its id and its labels."""
 

@@ -23,7 +23,6 @@ from ..readings import MOST_KEPT, Reading
 from .forms import COLUMNS, as_csv, as_json
 from .output import Output, OutputError, file_at
 
-
 # Bytes that are read at once from a file whose last line was not ended.
 CHUNK_BYTES = 1 << 20
 

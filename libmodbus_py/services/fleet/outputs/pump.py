@@ -20,7 +20,6 @@ from ..readings import Buffer, Reading
 from ..statistics import OutputStatistics
 from .output import Output, OutputError, ReadingsRefused
 
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Readings of a batch: what is sent twice if its confirmation is lost.

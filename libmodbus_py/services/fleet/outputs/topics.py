@@ -13,7 +13,6 @@ from ....maps.point_checks import MAX_NAME
 from ....protocol.mistakes import WrongType, WrongValue
 from ..config import LONGEST_NAME, DeviceConfig
 
-
 _LONGEST = max(MAX_NAME, LONGEST_NAME)
 
 
