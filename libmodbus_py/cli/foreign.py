@@ -52,11 +52,7 @@ OPTIONS = {
 }
 """Option of another program -> what is typed here; VALUE stands for its value."""
 
-TAKEN = {
-    "-p": ("[0-9]+", PORT),
-    "--parity": ("[0-9]+", PORT),
-    "-s": ("(?![12]$)[0-9]+", UNIT),
-}
+TAKEN = {"-p": ("[0-9]+", PORT), "--parity": ("[0-9]+", PORT), "-s": ("(?![12]$)[0-9]+", UNIT)}
 """Option that is one here, too -> the values that it has only there, and what is typed here."""
 
 SWITCHES = ("-B", "-f", "-i", "-0", "-1", "-R", "-F", "--swap", "--float", "--registers")

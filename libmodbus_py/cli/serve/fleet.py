@@ -112,9 +112,7 @@ def poll(
         return waited_for(_push(servers, settings, connections))
 
     async def work() -> int:
-        hung_up = hangup.answered(
-            lambda lines: logger.warning("%s", "; ".join([OF_PUSH, *lines])),
-        )
+        hung_up = hangup.answered(lambda lines: logger.warning("%s", "; ".join([OF_PUSH, *lines])))
         # From now on, though NATS may elect a leader for a while.
         with signal_handlers({signal.SIGHUP: hung_up}):
             hangup.release()

@@ -154,10 +154,7 @@ def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
 
 @contextlib.contextmanager
 def _seen(
-    options: argparse.Namespace,
-    file: FleetFile,
-    page: PageOutput | None,
-    fleet: Fleet,
+    options: argparse.Namespace, file: FleetFile, page: PageOutput | None, fleet: Fleet
 ) -> Iterator[None]:
     """Serve the metrics and the page of a fleet while the block runs."""
 

@@ -143,12 +143,7 @@ def _serve(options: argparse.Namespace) -> int:
             serve()
             return 0
         reloader = Reloader(
-            server,
-            path,
-            simulation,
-            is_watching=options.reload,
-            tell=command.tell,
-            hooks=hooks,
+            server, path, simulation, is_watching=options.reload, tell=command.tell, hooks=hooks
         )
         serve(begin=reloader.start, answer=reloader.ask)
     return 0

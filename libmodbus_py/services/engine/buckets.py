@@ -63,9 +63,7 @@ class Bucket:
         return 0
 
     async def watch(
-        self,
-        on_change: Callable[[Change | None], None],
-        on_gap: Callable[[], None] = lambda: None,
+        self, on_change: Callable[[Change | None], None], on_gap: Callable[[], None] = lambda: None
     ) -> Watch:
         """
         Call `on_change` with the current value of each key, then with None, then with each change,

@@ -16,15 +16,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import math
-from collections.abc import (
-    Awaitable,
-    Callable,
-    Collection,
-    Generator,
-    Iterable,
-    Iterator,
-    Sequence,
-)
+from collections.abc import Awaitable, Callable, Collection, Generator, Iterable, Iterator, Sequence
 from enum import Enum
 from functools import partial
 from itertools import count, repeat

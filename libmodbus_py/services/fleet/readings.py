@@ -12,13 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 from ...maps.meaning import NoValue
 from ...protocol.checks import integer
-from ...protocol.errors import (
-    NO_UNIT,
-    ExceptionResponse,
-    FrameError,
-    InvalidResponse,
-    ModbusError,
-)
+from ...protocol.errors import NO_UNIT, ExceptionResponse, FrameError, InvalidResponse, ModbusError
 
 NO_LABELS: Mapping[str, str] = MappingProxyType({})
 
@@ -111,10 +105,7 @@ class Changes:
     """
 
     def __init__(
-        self,
-        on_change: bool,
-        bands: Sequence[float | None],
-        again: Sequence[float] | None = None,
+        self, on_change: bool, bands: Sequence[float | None], again: Sequence[float] | None = None
     ) -> None:
         self._bands = [0.0 if band is None and on_change else band for band in bands]
         self._is_filtering = any(band is not None for band in self._bands)

@@ -59,12 +59,7 @@ MOST_CACHED = 4096
 REMEMBERED = 512
 """Requests that are decoded once, because pollers send the same ones again and again."""
 
-READS = (
-    pdu.ReadCoils,
-    pdu.ReadDiscreteInputs,
-    pdu.ReadHoldingRegisters,
-    pdu.ReadInputRegisters,
-)
+READS = (pdu.ReadCoils, pdu.ReadDiscreteInputs, pdu.ReadHoldingRegisters, pdu.ReadInputRegisters)
 """Requests that change nothing, and may be answered from the cache."""
 
 

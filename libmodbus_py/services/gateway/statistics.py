@@ -190,8 +190,5 @@ def own_device(
                 mapping.input_registers[at : at + len(words)] = words
 
     return Device(
-        mapping,
-        before_read=refresh,
-        identification={"ProductCode": "Gateway"},
-        authorize=authorize,
+        mapping, before_read=refresh, identification={"ProductCode": "Gateway"}, authorize=authorize
     )

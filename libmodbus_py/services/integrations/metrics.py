@@ -19,12 +19,7 @@ from ...server.limits import ServerStatistics
 from ..fleet.config import label_name
 from ..fleet.poller import DeviceState, Poller
 from ..fleet.readings import reason_of
-from ..fleet.statistics import (
-    LATENESS_BOUNDS,
-    FleetStatistics,
-    JournalStatistics,
-    OutputStatistics,
-)
+from ..fleet.statistics import LATENESS_BOUNDS, FleetStatistics, JournalStatistics, OutputStatistics
 from ..gateway.statistics import GatewayStatistics, LineStatistics, UnitStatistics
 
 Labels = tuple[tuple[str, str], ...]

@@ -14,13 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ...client.options import checked_options
 from ..engine.buckets import Bucket
 from ..engine.connection import EngineError, EngineGone
-from ..fleet.config import (
-    DeviceConfig,
-    by_connection,
-    checked,
-    devices_from_json,
-    devices_to_json,
-)
+from ..fleet.config import DeviceConfig, by_connection, checked, devices_from_json, devices_to_json
 from .records import SETTINGS, BucketView, Connection, FleetSettings, in_key, zone_of
 from .worker import Put
 

@@ -266,10 +266,7 @@ class Clock:
 
 @named_parameters
 def listen(
-    url: str,
-    *,
-    between: str | None = None,
-    capture: str | os.PathLike[str] | None = None,
+    url: str, *, between: str | None = None, capture: str | os.PathLike[str] | None = None
 ) -> Listener:
     """
     Listen to the traffic between other devices on a line.

@@ -23,15 +23,7 @@ from ...ports.trace import Traced
 from ...protocol.errors import InvalidResponse
 from ...protocol.framing import Frame
 from ...protocol.pdu import RawRequest, Request
-from .transaction import (
-    Ending,
-    Transaction,
-    answered,
-    damage_alone,
-    decoded,
-    misused,
-    unasked,
-)
+from .transaction import Ending, Transaction, answered, damage_alone, decoded, misused, unasked
 
 # Seconds after which a request counts as unanswered, even if no other request was sent.
 TIMEOUT = 5.0

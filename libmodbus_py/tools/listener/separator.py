@@ -206,10 +206,7 @@ class Separator:
     """
 
     def __init__(
-        self,
-        framing: LineFraming,
-        on_heard: OnHeard = lambda event: None,
-        pause: float = 0.0,
+        self, framing: LineFraming, on_heard: OnHeard = lambda event: None, pause: float = 0.0
     ) -> None:
         if framing not in ("rtu", "ascii"):
             raise ValueError(f'framing must be "rtu" or "ascii", not {framing!r}')

@@ -44,14 +44,7 @@ from .movements import Movements
 from .points import CONTENTS, DEFAULTS, Maps, points_of
 from .simulated import SimulatedDevice, Simulation
 
-__all__ = [
-    "DeviceFileError",
-    "SimulatedDevice",
-    "Simulation",
-    "load",
-    "mapped_simulation",
-    "parse",
-]
+__all__ = ["DeviceFileError", "SimulatedDevice", "Simulation", "load", "mapped_simulation", "parse"]
 
 Clock = Callable[[], float]
 
@@ -149,11 +142,7 @@ FILE = Keys(
         Key("unit", tables, "a table for each unit", REQUIRED),
         Key("fault", _each(FAULT), "a table for each fault of all units"),
         Key("roles", roles, "what each role may read and write: [roles.NAME]"),
-        Key(
-            "defaults",
-            DEFAULTS.read,
-            "keys of points of all units without their own",
-        ),
+        Key("defaults", DEFAULTS.read, "keys of points of all units without their own"),
     ]
 )
 

@@ -94,9 +94,7 @@ class Journal:
         )
         self.statistics: JournalStatistics = JournalStatistics()
         self._file = JournalFile(
-            self.path,
-            in_seconds("keep", keep, *KEEP_BOUNDS),
-            in_bytes("size", size, *SIZE_BOUNDS),
+            self.path, in_seconds("keep", keep, *KEEP_BOUNDS), in_bytes("size", size, *SIZE_BOUNDS)
         )
         self._thread = WriterThread(self.path)
         self._places: list[JournalPlace] = []
