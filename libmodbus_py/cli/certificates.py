@@ -53,7 +53,6 @@ examples:
   libmodbus-py certificates papers server --renew --days 90
   libmodbus-py certificates papers --revoke operator"""
 
-
 ARGUMENTS = f"""
 DIR
     folder for the files; existing files are not overwritten

@@ -21,7 +21,6 @@ PACKAGE = "libmodbus_py"
 
 LEVELS = ("debug", "info", "warning", "error")
 
-
 OPTIONS = f"""
 --log LEVEL
     lowest level to log: {", ".join(LEVELS)}; debug logs every frame. Each line begins with the time

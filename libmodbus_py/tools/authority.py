@@ -24,9 +24,7 @@ AUTHORITY = "ca"
 
 @dataclass(frozen=True)
 class Issued:
-    """
-    A certificate in a folder; `name` is that of its file, or of the machine that it is for.
-    """
+    """A certificate in a folder; `name` is that of its file, or of the machine that it is for."""
 
     name: str
     path: Path

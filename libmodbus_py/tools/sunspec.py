@@ -40,7 +40,6 @@ MOST_MODELS = 256
 # Addresses at which a chain is sought; SunSpec names three.
 MOST_BASES = 16
 
-
 Result = TypeVar("Result")
 
 # A walk yields requests, and is sent their results; what fails is raised in it.

@@ -28,7 +28,6 @@ CHANGED = "*"
 NUMBER_CHARACTERS = 5
 """The width of an address, so that the addresses of several commands are below each other."""
 
-
 MOST_AT_ONCE, SIZES, LIKELY = 125, (1, 2, 4), 3
 """Of --type all: the most registers of one value; those of a part of them; values of a part."""
 

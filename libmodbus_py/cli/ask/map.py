@@ -89,7 +89,6 @@ examples:
 
 {arguments.URLS}"""
 
-
 DEVICE = """
 --device URL
     read all points of this device, and print those that it refuses

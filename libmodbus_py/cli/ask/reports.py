@@ -48,7 +48,6 @@ examples:
   libmodbus-py raw /dev/ttyUSB0 -b 9600 -u 7 43 0D0102
   libmodbus-py raw 'tcp://192.0.2.10?unit=7&timeout=0.5' 100"""
 
-
 LEVEL = "--level L\n  basic, regular, extended, or the number of one object (regular)"
 
 DIAGNOSE = """\

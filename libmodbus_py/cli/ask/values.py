@@ -51,7 +51,6 @@ examples:
   libmodbus-py write 192.0.2.10 --map meter.csv setpoint 21.5 --dry-run -v
   libmodbus-py write 'tcp://192.0.2.10?unit=7&timeout=0.5' hr 4 --mask 0xFFF0 5"""
 
-
 OF_READ = """
 [WHAT ...]
     the values to read

@@ -36,7 +36,6 @@ _shown = reprlib.Repr()
 _shown.maxlist = _shown.maxtuple = _shown.maxdict = 16
 _shown.maxstring = _shown.maxother = 200
 
-
 DESCRIPTION = """\
 Print every transaction on a line, and a summary after Ctrl-C. Nothing is
 sent. Traffic in TLS cannot be read; libmodbus-py gateway -v shows the requests
@@ -61,7 +60,6 @@ URL: rtu:///dev/ttyUSB0 or ascii:///dev/ttyUSB0, or just /dev/ttyUSB0;
      of a capture, FILE.pcapng or FILE.pcap. Settings follow a question mark,
      as in "rtu:///dev/ttyUSB0?baudrate=9600&parity=N". Quote such a URL,
      because shells interpret &. An option overrides the setting in the URL."""
-
 
 ARGUMENTS = """
 URL

@@ -55,7 +55,6 @@ QUICK_BAUDRATES = tuple(dict.fromkeys(baudrate for baudrate, _ in USUAL))
 
 QUICK_PARITIES = tuple(dict.fromkeys(parity for _, parity in USUAL))
 
-
 DESCRIPTION = """\
 Ask each unit for one register at each setting of the line, and print those
 that answer; usual settings and units come first. Nothing is written. A baud
@@ -71,7 +70,6 @@ examples:
   libmodbus-py scan /dev/ttyUSB0 -b 9600,19200 -p none,even -u 1-20,42
   libmodbus-py scan 192.0.2.10 -u 1,17,255 --deep --json
   libmodbus-py scan 192.0.2.10 -u 7 --deep --values > copy.toml"""
-
 
 ARGUMENTS = f"""
 --quick

@@ -33,7 +33,6 @@ OF_DEVICES = tuple(name for name in CLIENT_OPTIONS if name != "unit")
 
 ROUTE = "[UNITS[:DEVICE_UNITS]=]URL"
 
-
 EPILOG = f"""\
 examples:
   libmodbus-py gateway tcp://0.0.0.0:502 --to rtu:///dev/ttyUSB0
@@ -44,7 +43,6 @@ examples:
 {arguments.SCHEMES_OF_URLS}
      The URL of a route can set the options of its requests, as in
      --to "1-10=tcp://192.0.2.10?timeout=0.5"; an option overrides all URLs."""
-
 
 ARGUMENTS = f"""
 [URL ...]

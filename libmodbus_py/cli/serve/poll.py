@@ -65,7 +65,6 @@ examples:
 
 FILES = {name: form for name, form in KINDS.items() if form}
 
-
 MODES = """
 --once
     poll each device once, then exit

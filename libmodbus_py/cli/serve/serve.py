@@ -38,7 +38,6 @@ examples:
   libmodbus-py serve --example meter
   libmodbus-py serve /dev/ttyUSB0 -b 9600 -p none --device plant.toml"""
 
-
 SOURCES = """
 --device FILE
     serve the devices of a device file

@@ -66,7 +66,6 @@ LINKS: dict[int, Callable[[bytes], bytes]] = {
 }
 """Link type -> function that returns the packet of IP in a packet, or nothing."""
 
-
 Address = tuple[bytes, int]
 """An address of IP, and a port."""
 

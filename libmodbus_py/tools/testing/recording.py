@@ -25,7 +25,6 @@ from ..listener.transaction import Transaction
 MOST = 20_000
 """ADUs of one server that are kept: more than a test needs, and a limit for long runs."""
 
-
 USUAL_URL = "tcp://127.0.0.1:0"
 
 

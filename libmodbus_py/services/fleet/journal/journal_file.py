@@ -72,7 +72,6 @@ SET_PLACE = (
     " SET confirmed = max(confirmed, excluded.confirmed)"
 )
 
-
 # What the contents of a damaged row raise.
 DAMAGES = (AttributeError, LookupError, TypeError, ValueError, RecursionError)
 

@@ -79,7 +79,6 @@ SELECT poll.id + value.key AS id,
        + coalesce(json_extract(poll.chosen, '$[' || value.key || ']'), value.key);
 """
 
-
 _SIMPLE = {int, float, bool, str, type(None)}
 
 

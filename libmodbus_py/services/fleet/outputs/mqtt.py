@@ -44,7 +44,6 @@ ONLINE, OFFLINE = b"online", b"offline"
 LARGEST_BYTES = 268_435_000
 """The size of a message that MQTT can carry, with a long topic."""
 
-
 Last = dict[str, Reading]
 """Point -> its last reading; the one that came last has the labels of the topic."""
 
