@@ -94,7 +94,6 @@ URL = "URL\n  such as 192.0.2.10, 192.0.2.10:1502 or /dev/ttyUSB0\n"
 
 
 def add_client(command: Parser, *, several: bool = False) -> None:
-    """Add the URL and the options of a client."""
     declare(command, URL)
     add_requests(command, several=several)
 
@@ -111,13 +110,10 @@ def add_requests(command: Parser, *, several: bool = False) -> None:
 
 
 def add_verbose(command: Parser) -> None:
-    """Add -v."""
     declare(command, "-v --verbose\n  print every frame sent and received to stderr")
 
 
 def add_units(group: Any, text: str) -> None:
-    """Add -u with a list of units."""
-
     def units(text: str) -> list[int]:
         from ..protocol.plain import units_of
 
@@ -249,7 +245,6 @@ def add_serial_options(command: Parser, *, without: Collection[str] = ()) -> Any
 
 
 def add_security_options(command: Parser) -> None:
-    """Add the files that tls:// needs."""
     _add(command.group("certificates, for tls://"), SECURITY_OPTIONS)
 
 

@@ -77,7 +77,6 @@ DIR
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EXAMPLES
     declare(command, ARGUMENTS, dir={"type": Path})
     command.set_defaults(run=_run)

@@ -112,7 +112,6 @@ def _is_read(arguments: Sequence[str]) -> bool:
 
 
 def parser_of(name: str) -> Parser:
-    """Import the file of a command, and return the parser."""
     module, about = COMMANDS[name]
     parser = Parser(prog=f"{PROGRAM} {name}", description=f"{about[0].upper()}{about[1:]}.")
     import_module(f".{module}", __package__).add_command(parser)

@@ -23,7 +23,6 @@ examples:
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description = "Print a script that makes a shell complete commands, options and names."
     command.epilog = EXAMPLES
     declare(command, f"SHELL\n  one of {', '.join(SHELLS)}", shell={"choices": SHELLS})
@@ -81,7 +80,6 @@ def _without_options(parser: Parser, words: Sequence[str]) -> list[str]:
 
 
 def _flags(parser: Parser) -> dict[str, argparse.Action]:
-    """Return the options of a parser and of all its commands."""
     flags = parser.flags
     for command in parser.commands.values():
         flags |= _flags(command)

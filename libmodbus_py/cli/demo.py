@@ -65,7 +65,6 @@ To try next, the second and the third in another terminal:
 
 
 def add_command(command: Parser) -> None:
-    """Declare that it has no arguments."""
     command.set_defaults(run=_demo)
 
 

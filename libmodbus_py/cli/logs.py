@@ -30,7 +30,6 @@ rare --log-format FORMAT
 
 
 def add_arguments(command: Parser) -> None:
-    """Declare the options."""
     group = command.group("log, on stderr")
     declare(group, OPTIONS, log={"choices": LEVELS}, log_format={"choices": ("json", "text")})
 

@@ -77,7 +77,6 @@ class CommandError(Exception):
 
 
 def _failed(error: Exception) -> int:
-    """Print an error, and return the exit code."""
     from ..protocol.errors import ModbusError
     from .output import abandon, complain
 

@@ -75,7 +75,6 @@ class Parser(argparse.ArgumentParser):
         return [action for group in self.arguments.values() for action in group]
 
     def group(self, title: str) -> Group:
-        """Return a new group of arguments."""
         return Group(self, title, self.add_argument_group(title))
 
     def exclusive(self) -> Group:

@@ -34,7 +34,6 @@ ARGUMENTS = """
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EXAMPLES
     declare(command, ARGUMENTS)
     command.set_defaults(run=_make)

@@ -231,7 +231,6 @@ class SharedLine(ABC, Generic[Job]):
         self._go_on_soon()
 
     def remove(self, job: Job) -> bool:
-        """Remove a request that waits; return False if it does not."""
         return any(queue.remove(job) for queue in (self._urgent, self._usual, self._trials))
 
     def stop(self) -> list[Job]:

@@ -73,7 +73,6 @@ class Pauses:
         self._next = FIRST_PAUSE_S
 
     def next(self) -> float:
-        """Return the seconds until the next try."""
         pause, self._next = self._next, min(2 * self._next, self._longest)
         return pause
 

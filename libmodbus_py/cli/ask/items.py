@@ -308,7 +308,6 @@ def _split(text: str) -> tuple[str, str | None, str | None, str | None]:
 
 
 def _with_bit(item: Item, text: str) -> Item:
-    """Return the item of one bit of a register."""
     if item.table not in REGISTER_TABLES:
         raise ValueError(f"{item.label()}.{text}: only holding and input registers have bits")
     return item._replace(bit=integer("bit", number_of("bit", text), 0, 15))

@@ -108,7 +108,6 @@ OF_CLASS_OUTPUT = """
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments of each action."""
     command.epilog = EXAMPLES
     add_action = command.add_commands("ACTION")
 

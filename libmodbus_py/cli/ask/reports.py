@@ -75,7 +75,6 @@ FUNCTION
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments of identify, diagnose or raw."""
     name = command.prog.rpartition(" ")[2]
     arguments.add_client(command, several=name != "raw")
     if name == "raw":

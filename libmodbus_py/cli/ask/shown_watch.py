@@ -130,7 +130,6 @@ def _device(unit: int) -> str:
 
 
 def _name(item: Item, row: ValueText) -> tuple[str, str]:
-    """Return the name of a value, and its unit of measurement."""
     where = row.where.strip()
     if item.point is not None:
         return where, item.point.units

@@ -109,7 +109,6 @@ OF_SENDING = """
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments of read or write."""
     (_add_read if command.prog.endswith(" read") else _add_write)(command)
 
 
@@ -148,7 +147,6 @@ def _add_write(command: Parser) -> None:
 
 
 def _add_item_arguments(command: Parser, more: str = "") -> None:
-    """Add the arguments that say how values are stored in a device."""
     group = command.group("values")
     types = [*get_args(NumberType), *get_args(BitsType), *get_args(TimeType), "string:"]
     orders = {"complete": get_args(Order)}

@@ -81,7 +81,6 @@ URL
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     declare(command, ARGUMENTS, map={"complete": arguments.maps})
     arguments.add_columns(command, encoding=True)
@@ -235,7 +234,6 @@ def line_of(transaction: Transaction) -> str:
 
 
 def _plain(transaction: Transaction) -> dict[str, Any]:
-    """Return a transaction as an object of JSON."""
     error = transaction.error
     return {
         "time": time_text(transaction.time),
@@ -256,7 +254,6 @@ def _plain(transaction: Transaction) -> dict[str, Any]:
 
 
 def _print_values(decoder: MapDecoder, values: Iterable[NamedValue]) -> None:
-    """Print a line for each value: time, unit, name, value and units."""
     for each in values:
         clock = clock_text(each.time, with_milliseconds=True)
         for row in _rows(decoder, each):

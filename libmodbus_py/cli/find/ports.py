@@ -28,7 +28,6 @@ COLUMNS = ("path", "state", "driver", "vendor", "product", "serial_number", "sta
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     declare(command, "--all\n  list those without a USB device too, such as ttyS0")
     arguments.add_forms(command.exclusive(), "print CSV")

@@ -94,7 +94,6 @@ OF_LINES = f"""
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, f"{EXAMPLES}\n\n{arguments.URLS}"
     declare(command, arguments.URL)
     arguments.add_units(command, "units to ask, such as 1,5,9-12 (1-247; on networks also 255)")
@@ -329,7 +328,6 @@ def _toml(found: Found, extents: list[Extent], requests: int, *, has_values: boo
 
 
 def _plain(found: Found, extents: list[Extent] | None, *, has_values: bool) -> dict[str, Any]:
-    """Return a unit as an object of JSON."""
     # fmt: off
     names = (
         "unit", "url", "baudrate", "parity", "data_bits", "stop_bits", "took", "exception",

@@ -27,7 +27,6 @@ examples:
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, f"{EXAMPLES}\n\n{arguments.URLS}"
     arguments.add_client(command, several=True)
     text = "the address at which the models begin (0, 40000 and 50000 are tried)"

@@ -79,7 +79,6 @@ ELECTION = 30.0
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments of the command fleet."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     text = f"STATUS\n  print the status of the fleet\n{ENGINE}"
     what = {"dest": "what", "metavar": "status", "choices": ["status"]}
@@ -89,7 +88,6 @@ def add_command(command: Parser) -> None:
 
 
 def add_arguments(command: Parser) -> None:
-    """Declare the options of poll for several machines."""
     group = command.group("several machines")
     declare(group, f"{ENGINE}{OF_WORKERS}", zone={"default": []}, worker={"default": ""})
 

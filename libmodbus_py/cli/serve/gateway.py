@@ -64,7 +64,6 @@ OF_WAITING = """
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description = (
         "Forward requests of clients to devices on other lines, and the answers back."
     )

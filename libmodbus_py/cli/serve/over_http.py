@@ -26,7 +26,6 @@ TOKEN = "LIBMODBUS_PY_PAGE_TOKEN"
 
 
 def add_metrics(command: Parser) -> None:
-    """Declare the option for metrics."""
     text = "serve metrics for Prometheus at this address, over HTTP"
     declare(command, f"--metrics HOST:PORT\n  {text}", metrics={"type": _address})
 
@@ -44,7 +43,6 @@ rare --page-token FILE
 
 
 def add_page(command: Parser | Group, what: str = "the devices") -> None:
-    """Declare the options for a page that shows `what`."""
     declare(command, OF_PAGE % what, page={"type": _address, "const": ("127.0.0.1", 8080)})
 
 

@@ -74,7 +74,6 @@ MODES = """
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     declare(command, "FILE\n  fleet file, such as fleet.toml")
     declare(command.exclusive(), MODES)

@@ -240,7 +240,6 @@ OF_AUDIT = """
 
 
 def add_limits(command: Parser) -> Any:
-    """Declare the options for limits, and return their group."""
     group = command.group("limits on clients")
     declare(
         group,
@@ -254,5 +253,4 @@ def add_limits(command: Parser) -> Any:
 
 
 def add_audit(command: Parser) -> None:
-    """Declare the options for an audit trail."""
     declare(command.group("audit trail"), OF_AUDIT)

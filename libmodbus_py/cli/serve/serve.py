@@ -71,7 +71,6 @@ rare --unknown-unit POLICY
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description = DESCRIPTION
     command.epilog = f"{EXAMPLES}\n\n{arguments.SCHEMES_OF_URLS}"
     text = f"where to listen, such as {EXAMPLE_URL}, the default for examples"

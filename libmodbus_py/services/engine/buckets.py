@@ -146,7 +146,6 @@ class Watch:
             self._on_change(None)
 
     async def end(self) -> None:
-        """End the watch."""
         self.is_broken = True
         if self._subscription is not None:
             await finish(self._subscription.unsubscribe(), TIMEOUT)

@@ -165,7 +165,6 @@ async def _connect(
 
 
 async def disconnect(client: Client) -> None:
-    """Close a connection within a second."""
     await finish(client.close(), 1.0)
 
 

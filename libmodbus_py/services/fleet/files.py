@@ -126,7 +126,6 @@ class _Reader:
         self._mistakes: list[Mistake] = []
 
     def parse(self, text: str) -> FleetFile:
-        """Return the contents of a text in TOML."""
         self._text = text
         content = FILE.read((), read_toml(text))
         self._defaults = content.get("defaults", {})

@@ -132,7 +132,6 @@ def _log_end(task: asyncio.Task[None]) -> None:
 
 
 def _checked(outputs: object) -> list[Output]:
-    """Return outputs as a list; raise TypeError for what cannot be one."""
     if isinstance(outputs, str | bytes) or not isinstance(outputs, Iterable):
         raise WrongType("outputs", f"must be a list of outputs, not {type(outputs).__name__}")
     result = list(outputs)

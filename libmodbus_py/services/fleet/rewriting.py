@@ -58,7 +58,6 @@ class Rewrites:
         self._begin(values)
 
     def end(self) -> None:
-        """Repeat no value any more."""
         for name in list(self._repeated):
             self._end(name)
 

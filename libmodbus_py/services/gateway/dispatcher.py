@@ -303,7 +303,6 @@ class ForwardingSession(Framed):
         self._unanswered = self.asked
 
     def caller(self, unit: int) -> Caller:
-        """Return the origin of a request to a unit."""
         return Caller(unit, self.peer, role=self.role, holder=self.channel.holder)
 
     def is_at(self, line: GatewayLine) -> bool:

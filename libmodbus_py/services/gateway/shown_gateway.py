@@ -193,7 +193,6 @@ class Clients:
             self._asking[key] = requests, exceptions + 1, time
 
     def rows(self) -> list[GatewayRow]:
-        """Return the clients in the order of their addresses, units and functions."""
         return [_client_row(*item) for item in sorted(self._asking.copy().items())]
 
 

@@ -170,7 +170,6 @@ def own_device(
     start = now()
 
     def blocks(access: Access) -> Iterator[tuple[int, Sequence[int]]]:
-        """Yield the numbers in a range, and the address at which they begin."""
         if access.address < LINES:
             requests, *others = numbers_of_gateway(statistics)
             head = [VERSION, len(statistics.lines), int(now() - start), clients.connections]

@@ -250,7 +250,6 @@ class _PacedRegistry:
         self._server = server
 
     def restricted_registry(self, names: Iterable[str]) -> _PacedRegistry:
-        """Return the metrics with some names, which the client asks for."""
         registry = cast(CollectorRegistry, self._registry)
         return _PacedRegistry(registry.restricted_registry(names), self._server)
 

@@ -165,7 +165,6 @@ async def fleet_status(bucket: Bucket) -> dict[str, Any]:
 
 
 def is_polled(status: dict[str, Any]) -> bool:
-    """Return True if a worker polls each part of the fleet."""
     zones = status["zones"].values()
     return all(zone["served_slots"] == zone["slots"] and not zone["unreadable"] for zone in zones)
 
@@ -223,7 +222,6 @@ ZONES = "{:<28} {:>7} {:>11} {:>5} {:>6}  {}"
 
 
 def tables(status: dict[str, Any]) -> str:
-    """Format a status as tables."""
     heads = ("connections", "devices", "up", "down", "polls/s", "zones")
     lines = [WORKERS.format("worker", "state", "slots", *heads)]
     for row in status["workers"]:

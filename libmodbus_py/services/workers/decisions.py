@@ -145,7 +145,6 @@ class _Deciding:
     # Workers
 
     def record_ends(self) -> None:
-        """Record the end of workers whose leases have expired."""
         for member in self.others:
             at = max(self.worker.hears_since, self.view.seen_at(member.bucket_key).at)
             if self.has_passed(at + member.lease * OTHERS_PART):
@@ -237,7 +236,6 @@ class _Deciding:
         }
 
     def unserved(self) -> list[Connection]:
-        """Return the connections that no worker has polled for long."""
         view = self.view
         wait = UNSERVED * view.longest_lease
         free = {

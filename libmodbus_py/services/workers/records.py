@@ -147,7 +147,6 @@ Record = FleetSettings | Connection | Member | Holding
 
 
 def digest_of(connection: str) -> str:
-    """Return the digest that represents a connection in keys."""
     return hashlib.sha256(connection.encode()).hexdigest()[:32]
 
 
@@ -330,7 +329,6 @@ class BucketView:
 
     @property
     def used_slots(self) -> set[Slot]:
-        """The slots that contain connections."""
         return {connection.slot for connection in self.all_connections}
 
     def touched_at(self, connection: Connection) -> int:

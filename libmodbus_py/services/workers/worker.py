@@ -93,7 +93,6 @@ class Worker:
         self._snapshot = BucketView()
 
     def saw(self, change: Change, now: float) -> None:
-        """Apply a change of the bucket."""
         if self._snapshot is not None:
             self._snapshot.add(change, now)
         elif self.view.add(change, now):

@@ -226,7 +226,6 @@ def _property(point: Point, attribute: str) -> str:
 
 
 def _kind(point: Point) -> str:
-    """Return the type of the value of a point."""
     kind = _kind_of_one(point)
     return f"list[{kind}]" if point.count > 1 else kind
 

@@ -167,7 +167,6 @@ class LearnedMap:
         self._cells: dict[tuple[int, str, int], _Cell] = {}
 
     def add_transaction(self, transaction: Transaction) -> None:
-        """Add the cells of a transaction."""
         for table, addresses, values, is_written in _cells_of(transaction):
             if table not in TABLES:
                 continue

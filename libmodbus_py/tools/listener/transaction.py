@@ -163,7 +163,6 @@ class AnswerTimes:
         return self.total / self.count if self.count else 0.0
 
     def add_time(self, seconds: float) -> None:
-        """Count one more."""
         self.shortest = min(self.shortest, seconds) if self.count else seconds
         self.longest = max(self.longest, seconds)
         self.total += seconds

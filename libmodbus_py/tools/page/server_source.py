@@ -77,7 +77,6 @@ def _set_cells(unit: ShownUnit, query: Given, text: str) -> Point:
 
 
 def _check_set(unit: ShownUnit, point: Point, cells: list[Any]) -> None:
-    """Check that a point still has the cells that were set."""
     unit.refresh(point.table, point.cells)
     if cells_after(point, unit.device.mapping) != cells:
         raise ValueError("the device computes this value itself")
@@ -130,13 +129,11 @@ class ServerSource:
         }
 
     def _units(self) -> dict[int | None, ShownUnit]:
-        """Return the units that the server has now."""
         if self._server.devices is not self._shown.given:
             self._shown = shown_of(self._server)
         return self._shown.units
 
     def _unit(self, query: Given) -> ShownUnit:
-        """Return the unit that a request names."""
         units, number = self._units(), query["unit"]
         unit = units.get(number) if isinstance(number, int | None) else None
         if unit is None:

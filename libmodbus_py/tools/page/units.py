@@ -98,7 +98,6 @@ class ShownUnit:
 
     @cached_property
     def index(self) -> PointIndex:
-        """The points by their addresses."""
         return PointIndex(map(RuledCells.of, self.points))
 
     @cached_property
@@ -146,7 +145,6 @@ class ShownServer(NamedTuple):
 
 
 def shown_of(server: Server) -> ShownServer:
-    """Return the devices that a server has now."""
     served = server.devices
     devices = {None: served} if isinstance(served, Device) else dict(sorted(served.items()))
     units = {number: ShownUnit(number, device) for number, device in devices.items()}

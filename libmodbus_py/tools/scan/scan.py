@@ -185,7 +185,6 @@ class _PlaceScan:
 
     @property
     def has_found(self) -> bool:
-        """True if a unit has answered here."""
         return bool(self._others or self._alike)
 
     def steps(
@@ -246,7 +245,6 @@ class _PlaceScan:
         )
 
     def notes(self) -> Iterator[str]:
-        """Yield other observations, one line each."""
         if self.refused is not None:
             yield str(self.refused)
         errors = list(self._nothing.values())

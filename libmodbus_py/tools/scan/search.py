@@ -70,7 +70,6 @@ class Cells:
 
     @property
     def ranges(self) -> list[range]:
-        """The ranges that exist."""
         return list(self._runs(THERE))
 
     @property

@@ -248,7 +248,6 @@ def _simulation(content: dict[str, Any], maps: Maps, clock: Clock) -> Simulation
 def _device(
     path: Path, unit: dict[str, Any], definition: tuple[object, ...], maps: Maps, clock: Clock
 ) -> SimulatedDevice:
-    """Return the device of a unit, whose keys are checked."""
     points = points_of(path, unit, maps)
     in_tables = [point for point in points if not point.file]
     spans = {table: [point.span for point in points if point.table == table] for table in TABLES}

@@ -56,7 +56,6 @@ class SimulatedPoint:
         return self.point.cells
 
     def slice_of(self, index: int) -> slice:
-        """Return the addresses of one value."""
         first = self.span.start + index * self.point.read.size
         return slice(first, first + self.point.read.size)
 
@@ -103,7 +102,6 @@ class Movements:
         self._holds = before._holds & self._moving.keys()
 
     def find(self, table: str, address: int) -> SimulatedPoint | None:
-        """Return the point that has an address."""
         points = self._points[table]
         at = bisect_right(points, address, key=lambda point: point.span.start)
         return next((point for point in points[at - 1 :: -1] if at and address in point.span), None)

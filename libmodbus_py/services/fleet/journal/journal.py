@@ -313,7 +313,6 @@ class Journal:
         self.statistics.trouble = message
 
     async def _replace(self, error: JournalDamaged) -> None:
-        """Begin a new file in place of a damaged one."""
         names = [place.name for place in self._places]
         await self._thread.call(self._file.replace, error, names, self._written + 1)
         self._damage = None

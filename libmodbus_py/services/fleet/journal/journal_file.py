@@ -379,7 +379,6 @@ def _size_of(path: str) -> int:
 
 
 def _identity_of(path: str) -> tuple[int, int] | None:
-    """Return device and inode of a file; None if it is gone."""
     with contextlib.suppress(FileNotFoundError):
         status = os.stat(path)
         return status.st_dev, status.st_ino

@@ -173,7 +173,6 @@ class RecentPolls:
         return polls
 
     def take_unwritten(self, most: int) -> list[JournalPoll]:
-        """Return polls for the file, with about so many readings, which were not taken before."""
         polls = self.after(self.taken, most) or []
         if polls:
             self.taken = polls[-1].last

@@ -109,7 +109,6 @@ class Discovery:
         self._retained: set[str] = set()
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Set the devices that are polled."""
         self._current = {
             name for name in self._current & devices.keys() if devices[name] == self.devices[name]
         }

@@ -33,7 +33,6 @@ def object_text(reading: Reading, *, with_labels: bool = True) -> str:
 
 
 def as_json(readings: Iterable[Reading]) -> bytes:
-    """Return a line of JSON for each reading."""
     text = "".join(
         f'{{"device": {_quoted(row.device)}, "name": {_quoted(row.name)}, {_fields(row)}\n'
         for row in readings

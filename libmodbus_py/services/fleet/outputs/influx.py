@@ -239,7 +239,6 @@ class LineProtocol:
         self._texts: dict[str, frozenset[str]] = {}
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Set the devices of the readings, by their names."""
         self._texts |= {
             name: frozenset(point for point in config.map if config.map[point].states is not None)
             for name, config in devices.items()
@@ -273,7 +272,6 @@ class LineProtocol:
 
 
 def _values(name: str, value: Any) -> Iterator[str]:
-    """Yield the fields of a value."""
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _values(f"{name}.{key}", part)

@@ -42,7 +42,6 @@ def output_class(kind: str) -> Any:
 
 
 def output_keys(kind: str) -> Keys:
-    """Return the keys that a kind of outputs has in a fleet file."""
     return keys_of(output_class(kind))
 
 

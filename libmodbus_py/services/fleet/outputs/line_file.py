@@ -208,7 +208,6 @@ class CsvOutput(LineFile):
 
 
 def _columns(labels: object) -> list[str]:
-    """Return the names of the columns for labels."""
     if isinstance(labels, str) or not isinstance(labels, Sequence):
         raise WrongType("labels", f"must be a list of names, not {labels!r}")
     for at, name in enumerate(labels):

@@ -172,7 +172,6 @@ class Mqtt(Output):
             self._discovery.describe(devices)
 
     def attach_commands(self, commands: Commands) -> None:
-        """Set the object that carries out commands."""
         self._commands = commands
 
     async def open_output(self) -> None:
@@ -241,7 +240,6 @@ class Mqtt(Output):
             await self._answer(self._commands, topic, message.payload)
 
     async def _answer(self, commands: Commands, topic: str, payload: object) -> None:
-        """Carry out a command, and publish its outcome."""
         base = topic.removesuffix("/set")
         names = self._point.read(base)
         # A rule of the broker that goes by a label must hold: only the own topic of a point counts.
@@ -320,7 +318,6 @@ class Messages:
             self._kept.pop(key, None)
 
     def last_messages(self) -> Iterator[Message]:
-        """Yield the messages with the last values."""
         for last in self._kept.values():
             yield from self._messages(self._topic_of(last), [*last.values()])
 

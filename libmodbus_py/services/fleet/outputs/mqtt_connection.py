@@ -113,7 +113,6 @@ class MqttConnection:
         self._listening = self._tasks.begin(self._listen(client, on_message))
 
     async def _listen(self, client: aiomqtt.Client, on_message: OnMessage) -> None:
-        """Pass messages on until the connection is lost."""
         with contextlib.suppress(OSError), _as_connection_error():
             async for message in client.messages:
                 self._tasks.begin(_call(on_message, message))
@@ -156,7 +155,6 @@ class MqttConnection:
                 await client.unsubscribe(self.unused, timeout=LONGEST_CONFIRMING_S)
 
     async def subscribe(self, topics: str, qos: int = 1) -> None:
-        """Receive the messages of a topic filter."""
         with _as_connection_error():
             await self._used.subscribe(topics, qos)
 
@@ -213,7 +211,6 @@ class _Handshaking(ssl.SSLSocket):
 
 @contextlib.contextmanager
 def _as_connection_error() -> Iterator[None]:
-    """Raise errors of aiomqtt as ConnectionError."""
     import aiomqtt
 
     try:

@@ -69,7 +69,6 @@ class Pump:
         self._may_open_at_once = False
 
     def start(self) -> None:
-        """Start the task."""
         self.task: asyncio.Task[None] = asyncio.create_task(self._run(), name=self.name)
 
     def close_pump(self, *, is_patient: bool = False) -> None:

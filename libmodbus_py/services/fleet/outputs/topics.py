@@ -23,7 +23,6 @@ class Levels:
         self._special = re.compile(special, re.ASCII)
 
     def spell(self, name: str) -> str:
-        """Return the level of a name."""
         return self._special.sub(lambda match: f"%{ord(match[0]):02X}", name)
 
     def read(self, level: str) -> str | None:
