@@ -234,7 +234,8 @@ def add_client_options(
     group: Any, *, without: Collection[str] = (), usual: Callable[[], Mapping[str, Any]] = dict
 ) -> None:
     """Add the options of clients; `usual` returns texts in place of their default values."""
-    _add(group, CLIENT_OPTIONS, lambda: {**_of_clients(), **usual()}, without)
+    defaults = {name: row.default for name, row in CLIENT_OPTIONS.items()}
+    _add(group, CLIENT_OPTIONS, lambda: {**defaults, **usual()}, without)
 
 
 def add_serial_options(command: Parser, *, without: Collection[str] = ()) -> Any:
@@ -286,10 +287,6 @@ def read_as(form: Form, separator: str | None = None) -> Callable[[str], Any]:
         return values if separator else values[0]
 
     return read
-
-
-def _of_clients() -> dict[str, Any]:
-    return {name: row.default for name, row in CLIENT_OPTIONS.items()}
 
 
 def _of_serial_ports() -> dict[str, Any]:

@@ -123,20 +123,15 @@ class WriterThread:
 def _work(jobs: queue.SimpleQueue[Job | None]) -> None:
     while (job := jobs.get()) is not None:
         function, arguments, done = job
-        settle: Callable[..., None] = _set_result
+        result, error = None, None
         try:
-            outcome: Any = function(*arguments)
-        except BaseException as error:
-            settle, outcome = _set_exception, error
+            result = function(*arguments)
+        except BaseException as failure:
+            error = failure
         with contextlib.suppress(RuntimeError):  # the loop is closed
-            done.get_loop().call_soon_threadsafe(settle, done, outcome)
+            done.get_loop().call_soon_threadsafe(_settle, done, result, error)
 
 
-def _set_result(done: asyncio.Future[Any], result: Any) -> None:
+def _settle(done: asyncio.Future[Any], result: Any, error: BaseException | None) -> None:
     if not done.done():
-        done.set_result(result)
-
-
-def _set_exception(done: asyncio.Future[Any], error: BaseException) -> None:
-    if not done.done():
-        done.set_exception(error)
+        done.set_result(result) if error is None else done.set_exception(error)

@@ -141,7 +141,8 @@ class Authority:
         ]
         for name in every:
             old = issued[name]
-            replace_file(old.path, _pem(self._renewed(old.certificate, days)))
+            renewed = self._renewed(old.certificate, days)
+            replace_file(old.path, renewed.public_bytes(serialization.Encoding.PEM).decode())
             if name == AUTHORITY:
                 self._copy(old.path)
         return [issued[name].path for name in every]
@@ -228,7 +229,3 @@ def _end(certificate: x509.Certificate) -> datetime:
     end = time_in(certificate, "not_valid_after")
     assert end is not None
     return end
-
-
-def _pem(certificate: x509.Certificate) -> str:
-    return certificate.public_bytes(serialization.Encoding.PEM).decode()

@@ -389,12 +389,13 @@ class TerminalTable:
     def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
         failures = [reason] if reason else [each.failure for each in results if each.failure]
         self._rounds += unit == next(iter(self._lines))
+        now = clock_text(time.time())
         if failures:
             self._failed += 1
-            self._last_failure = f", {self._failed} failed, last at {_clock()}"
+            self._last_failure = f", {self._failed} failed, last at {now}"
         lines = [] if reason else self._marked(unit, results)
         self._lines[unit] = [*lines, *((each, False) for each in failures)]
-        title = f"{_clock()}  {self._title}, {self._rounds} polls{self._last_failure}"
+        title = f"{now}  {self._title}, {self._rounds} polls{self._last_failure}"
         shown = [(title, False)]
         for each, its_lines in self._lines.items():
             shown += [(f"unit {each}", False)] if len(self._lines) > 1 else []
@@ -412,7 +413,3 @@ class TerminalTable:
             (f"{' ' if text == old else CHANGED} {line}", text != old)
             for line, text, old in zip(aligned(results), texts, before, strict=True)
         ]
-
-
-def _clock() -> str:
-    return clock_text(time.time())

@@ -360,10 +360,6 @@ def _columns(path: Path, value: object) -> dict[str, str]:
     return cast(dict[str, str], value)
 
 
-def _output_tables(path: Path, value: object) -> dict[str, Any]:
-    return Keys(Key(kind, _one_or_several) for kind in KINDS).read(path, value)  # type: ignore[no-any-return]
-
-
 def _one_or_several(path: Path, value: object) -> list[tuple[Path, dict[str, Any]]]:
     """Return the table ``[output.KIND]``, or the tables ``[[output.KIND]]``, with their paths."""
     keys = output_keys(str(path[-1]))
@@ -384,6 +380,8 @@ OF_LIST = Key("list", LIST.read, "what a list does not say of itself, as for loa
 
 TABLE = (DEVICE | Keys([COLUMNS, OF_LIST, POINTS])).optional()
 
+OUTPUTS = Keys(Key(kind, _one_or_several) for kind in KINDS)
+
 DEFAULTS = (DEVICE.but("name") | Keys([COLUMNS, OF_LIST])).optional()
 
 # fmt: off
@@ -395,7 +393,7 @@ FILE = Keys([
     Key("encoding", text, "the encoding of that file, UTF-8 unless it is given"),
     Key("defaults", DEFAULTS.read, "defaults of the keys of devices"),
     Key("device", tables, "a table for each device: [[device]]"),
-    Key("output", _output_tables,
+    Key("output", OUTPUTS.read,
         "a table for each output: [output.KIND], or several: [[output.KIND]]"),
     Key("engine", ENGINE.read, "options of several machines that share a fleet"),
 ])

@@ -39,8 +39,6 @@ from .statistics import GatewayStatistics
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-# What follows the function in the answer to a request that is not allowed.
-
 RETURN_S = 1.0
 """The time after a broadcast in which it may come back through other gateways."""
 

@@ -170,7 +170,9 @@ class Listener:
                 if not self._read_on(self._source):
                     break
             elif self._outage.is_on:
-                yield from self._reopening(self._source)
+                yield Ready(self._poller.fileno(), READ, time.monotonic() + REOPEN_AFTER)
+                if not self._is_closed and self._outage.try_to_end(self._source.open):
+                    self._poller.register(self._source.descriptor, READ)
             else:
                 yield from self._hearing(self._source)
         return self._ready.popleft() if self._ready and not self._is_closed else None
@@ -196,11 +198,6 @@ class Listener:
             return
         for piece in pieces:
             self._feed(piece)
-
-    def _reopening(self, source: Source) -> Steps[None]:
-        yield Ready(self._poller.fileno(), READ, time.monotonic() + REOPEN_AFTER)
-        if not self._is_closed and self._outage.try_to_end(source.open):
-            self._poller.register(source.descriptor, READ)
 
     def _feed(self, piece: TimedBytes) -> None:
         if piece.data:

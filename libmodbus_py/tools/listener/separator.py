@@ -297,7 +297,9 @@ class Separator:
         if isinstance(item, Damage):
             self._report(Heard(began, ended, "damage", None, item.data))
             self._pairing.damage(*item)
-        elif not _has_function(item):
+            return
+        code = item.frame.pdu[0]
+        if not code & 0x7F or (code > 0x80 and not item.may_answer):  # application protocol, 4.1
             part: Part = "response" if item.may_answer else "request"
             self._report(Heard(began, ended, part, item.frame))
             self._pairing.misuse(began, ended, item.frame)
@@ -366,9 +368,3 @@ class Separator:
         self._is_certain = not candidate.may_answer
         self._pairing.ask(began, candidate.ended, candidate.frame)
         self._release()
-
-
-def _has_function(candidate: Candidate) -> bool:
-    """Return True if the function code is valid (application protocol, 4.1)."""
-    code = candidate.frame.pdu[0]
-    return 0 < code < 0x80 or (code > 0x80 and candidate.may_answer)

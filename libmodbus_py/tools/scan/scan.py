@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
-from ...ports.endpoint import Endpoint, parse
+from ...ports.endpoint import parse
 from ...protocol import pdu
 from ...protocol.checks import integer
 from ...protocol.errors import NO_UNIT, ModbusConnectionError, ModbusError
@@ -123,7 +123,10 @@ class Scan(Walker[Found]):
         longest = [sum(_longest(place, len(units)) for place in asked_at) for units in rounds]
         self.longest: float = sum(longest)
         self.longest_first: float = longest[0]
-        self.longest_found: float = max(map(_longest_found, asked_at))
+        # Two units that cannot exist are asked, too.
+        self.longest_found: float = max(
+            MORE_ASKED * place.wait(LONGEST_SIZE) + 2 * _each(place) for place in asked_at
+        )
         scans = [_PlaceScan(place, self.units) for place in asked_at]
         plan = _Rounds(scans, rounds, on_progress, self.total, self.longest)
         self.tried: dict[str, list[int]] = plan.tried
@@ -287,11 +290,6 @@ def _longest(place: Place, units: int) -> float:
     return units * _each(place) + place.timeout + delay
 
 
-def _longest_found(place: Place) -> float:
-    """Return the seconds that a unit which answers adds: two that cannot exist are asked, too."""
-    return MORE_ASKED * place.wait(LONGEST_SIZE) + 2 * _each(place)
-
-
 @named_parameters
 def scan(
     url: str,
@@ -341,7 +339,8 @@ def scan(
     on_progress = checked_progress(on_progress)
     for place in asked_at:
         place.context().close()  # which checks the rest of the URL
-    usual = _usual_units(endpoint)
+    unit = endpoint.client_options.get("unit")
+    usual = [*UNITS, *[DIRECT] * endpoint.has_transactions] if unit is None else [unit]
     lowest = int(not endpoint.has_transactions)  # without them 0 is a broadcast
     numbers = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]
     rounds = [numbers]
@@ -352,10 +351,3 @@ def scan(
             [unit for unit in usual if unit not in USUAL_UNITS],
         ]
     return Scan(asked_at, rounds, on_progress)
-
-
-def _usual_units(endpoint: Endpoint) -> list[int]:
-    unit = endpoint.client_options.get("unit")
-    if unit is not None:
-        return [unit]
-    return [*UNITS, DIRECT] if endpoint.has_transactions else [*UNITS]
