@@ -40,14 +40,9 @@ from ..protocol.errors import ExceptionResponse, ModbusTimeoutError
 SHORTEST_TRIAL_S = 0.02
 """The least time of a trial that others wait for: a few requests of a fast line."""
 
-FADING = 0.95
-"""The share of a unit's longest response time that is kept with each further answer."""
-
-TRIALS_BEFORE_LONG = 16
-"""One trial of a unit in so many has its whole timeout."""
-
-MOST_DOUBLINGS = 20
-"""The most doublings of a rest, so that no number grows without bound."""
+FADING = 0.95  # the share of a unit's longest response time that is kept with each further answer
+TRIALS_BEFORE_LONG = 16  # one trial of a unit in so many has its whole timeout
+MOST_DOUBLINGS = 20  # the most doublings of a rest, so that no number grows without bound
 
 
 def rest_after(misses: int, first: float, longest: float) -> float:

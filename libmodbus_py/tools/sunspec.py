@@ -34,11 +34,8 @@ BASES = (0, 40000, 50000)
 MARKER = [0x5375, 0x6E53]
 END = 0xFFFF
 
-# The longest chains of real devices have some thirty models.
-MOST_MODELS = 256
-
-# Addresses at which a chain is sought; SunSpec names three.
-MOST_BASES = 16
+MOST_MODELS = 256  # the longest chains of real devices have some thirty models
+MOST_BASES = 16  # addresses at which a chain is sought; SunSpec names three
 
 Result = TypeVar("Result")
 
@@ -328,17 +325,10 @@ def _made_up(header: _Header) -> dict[str, Any]:
 
 TABLE: Table = "holding_registers"
 
-# Registers of the header of a model: id and length.
-HEADER = 2
-
-# Points of one device, as many as a map file may have.
-MOST_POINTS = 10000
-
-# Registers; a longer text is kept as registers.
-LONGEST_TEXT = 125
-
-# The register of a number of groups that the device does not have.
-NOT_IMPLEMENTED = 0xFFFF
+HEADER = 2  # registers of the header of a model: id and length
+MOST_POINTS = 10000  # points of one device, as many as a map file may have
+LONGEST_TEXT = 125  # registers; a longer text is kept as registers
+NOT_IMPLEMENTED = 0xFFFF  # the register of a number of groups that the device does not have
 
 # Type of SunSpec -> keys of a point. An accumulator that a device lacks is 0.
 _TYPES: dict[str, dict[str, Any]] = {

@@ -27,14 +27,9 @@ from ..arguments import OF_CLIENTS, connected, endpoint_of, list_keys, refuse_gi
 from ..main import INTERRUPTED, CommandError
 from ..output import PROGRAM, Status, complain, counted, missing, progress, written_to
 
-MOST_MISTAKES = 20
-"""Mistakes in a file that are printed, at most."""
-
-# A list has no more.
-MOST_ROWS = 1_000_000
-
-# With more cells the file would be too long, so points are ranges instead.
-MOST_CELLS = 4000
+MOST_MISTAKES = 20  # mistakes in a file that are printed, at most
+MOST_ROWS = 1_000_000  # a list has no more
+MOST_CELLS = 4000  # with more cells the file would be too long, so points are ranges instead
 
 TEXTS: dict[str, Callable[[Iterable[Point]], str]] = {".toml": toml_text, ".csv": csv_text}
 

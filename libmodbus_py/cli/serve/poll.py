@@ -39,11 +39,8 @@ if TYPE_CHECKING:
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-REDRAWN = 1.0
-"""Seconds between two states of the screen."""
-
-ON_TIME = 0.1
-"""Seconds that a poll may begin late and still count as on time."""
+REDRAWN = 1.0  # seconds between two states of the screen
+ON_TIME = 0.1  # seconds that a poll may begin late and still count as on time
 
 STANDARD_OUTPUT = "-"
 

@@ -14,14 +14,9 @@ if TYPE_CHECKING:
     from nats.js import JetStreamContext
     from nats.js.kv import KeyValue
 
-# Seconds after which the server forgets a consumer whose client is gone.
-FORGOTTEN = 30.0
-
-# Seconds before a request to the server times out.
-TIMEOUT = 2.0
-
-# The code with which a single server refuses several replicas.
-NOT_IN_A_CLUSTER = 10074
+FORGOTTEN = 30.0  # seconds after which the server forgets a consumer whose client is gone
+TIMEOUT = 2.0  # seconds before a request to the server times out
+NOT_IN_A_CLUSTER = 10074  # the code with which a single server refuses several replicas
 
 
 class Change(NamedTuple):

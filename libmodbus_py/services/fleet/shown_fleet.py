@@ -208,14 +208,9 @@ class PollerRow:
 
 # --- on a terminal -----------------------------------------------------------------------------
 
-MOST_LINES = 500
-"""More than a terminal shows."""
-
-WIDEST = 30
-"""Characters of a name."""
-
-MAX_TEXT_CHARACTERS = 60
-"""Of a value, so that its unit of measurement stays on the line."""
+MOST_LINES = 500  # more than a terminal shows
+WIDEST = 30  # characters of a name
+MAX_TEXT_CHARACTERS = 60  # of a value, so that its unit of measurement stays on the line
 
 
 def fleet_lines(fleet: Fleet, title: str) -> list[tuple[str, bool]]:

@@ -14,11 +14,8 @@ from .config import DeviceConfig, by_connection
 from .poller import Poller
 from .readings import classified
 
-MOST_AT_ONCE = 64
-"""Connections that are tried at the same time."""
-
-SILENCE = 3.5
-"""Characters between two frames of RTU (serial line, 2.5.1.1)."""
+MOST_AT_ONCE = 64  # connections that are tried at the same time
+SILENCE = 3.5  # characters between two frames of RTU (serial line, 2.5.1.1)
 
 
 class Tried(NamedTuple):

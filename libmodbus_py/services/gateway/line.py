@@ -47,14 +47,9 @@ logger: HarmlessLogger = HarmlessLogger(__name__)
 NO_ANSWER = GatewayTargetFailedToRespond.code
 BUSY = ServerDeviceBusy.code
 
-MAX_PAUSE_S = 2.0
-"""The longest pause between two attempts to open a port, unless its URL sets it."""
-
-MOST_WAITING = 4096
-"""The most requests that wait, of all clients."""
-
-MOST_CACHED = 4096
-"""The most responses that are kept; the oldest one is dropped for one more."""
+MAX_PAUSE_S = 2.0  # the longest pause between two attempts to open a port, unless its URL sets it
+MOST_WAITING = 4096  # the most requests that wait, of all clients
+MOST_CACHED = 4096  # the most responses that are kept; the oldest one is dropped for one more
 
 REMEMBERED = 512
 """Requests that are decoded once, because pollers send the same ones again and again."""

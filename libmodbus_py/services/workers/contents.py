@@ -21,17 +21,10 @@ from .worker import Put
 if TYPE_CHECKING:
     from ..engine.buckets import Change
 
-# The most attempts while other programs change the bucket at the same time.
-MOST_TRIES = 5
-
-# The most writes that are sent at once.
-AT_ONCE = 64
-
-# Seconds within which the whole bucket must arrive.
-TIMEOUT_S = 10.0
-
-# The largest timeout of a device, as a fraction of a lease.
-LONGEST_ANSWER = 0.3
+MOST_TRIES = 5  # the most attempts while other programs change the bucket at the same time
+AT_ONCE = 64  # the most writes that are sent at once
+TIMEOUT_S = 10.0  # seconds within which the whole bucket must arrive
+LONGEST_ANSWER = 0.3  # the largest timeout of a device, as a fraction of a lease
 
 # The time between the two reads of the bucket for a status, as a fraction of a lease. Each live
 # worker renews its lease twice in this time.

@@ -28,14 +28,9 @@ from .transaction import Ending, Transaction, answered, damage_alone, decoded, m
 # Seconds after which a request counts as unanswered, even if no other request was sent.
 TIMEOUT = 5.0
 
-# A response belongs to no request that was sent more seconds before it.
-LATEST = 60.0
-
-# The most open requests, and the most requests with late responses, that are remembered.
-MOST = 256
-
-# The most connections of a trace that are followed at once.
-MOST_CONNECTIONS = 1000
+LATEST = 60.0  # a response belongs to no request sent more seconds before it
+MOST = 256  # the most open requests, and the most requests with late responses, that are remembered
+MOST_CONNECTIONS = 1000  # the most connections of a trace that are followed at once
 
 
 class Spoiled(NamedTuple):

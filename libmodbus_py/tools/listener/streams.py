@@ -18,20 +18,11 @@ from .packets import Packet
 from .pairing import Pairing
 from .transaction import Heard, Part, Transaction, misused
 
-# The number of TCP among the protocols of IP.
-TCP = 6
-
-MODBUS_PORT = 502
-"""The port by which Wireshark knows Modbus, and which a server has usually."""
-
-# Flags of segments.
-FIN_SYN, SYN, RST, ACK = 0x03, 0x02, 0x04, 0x10
-
-# Headers of IPv6 before that of TCP: hop by hop, routing, destination.
-EXTENSIONS = (0, 43, 60)
-
-# EtherTypes: IPv4, IPv6, tags of VLANs.
-IPV4, IPV6, VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8)
+TCP = 6  # the number of TCP among the protocols of IP
+MODBUS_PORT = 502  # the port by which Wireshark knows Modbus, and which a server has usually
+FIN_SYN, SYN, RST, ACK = 0x03, 0x02, 0x04, 0x10  # flags of segments
+EXTENSIONS = (0, 43, 60)  # headers of IPv6 before that of TCP: hop by hop, routing, destination
+IPV4, IPV6, VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8)  # EtherTypes: IPv4, IPv6, tags of VLANs
 
 # Segments behind a gap after which it is taken to be lost, because nothing may fill it.
 MAX_WAITING = 32

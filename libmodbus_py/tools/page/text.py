@@ -10,17 +10,10 @@ from typing import Any
 from ...maps.point import Point
 from ...protocol.plain import text_of
 
-# Characters of a cell.
-MOST_TEXT = 200
-
-# Names of what has a problem.
-MOST_NAMES = 3
-
-# Items of a list that a cell shows.
-MOST_VALUES = 20
-
-# Characters of a number that is shown to the last digit.
-LONGEST = 12
+MOST_TEXT = 200  # characters of a cell
+MOST_NAMES = 3  # names of what has a problem
+MOST_VALUES = 20  # items of a list that a cell shows
+LONGEST = 12  # characters of a number that is shown to the last digit
 
 
 def cell_text(text: object) -> str:

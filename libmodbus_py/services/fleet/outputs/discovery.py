@@ -70,14 +70,9 @@ RISING = (*AMOUNTS, "distance", "duration", "weight", None)
 # The bounds of a number, which must have some, if only its device knows its scale.
 WIDEST = -1e9, 1e9
 
-SMALLEST_STEP = 0.001
-"""The least step of a number that Home Assistant accepts."""
-
-LONGEST_TEXT = 255
-"""The most characters of a text that Home Assistant sets."""
-
-LONGEST_SLUG = 60
-"""The characters of names in an identifier, which a digest makes unlike others."""
+SMALLEST_STEP = 0.001  # the least step of a number that Home Assistant accepts
+LONGEST_TEXT = 255  # the most characters of a text that Home Assistant sets
+LONGEST_SLUG = 60  # the characters of names in an identifier, which a digest makes unlike others
 
 
 class Topics(NamedTuple):

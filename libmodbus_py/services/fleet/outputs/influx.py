@@ -27,14 +27,9 @@ from .output import Output, OutputError, ReadingsRefused
 if TYPE_CHECKING:
     import httpx
 
-# Scheme -> port of a URL without one.
-PORTS = {"http": 80, "https": 443}
-
-# What a login is written in.
-LOGIN = "user and password_file, or token_file"
-
-# Seconds for a server to take a batch, whatever it does meanwhile.
-TIMEOUT_S = 30.0
+PORTS = {"http": 80, "https": 443}  # scheme -> port of a URL without one
+LOGIN = "user and password_file, or token_file"  # what a login is written in
+TIMEOUT_S = 30.0  # seconds for a server to take a batch, whatever it does meanwhile
 
 # What is read of an answer, and what is shown of it.
 LONGEST_ANSWER_BYTES, LONGEST_SHOWN_CHARACTERS = 4096, 200
