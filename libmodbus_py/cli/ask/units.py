@@ -12,12 +12,8 @@ from functools import partial
 from typing import Any
 
 from ...client.blocking import Client
-from ...protocol.errors import (
-    ExceptionResponse,
-    InvalidResponse,
-    ModbusConnectionError,
-    ModbusError,
-)
+from ...protocol import errors
+from ...protocol.errors import ExceptionResponse, ModbusConnectionError, ModbusError
 from ..arguments import connected, endpoint_of
 from ..main import CommandError, advice
 from ..output import complain, print_json
@@ -108,7 +104,7 @@ def print_report(
             answers.update(ask(context))
         except ModbusError as error:
             lacking[name] = str(error.args[0])
-            if not isinstance(error, ExceptionResponse | InvalidResponse):
+            if not isinstance(error, ExceptionResponse | errors.InvalidResponse):
                 silent.append(error)
         has_spoken = answers or len(lacking) > len(silent)
         if not has_spoken and len(silent) == min(MAX_SILENT, len(questions)):

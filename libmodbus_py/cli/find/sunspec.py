@@ -70,16 +70,9 @@ def _asked(context: Client, base: int | None) -> list[dict[str, Any]]:
         for name, point in model.map.items():
             value = values[f"{model.name}.{name}"]
             is_missing = isinstance(value, Exception)
-            rows.append(
-                {
-                    "model": model.id,
-                    "address": point.address,
-                    "name": f"{model.name}.{name}",
-                    "value": None if is_missing else value,
-                    "units": point.units,
-                    "reason": str(value) if is_missing else "",
-                }
-            )
+            where = {"model": model.id, "address": point.address, "name": f"{model.name}.{name}"}
+            row = {**where, "value": None if is_missing else value, "units": point.units}
+            rows.append({**row, "reason": str(value) if is_missing else ""})
     return rows
 
 

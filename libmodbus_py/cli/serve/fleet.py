@@ -13,15 +13,8 @@ from typing import Any, TypeVar
 
 from ...protocol.logs import HarmlessLogger
 from ...server.running import signal_handlers
+from ...services.engine import connection as engine
 from ...services.engine.buckets import Bucket, open_bucket
-from ...services.engine.connection import (
-    EngineError,
-    EngineGone,
-    NothingThere,
-    connected,
-    disconnect,
-    parse_servers,
-)
 from ...services.fleet.files import FleetFile
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.schema import JournalError
@@ -101,7 +94,7 @@ def poll(
     hangup: Hangup,
 ) -> int:
     """Poll as one worker of a fleet until a signal, or only write the file to the engine."""
-    servers = parse_servers(options.engine)
+    servers = engine.parse_servers(options.engine)
     settings = FleetSettings(**file.engine)
     connections = contents.connections_of(file.devices, settings.lease)
     for zone in options.zone:
@@ -147,7 +140,7 @@ def waited_for(running: Coroutine[Any, Any, T]) -> T:
     """Run a fleet or a question about it to its end, and raise what ends a command."""
     try:
         return asyncio.run(running)
-    except (EngineError, JournalError, OutputError) as error:
+    except (engine.EngineError, JournalError, OutputError) as error:
         if isinstance(error, OutputError) and isinstance(error.__cause__, OSError):
             raise error.__cause__ from None
         raise CommandError(str(error)) from None
@@ -160,11 +153,11 @@ def waited_for(running: Coroutine[Any, Any, T]) -> T:
 async def _engine(
     servers: list[str], name: str, on_change: Callable[[], None] = lambda: None
 ) -> AsyncIterator[Any]:
-    client = await connected(servers, name=name, on_change=on_change)
+    client = await engine.connected(servers, name=name, on_change=on_change)
     try:
         yield client
     finally:
-        await disconnect(client)
+        await engine.disconnect(client)
 
 
 async def _push(servers: list[str], settings: FleetSettings, connections: list[Connection]) -> int:
@@ -188,7 +181,7 @@ async def _answered(ask: Callable[[], Coroutine[Any, Any, T]], limit: float = ma
     while True:
         try:
             return await ask()
-        except EngineGone as error:
+        except engine.EngineGone as error:
             if time.monotonic() > give_up:
                 raise
             if str(error) not in names:
@@ -208,7 +201,7 @@ async def _opened(
     """Return the bucket; if it does not exist, make it with the devices of the file."""
     try:
         bucket = await _answered(lambda: open_bucket(client, BUCKET))
-    except NothingThere:
+    except engine.NothingThere:
         await _answered(lambda: _pushed(client, settings, connections))
         logger.warning("the engine had no fleet; the devices of the file were written to it")
         bucket = await _answered(lambda: open_bucket(client, BUCKET))
@@ -224,7 +217,7 @@ async def _opened(
 
 
 def _fleet(options: argparse.Namespace) -> int:
-    return waited_for(_status(parse_servers(options.engine), options.json))
+    return waited_for(_status(engine.parse_servers(options.engine), options.json))
 
 
 async def _status(servers: list[str], as_json: bool) -> int:

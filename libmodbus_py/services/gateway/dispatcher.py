@@ -7,27 +7,15 @@ import math
 from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
+from ...device import authorization
 from ...device.access import Auditor, Caller, Executed, Who, changes_of, touched
-from ...device.authorization import (
-    Allow,
-    Asked,
-    Authorization,
-    Authorize,
-    UnauthorizedError,
-    what_is_asked,
-)
+from ...device.authorization import Allow, Asked, Authorization, Authorize, UnauthorizedError
 from ...device.device import Device
 from ...device.limited_log import LimitedLog
 from ...ports.endpoint import Endpoint
 from ...ports.hosts import host_of_peer, is_loopback
-from ...protocol.errors import (
-    ExceptionResponse,
-    GatewayPathUnavailable,
-    GatewayTargetFailedToRespond,
-    IllegalFunction,
-    ServerDeviceBusy,
-    ServerDeviceFailure,
-)
+from ...protocol import errors
+from ...protocol.errors import ExceptionResponse
 from ...protocol.framing import Frame
 from ...protocol.logs import HarmlessLogger
 from ...server.framed import Framed, SessionSettings
@@ -110,7 +98,7 @@ class Dispatcher:
         is_refused = False
         try:
             if auditor is not None and request.changes and not auditor.may_change():
-                response: bytes | None = _exception(pdu, ServerDeviceFailure.code)
+                response: bytes | None = _exception(pdu, errors.ServerDeviceFailure.code)
             elif way is None:
                 response = self._broadcast(session, frame, request)
             else:
@@ -141,18 +129,18 @@ class Dispatcher:
         if not code:
             return None
         session.asked.pop(forwarded, None)
-        if code == ServerDeviceBusy.code:
+        if code == errors.ServerDeviceBusy.code:
             return self._refuse_more(session, pdu)
         return _exception(pdu, code)
 
     def _refuse_more(self, session: ForwardingSession, pdu: bytes) -> bytes:
         self._log.warning("%s: exception 6: too many of its requests wait (queue)", session.peer)
-        return _exception(pdu, ServerDeviceBusy.code)
+        return _exception(pdu, errors.ServerDeviceBusy.code)
 
     def _refuse_route(self, session: ForwardingSession, pdu: bytes) -> bytes | None:
         """Refuse a unit without a route, except on a serial line, where the unit may be itself."""
         self.statistics.no_route += 1
-        return None if session.is_line else _exception(pdu, GatewayPathUnavailable.code)
+        return None if session.is_line else _exception(pdu, errors.GatewayPathUnavailable.code)
 
     def _check(
         self, session: ForwardingSession, unit: int, request: RequestBytes, allow: Allow | None
@@ -178,13 +166,13 @@ class Dispatcher:
             if not self._has_failed:  # once: a client must not be able to fill the log
                 self._has_failed = True
                 logger.exception("authorize failed; answered with exception 4")
-            raise NotAllowed(ServerDeviceFailure.code) from None
+            raise NotAllowed(errors.ServerDeviceFailure.code) from None
         # A request that cannot be decoded may access anything.
         if allow is not None and (pdu_request is None or not allow.allows(action)):
             self.statistics.refused += 1
             message = "%s: the route forwards no %s (read_only, writable)"
-            self._log.warning(message, session.peer, what_is_asked(action))
-            raise NotAllowed(IllegalFunction.code)
+            self._log.warning(message, session.peer, authorization.what_is_asked(action))
+            raise NotAllowed(errors.IllegalFunction.code)
 
     def _broadcast(
         self, session: ForwardingSession, frame: Frame, request: RequestBytes
@@ -208,7 +196,7 @@ class Dispatcher:
             del former[next(iter(former))]
         before = former.get(request.pdu)
         if before is not None and not before.session.is_same_client(session):
-            return _exception(frame.pdu, ServerDeviceBusy.code)
+            return _exception(frame.pdu, errors.ServerDeviceBusy.code)
         former.pop(request.pdu, None)  # so that the latest one is the last one
         self.statistics.broadcasts += 1
         former[request.pdu] = Broadcast(session, frame, request, lines, self.now)
@@ -268,7 +256,7 @@ class Broadcast:
         if self._left:
             return
         self.done_at = self._now()
-        refusal = _exception(self._whole.request.pdu, GatewayTargetFailedToRespond.code)
+        refusal = _exception(self._whole.request.pdu, errors.GatewayTargetFailedToRespond.code)
         self._whole.answer(refusal if self._has_failed and self.session.has_ids else None)
 
 

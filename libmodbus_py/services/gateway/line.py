@@ -22,20 +22,8 @@ from ...client.reconnecting import State
 from ...client.sender import Sender
 from ...ports.endpoint import Endpoint
 from ...ports.port import Outage
-from ...protocol import pdu
-from ...protocol.errors import (
-    ExceptionResponse,
-    FrameError,
-    GatewayTargetFailedToRespond,
-    IllegalDataValue,
-    IllegalFunction,
-    InvalidResponse,
-    ModbusConnectionError,
-    ModbusError,
-    ModbusTimeoutError,
-    ServerDeviceBusy,
-    ServerDeviceFailure,
-)
+from ...protocol import errors, pdu
+from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.logs import HarmlessLogger
 from ..line import FairQueue, LineRequest, SharedLine
 from .routes import GatewayOptions
@@ -44,8 +32,8 @@ from .statistics import LineStatistics, UnitStatistics
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-NO_ANSWER = GatewayTargetFailedToRespond.code
-BUSY = ServerDeviceBusy.code
+NO_ANSWER = errors.GatewayTargetFailedToRespond.code
+BUSY = errors.ServerDeviceBusy.code
 
 MAX_PAUSE_S = 2.0  # the longest pause between two attempts to open a port, unless its URL sets it
 MOST_WAITING = 4096  # the most requests that wait, of all clients
@@ -110,9 +98,9 @@ def request_of(data: bytes) -> RequestBytes:
     found on a serial line. All else is left to the device, which may know more than we do.
     """
     if not 1 <= data[0] <= 0x7F:
-        raise IllegalFunction(f"no function {data[0]}", function=data[0])
+        raise errors.IllegalFunction(f"no function {data[0]}", function=data[0])
     if pdu.request_length(data) not in (len(data), 0):
-        raise IllegalDataValue(f"a request of {len(data)} bytes", function=data[0])
+        raise errors.IllegalDataValue(f"a request of {len(data)} bytes", function=data[0])
     try:
         return RequestBytes(data, pdu.decode_request(data))
     except ExceptionResponse:
@@ -343,7 +331,7 @@ class GatewayLine(SharedLine[Forwarded]):
             if self._count_failure(job, outcome, now) or job.is_trial:
                 self._note_silence(job, now)
             is_ours = not isinstance(outcome, ModbusError)
-            self._refuse(job, ServerDeviceFailure.code if is_ours else NO_ANSWER)
+            self._refuse(job, errors.ServerDeviceFailure.code if is_ours else NO_ANSWER)
 
     def give_up(self, job: Forwarded, now: float) -> None:
         job.counters.given_up += 1
@@ -365,13 +353,13 @@ class GatewayLine(SharedLine[Forwarded]):
 
     def _count_failure(self, forwarded: Forwarded, error: BaseException, now: float) -> bool:
         """Count a failure; return True if the unit was silent for most of its timeout."""
-        if isinstance(error, ModbusTimeoutError):
+        if isinstance(error, errors.ModbusTimeoutError):
             forwarded.counters.timeouts += 1
             # The connection may have taken the first part of it.
             return now - max(forwarded.asked_at, self._open_since) >= self.client.timeout / 2
-        if isinstance(error, FrameError | InvalidResponse):
+        if isinstance(error, errors.FrameError | errors.InvalidResponse):
             forwarded.counters.invalid += 1
-        elif isinstance(error, ModbusConnectionError):
+        elif isinstance(error, errors.ModbusConnectionError):
             forwarded.counters.lost += 1
         else:
             logger.error("%s: %s failed", self.url, forwarded.request, exc_info=error)

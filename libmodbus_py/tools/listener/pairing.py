@@ -198,19 +198,11 @@ class Pairing:
             self._end(request, request.spoiled.outcome, request.spoiled.ended)
 
     def _end(self, request: OpenRequest, outcome: Ending, ended: float | None = None) -> None:
-        self.done.append(
-            Transaction(
-                request.began,
-                outcome.kind,
-                request.frame.unit,
-                request.frame.pdu[0],
-                request.request,
-                outcome.response,
-                outcome.error,
-                None if ended is None else max(ended - request.ended, 0.0),
-                request.repeats,
-            )
-        )
+        kind, response, error = outcome
+        duration = None if ended is None else max(ended - request.ended, 0.0)
+        asked = request.frame.unit, request.frame.pdu[0], request.request
+        end = response, error, duration, request.repeats
+        self.done.append(Transaction(request.began, kind, *asked, *end))
 
 
 def _key(frame: Frame) -> tuple[int, int]:

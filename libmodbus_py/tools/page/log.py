@@ -145,19 +145,11 @@ class Log:
             server = self._shown()
             for number in server.units_of(unit, is_line=False)[:1]:
                 names = named_cells(server.units[number], request, transaction.response)
-        return LogRow(
-            next(self._row_numbers),
-            transaction.time,
-            peer or "",
-            transaction.unit,
-            transaction.function,
-            "" if transaction.request is None else request_words(transaction.request),
-            cell_text(transaction.outcome(_listed)),
-            transaction.kind,
-            transaction.duration,
-            names,
-            transaction.function in WRITES,
-        )
+        number, function = next(self._row_numbers), transaction.function
+        words = "" if request is None else request_words(request)
+        whose = number, transaction.time, peer or "", unit, function, words
+        end = cell_text(transaction.outcome(_listed)), transaction.kind, transaction.duration
+        return LogRow(*whose, *end, names, function in WRITES)
 
 
 def _is_wanted(row: LogRow, writes: bool, errors: bool) -> bool:

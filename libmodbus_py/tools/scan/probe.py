@@ -21,15 +21,9 @@ from ...ports.endpoint import Endpoint
 from ...ports.options import SERIAL_DEFAULTS, parity_of
 from ...ports.trace import Traced
 from ...ports.waiting import Waker
-from ...protocol import pdu
+from ...protocol import errors, pdu
 from ...protocol.checks import checked_callback, integer, seconds
-from ...protocol.errors import (
-    NO_UNIT,
-    ExceptionResponse,
-    InvalidResponse,
-    ModbusConnectionError,
-    ModbusError,
-)
+from ...protocol.errors import NO_UNIT, ExceptionResponse, ModbusConnectionError, ModbusError
 from ...protocol.pdu import DeviceIdentification
 from ...protocol.pdu.interface import identify
 from ...security.security import Security
@@ -257,7 +251,7 @@ class Prober:
                 request = steps.send(page)
         except StopIteration as stop:
             identification = stop.value
-        except InvalidResponse:
+        except errors.InvalidResponse:
             pass
         return identification
 

@@ -15,20 +15,8 @@ from ...protocol.errors import NO_UNIT, ModbusConnectionError, ModbusError
 from ...protocol.mistakes import named_parameters
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
-from .probe import (
-    FIRST_UNITS,
-    LONGEST_SIZE,
-    MOST_PAGES,
-    PROBE_SIZE,
-    USUAL_UNITS,
-    Answer,
-    Place,
-    Prober,
-    Walker,
-    checked_progress,
-    listed,
-    places,
-)
+from . import probe
+from .probe import Answer, Place, Prober, Walker
 
 UNITS = range(1, 248)
 
@@ -40,7 +28,7 @@ RESERVED = (249, 252, 250, 251, 253)
 
 # Timeouts after a probe: for function 17, after which the line must be silent for as long, and for
 # function 43/14.
-MORE_ASKED = 2 + MOST_PAGES
+MORE_ASKED = 2 + probe.MOST_PAGES
 
 
 class Progress(NamedTuple):
@@ -125,7 +113,7 @@ class Scan(Walker[Found]):
         self.longest_first: float = longest[0]
         # Two units that cannot exist are asked, too.
         self.longest_found: float = max(
-            MORE_ASKED * place.wait(LONGEST_SIZE) + 2 * _each(place) for place in asked_at
+            MORE_ASKED * place.wait(probe.LONGEST_SIZE) + 2 * _each(place) for place in asked_at
         )
         scans = [_PlaceScan(place, self.units) for place in asked_at]
         plan = _Rounds(scans, rounds, on_progress, self.total, self.longest)
@@ -281,7 +269,7 @@ class _PlaceScan:
 def _each(place: Place) -> float:
     """Return the seconds that the probe of an absent unit takes."""
     spacing = float(place.endpoint.client_options.get("request_spacing", 0.0))
-    return max(place.wait(PROBE_SIZE) + max(0.002, place.endpoint.pause), spacing)
+    return max(place.wait(probe.PROBE_SIZE) + max(0.002, place.endpoint.pause), spacing)
 
 
 def _longest(place: Place, units: int) -> float:
@@ -335,19 +323,19 @@ def scan(
         TypeError, ValueError: an argument is wrong; the message names it and its range.
     """
     endpoint = parse(url)
-    asked_at = places(endpoint, baudrates, parities, timeout, security)
-    on_progress = checked_progress(on_progress)
+    asked_at = probe.places(endpoint, baudrates, parities, timeout, security)
+    on_progress = probe.checked_progress(on_progress)
     for place in asked_at:
         place.context().close()  # which checks the rest of the URL
     unit = endpoint.client_options.get("unit")
     usual = [*UNITS, *[DIRECT] * endpoint.has_transactions] if unit is None else [unit]
     lowest = int(not endpoint.has_transactions)  # without them 0 is a broadcast
-    numbers = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]
+    numbers = [integer("units", unit, lowest, 255) for unit in probe.listed("units", units, usual)]
     rounds = [numbers]
-    if units is None and len(asked_at) > 1 and len(usual) > len(USUAL_UNITS):
+    if units is None and len(asked_at) > 1 and len(usual) > len(probe.USUAL_UNITS):
         rounds = [
-            [*FIRST_UNITS],
-            [unit for unit in USUAL_UNITS if unit not in FIRST_UNITS],
-            [unit for unit in usual if unit not in USUAL_UNITS],
+            [*probe.FIRST_UNITS],
+            [unit for unit in probe.USUAL_UNITS if unit not in probe.FIRST_UNITS],
+            [unit for unit in usual if unit not in probe.USUAL_UNITS],
         ]
     return Scan(asked_at, rounds, on_progress)

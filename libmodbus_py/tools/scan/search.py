@@ -17,16 +17,9 @@ from typing import Any, NamedTuple
 
 from ...ports.endpoint import parse
 from ...ports.options import SERIAL_DEFAULTS
+from ...protocol import errors
 from ...protocol.checks import integer
-from ...protocol.errors import (
-    NO_UNIT,
-    Acknowledge,
-    ExceptionResponse,
-    IllegalFunction,
-    ModbusConnectionError,
-    ModbusError,
-    ServerDeviceBusy,
-)
+from ...protocol.errors import NO_UNIT, ModbusConnectionError, ModbusError
 from ...protocol.mistakes import named_parameters
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...security.security import Security
@@ -295,9 +288,9 @@ class _Tables:
             self.prober.waker.sleep(pause)
             try:
                 return [int(value) for value in self._read(request)]
-            except (Acknowledge, ServerDeviceBusy):
+            except (errors.Acknowledge, errors.ServerDeviceBusy):
                 continue
-            except IllegalFunction:
+            except errors.IllegalFunction:
                 raise _EndedError(NO_FUNCTION) from None
             except NO_UNIT:
                 raise _EndedError(GONE) from None
@@ -311,7 +304,7 @@ class _Tables:
         """Repeat a read that was lost or damaged; after many of them, probe the unit."""
         try:
             values = self.prober.read(self.unit, request)
-        except (ExceptionResponse, ModbusConnectionError):
+        except (errors.ExceptionResponse, ModbusConnectionError):
             self.silent = 0
             raise
         except ModbusError:

@@ -15,20 +15,8 @@ from ....protocol.json_text import SORTED_JSON
 from ....protocol.logs import HarmlessLogger
 from ....system import lock_file
 from ..readings import NO_LABELS
-from .schema import (
-    APPLICATION,
-    SCHEMA,
-    VERSION,
-    JournalDamaged,
-    JournalError,
-    JournalPoll,
-    Points,
-    Row,
-    decoded,
-    encoded,
-    first_id,
-    raised,
-)
+from . import schema
+from .schema import JournalDamaged, JournalError, JournalPoll, Points, Row, decoded, encoded, raised
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -164,12 +152,12 @@ class JournalFile:
         kind, version = pragma("application_id"), pragma("user_version")
         if not tables:
             pragma("auto_vacuum = INCREMENTAL")
-        elif kind != APPLICATION:
+        elif kind != schema.APPLICATION:
             raise JournalError(f"{self.path}: is a database of another program")
-        elif version != VERSION:
+        elif version != schema.VERSION:
             raise JournalError(
                 f"{self.path}: is a journal of version {version}, and this program knows version"
-                f" {VERSION} only; name another file"
+                f" {schema.VERSION} only; name another file"
             )
         if pragma("journal_mode = WAL") != "wal":
             raise JournalError(f"{self.path}: its file system is not suitable for a journal")
@@ -180,8 +168,8 @@ class JournalFile:
         if not tables:
             # IMMEDIATE, else the tables are created one by one.
             database.executescript(
-                f"BEGIN IMMEDIATE; PRAGMA application_id = {APPLICATION};"
-                f" PRAGMA user_version = {VERSION}; {SCHEMA} COMMIT"
+                f"BEGIN IMMEDIATE; PRAGMA application_id = {schema.APPLICATION};"
+                f" PRAGMA user_version = {schema.VERSION}; {schema.SCHEMA} COMMIT"
             )
 
     def _begin(self, outputs: Collection[str], first: int) -> Begun:
@@ -189,7 +177,7 @@ class JournalFile:
         with self._transaction():
             [[read]] = database.execute("SELECT max(id + readings - 1) FROM poll")
             [[confirmed]] = database.execute("SELECT max(confirmed) FROM place")
-            first = first or first_id(time.time(), max(read or 0, confirmed or 0))
+            first = first or schema.first_id(time.time(), max(read or 0, confirmed or 0))
             # A new output begins with the next reading.
             database.executemany(
                 "INSERT INTO place VALUES (?, ?) ON CONFLICT DO NOTHING",
