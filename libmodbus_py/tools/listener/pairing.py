@@ -198,11 +198,12 @@ class Pairing:
             self._end(request, request.spoiled.outcome, request.spoiled.ended)
 
     def _end(self, request: OpenRequest, outcome: Ending, ended: float | None = None) -> None:
-        kind, response, error = outcome
         duration = None if ended is None else max(ended - request.ended, 0.0)
-        asked = request.frame.unit, request.frame.pdu[0], request.request
-        end = response, error, duration, request.repeats
-        self.done.append(Transaction(request.began, kind, *asked, *end))
+        unit, pdu, _ = request.frame
+        head = request.began, outcome.kind, unit, pdu[0], request.request
+        self.done.append(
+            Transaction(*head, outcome.response, outcome.error, duration, request.repeats)
+        )
 
 
 def _key(frame: Frame) -> tuple[int, int]:
