@@ -20,7 +20,7 @@ from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.schema import JournalError
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.workers import contents
-from ...services.workers.contents import Pushed
+from ...services.workers.contents import PushCounts
 from ...services.workers.polling import Polling
 from ...services.workers.records import BUCKET, Connection, FleetSettings, in_key
 from .. import arguments
@@ -162,11 +162,9 @@ async def _engine(
 
 async def _push(servers: list[str], settings: FleetSettings, connections: list[Connection]) -> int:
     async with _engine(servers, "libmodbus-py push") as client:
-        pushed = await _answered(lambda: _pushed(client, settings, connections), ELECTION)
-    print(
-        f"{len(connections)} connections:"
-        f" {pushed.new} new, {pushed.changed} changed, {pushed.gone} gone"
-    )
+        counts = await _answered(lambda: _pushed(client, settings, connections), ELECTION)
+    new, changes, gone = counts
+    print(f"{len(connections)} connections: {new} new, {changes} changed, {gone} gone")
     return 0
 
 
@@ -190,7 +188,9 @@ async def _answered(ask: Callable[[], Coroutine[Any, Any, T]], limit: float = ma
         await asyncio.sleep(PAUSE)
 
 
-async def _pushed(client: Any, settings: FleetSettings, connections: list[Connection]) -> Pushed:
+async def _pushed(
+    client: Any, settings: FleetSettings, connections: list[Connection]
+) -> PushCounts:
     bucket = await open_bucket(client, BUCKET, create=True)
     return await contents.push(bucket, settings, connections)
 
@@ -205,7 +205,7 @@ async def _opened(
         await _answered(lambda: _pushed(client, settings, connections))
         logger.warning("the engine had no fleet; the devices of the file were written to it")
         bucket = await _answered(lambda: open_bucket(client, BUCKET))
-    view, current = await _answered(lambda: contents.fleet_seen(bucket))
+    view, current = await _answered(lambda: contents.read_fleet(bucket))
     if any(contents.changes(view, settings, connections)):
         logger.warning(
             "the fleet in the engine differs from the file and is polled; --push replaces it"

@@ -23,7 +23,7 @@ from ...services.fleet.fleet import Fleet
 from ...services.fleet.outputs.kinds import KINDS, made
 from ...services.fleet.outputs.output import Output, check_exclusive
 from ...services.fleet.statistics import FleetStatistics
-from ...services.fleet.trial import overloads, trying
+from ...services.fleet.trial import overloads, trial_polls
 from ...services.tasks import WriterThread
 from ...system import allow_all_descriptors
 from .. import arguments, logs, tracing
@@ -297,7 +297,7 @@ def _counts(fleet: Fleet) -> Iterator[tuple[str, bool]]:
         yield f"{text}: {journal.trouble}".removesuffix(": "), bool(journal.dropped)
 
 
-# --- trying -------------------------------------------------------------------------------------
+# --- trials ------------------------------------------------------------------------------------
 
 ROW = "{:<24} {:<36} {:>4} {:>8} {:>9} {:>9}  {}"
 
@@ -305,7 +305,7 @@ ROW = "{:<24} {:<36} {:>4} {:>8} {:>9} {:>9}  {}"
 async def _check(devices: list[DeviceConfig]) -> int:
     print(ROW.format("device", "url", "unit", "requests", "took", "interval", "result"))
     failed = 0
-    async with contextlib.aclosing(trying(devices)) as results:
+    async with contextlib.aclosing(trial_polls(devices)) as results:
         async for each in results:
             device, took = each.device, f"{each.seconds * 1000:.0f} ms"
             place = device.name, str(device.endpoint), device.unit

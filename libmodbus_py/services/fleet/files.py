@@ -36,7 +36,7 @@ from ...protocol.mistakes import (
 )
 from ...tools.simulator.example_files import map_file
 from ..other_servers import SecretFile
-from .config import ENGINE, DeviceConfig, misfits
+from .config import ENGINE, DeviceConfig, conflicts
 from .journal.journal import Journal
 from .outputs.kinds import KINDS, made, output_keys
 from .outputs.output import Output, file_at, shared, used
@@ -139,7 +139,7 @@ class _Reader:
                 self._mistakes.append(place(error))
                 if len(self._mistakes) == MOST_MISTAKES:
                     break
-        self._mistakes += (places[at](error) for at, error in misfits(self._devices))
+        self._mistakes += (places[at](error) for at, error in conflicts(self._devices))
         if self._mistakes:
             raise self._mistakes[0]
         if not self._devices:

@@ -74,7 +74,7 @@ def reason_of(error: Exception) -> str:
     return error.reason if isinstance(error, NoValue) else type(error).__name__
 
 
-def classified(value: Any) -> tuple[Any, Quality, str]:
+def classification(value: Any) -> tuple[Any, Quality, str]:
     """Return value, quality and reason of a reading, for a value or the error in its place."""
     if isinstance(value, float):
         return (value, "good", "") if math.isfinite(value) else (None, "bad", _lack(value))

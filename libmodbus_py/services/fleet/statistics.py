@@ -100,7 +100,7 @@ class FleetStatistics:
         failures: polls without an answer.
         refusals: polls in which a device refused a request or returned an invalid value.
         skipped: polls skipped because the previous poll of the device was still under way.
-        held: polls not sent because `may_ask` did not allow them.
+        vetoes: polls not sent because `may_ask` did not allow them.
         readings: readings passed to outputs.
         commands: writes carried out for outputs.
         refused_commands: writes refused or failed.
@@ -119,7 +119,7 @@ class FleetStatistics:
     failures: int = 0
     refusals: int = 0
     skipped: int = 0
-    held: int = 0
+    vetoes: int = 0
     readings: int = 0
     commands: int = 0
     refused_commands: int = 0

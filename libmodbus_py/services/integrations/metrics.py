@@ -57,6 +57,9 @@ def _attributes(prefix: str, *rows: Row) -> dict[str, Family]:
     return {name: Family(f"{prefix}_{name}", kind, text) for name, kind, text in rows}
 
 
+VETOES = Family("modbus_fleet_held", COUNTER, "Polls not sent because may_ask did not allow them.")
+"""Not named after its attribute, because dashboards know it by this name."""
+
 OF_ATTRIBUTES: dict[type, dict[str, Family]] = {
     Statistics: {
         # "modbus_client_requests" is the metric of outcomes.
@@ -141,11 +144,11 @@ OF_ATTRIBUTES: dict[type, dict[str, Family]] = {
         ("failures", COUNTER, "Polls without an answer."),
         ("refusals", COUNTER, "Polls in which a device refused a request."),
         ("skipped", COUNTER, "Polls skipped: the previous one of the device was under way."),
-        ("held", COUNTER, "Polls not sent because may_ask did not allow them."),
         ("readings", COUNTER, "Readings passed to outputs."),
         ("commands", COUNTER, "Writes carried out for outputs."),
         ("refused_commands", COUNTER, "Writes refused or failed."),
-    ),
+    )
+    | {"vetoes": VETOES},
     OutputStatistics: _attributes(
         "modbus_fleet_output",
         ("is_failing", GAUGE, "1 if the output cannot be opened or written to."),

@@ -76,14 +76,14 @@ REMEMBERED_S = 60.0
 def step(worker: Worker, now: float, report: Mapping[str, Any] | None = None) -> Decision:
     """Decide, and let the worker remember the decision, which the caller carries out."""
     decision = decide(worker, now, report)
-    worker.decided(decision, now)
+    worker.note_decision(decision, now)
     return decision
 
 
 def decide(worker: Worker, now: float, report: Mapping[str, Any] | None = None) -> Decision:
     """Return what a worker does now; `report` contains numbers for `fleet status`."""
     settings = worker.view.settings
-    if settings is None or worker.is_reading or worker.left:
+    if settings is None or worker.is_reading or worker.has_left:
         return Decision(worker.active)
     return _Deciding(worker, now, settings.lease).decision(report or {})
 
@@ -139,14 +139,14 @@ class _Deciding:
             if not self.has_passed(self.worker.attempts[key][1] + pause):
                 return
             self.is_in_vain = True
-        self.puts.append(Put(key, value, self.view.seen_at(key).revision))
+        self.puts.append(Put(key, value, self.view.last_change(key).revision))
         self.has_passed(self.now + pause)
 
     # Workers
 
     def record_ends(self) -> None:
         for member in self.others:
-            at = max(self.worker.hears_since, self.view.seen_at(member.bucket_key).at)
+            at = max(self.worker.hears_since, self.view.last_change(member.bucket_key).at)
             if self.has_passed(at + member.lease * OTHERS_PART):
                 self.put_key(member.bucket_key, replace(member, state="ended").encode())
 
@@ -154,7 +154,7 @@ class _Deciding:
         """Delete workers that ended long ago, and hold no slots with connections."""
         holders = {self.view.holders.get(slot) for slot in self.used_slots}
         for member in self.view.members.values():
-            at = self.view.seen_at(member.bucket_key).at
+            at = self.view.last_change(member.bucket_key).at
             is_gone = member.state == "ended" and member.id not in holders
             if is_gone and self.has_passed(at + REMEMBERED_S):
                 self.put_key(member.bucket_key, None)
@@ -168,12 +168,14 @@ class _Deciding:
             state = "ended" if worker.is_leaving else "here"
             beat = worker.beat + 1
             record = Member(self.me, state, worker.zones, self.lease, beat, view.revision, report)
-            self.puts.append(Put(worker.key, record.encode(), view.seen_at(worker.key).revision))
+            self.puts.append(
+                Put(worker.key, record.encode(), view.last_change(worker.key).revision)
+            )
             self.has_passed(self.now + pause)
 
     def is_blind(self) -> bool:
         """Return True if changes may be missing: own values are not seen, or writes are in vain."""
-        heard_at = max(self.view.seen_at(self.worker.key).at, self.view.since)
+        heard_at = max(self.view.last_change(self.worker.key).at, self.view.since)
         at = min(heard_at + self.lease * BLIND, self.view.since + self.lease * READ_AGAIN)
         return self.has_passed(at) or self.is_in_vain
 
@@ -206,7 +208,7 @@ class _Deciding:
         """Return the time since when a slot has had no worker, unless an unknown one holds it."""
         view = self.view
         holder = f"worker.{view.holders.get(slot)}"
-        return max(view.since, view.seen_at(slot.key).at, view.seen_at(holder).at)
+        return max(view.since, view.last_change(slot.key).at, view.last_change(holder).at)
 
     # Connections
 
@@ -248,7 +250,7 @@ class _Deciding:
             for connection in (view.connections if free else ())
             if connection.slot in free
             and self.has_passed(
-                max(free[connection.slot], view.seen_at(connection.bucket_key).at) + wait
+                max(free[connection.slot], view.last_change(connection.bucket_key).at) + wait
             )
         ]
 
