@@ -45,12 +45,12 @@ def beside_ended() -> OneWorker:
 class TestSnapshot:
     def test_a_bucket_counts_when_it_is_whole(self) -> None:
         worker = Worker(lambda: "m.1", {""})
-        worker.begins()
+        worker.begin_snapshot()
         assert worker.is_reading
-        worker.saw(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 0.0)
+        worker.add_change(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 0.0)
         assert worker.view.settings is None
         assert step(worker, 0.0).puts == ()
-        worker.is_synced(0.0)
+        worker.end_snapshot(0.0)
         assert not worker.is_reading
         assert worker.view.settings == FleetSettings(LEASE)
         assert worker.due == -math.inf
@@ -59,9 +59,9 @@ class TestSnapshot:
 
     def test_a_bucket_that_went_back_is_another_one(self) -> None:
         one = at_work(LINE)
-        one.worker.begins()
-        one.worker.saw(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 15.0)
-        one.worker.is_synced(15.0)
+        one.worker.begin_snapshot()
+        one.worker.add_change(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 15.0)
+        one.worker.end_snapshot(15.0)
         assert one.me == "m.2"
         assert one.polled() == set()
         assert not one.worker.may_ask(LINE.key, 15.0)
@@ -89,11 +89,11 @@ class TestLeaving:
         one.worker.leave()
         assert one.polled() == set()
         assert one.worker.due == -math.inf
-        assert not one.worker.left
+        assert not one.worker.has_left
         (put,) = one.decided(15.2)
         assert written([put]) == {"worker.m.1": "ended"}
         one.write(put.key, put.value, 15.2)
-        assert one.worker.left
+        assert one.worker.has_left
         assert one.decided(16.0) == []
 
 
@@ -132,7 +132,7 @@ class TestLease:
             one.write("worker.m.1", None, 12.0)
         else:
             one.member("m.1", 12.0, "ended")
-        assert (one.me, one.worker.left, one.polled()) == ("m.2", False, set())
+        assert (one.me, one.worker.has_left, one.polled()) == ("m.2", False, set())
         assert one.worker.due == -math.inf
 
 
@@ -203,7 +203,7 @@ class TestSlots:
         one.write(beat.key, beat.value, 0.0)
         blind = []
         for at in (0.1, 2.0, 2.2):
-            one.worker.saw(Change(beat.key, beat.value, one.revision + int(at) + 1), at)
+            one.worker.add_change(Change(beat.key, beat.value, one.revision + int(at) + 1), at)
             one.decided(at)
             blind.append(one.last.is_blind)
         assert blind == [False, False, True]

@@ -128,7 +128,7 @@ class TestReadAgain:
         before = view_of((LINE.bucket_key, LINE.encode(), 1), ("worker.a.1", member(), 2), at=5.0)
         view = view_of(("worker.a.1", member(), 2), ("worker.b.1", member("b.1"), 7), at=9.0)
         view.follow(before, 9.0)
-        assert view.seen_at(LINE.bucket_key) == (0, 9.0)
+        assert view.last_change(LINE.bucket_key) == (0, 9.0)
         assert view.touched_at(LINE) == view.last_touched == 7
 
     def test_a_worker_that_is_gone_without_having_ended_has_vanished(self) -> None:
@@ -171,4 +171,4 @@ class TestReadAgain:
         view = view_of((LINE.bucket_key, LINE.encode(), 1), taken, at=8.0)
         view.follow(before, 9.0)
         assert view.touched_at(LINE) == 3
-        assert view.seen_at(LINE.slot.key) == (3, 8.0)
+        assert view.last_change(LINE.slot.key) == (3, 8.0)
