@@ -157,7 +157,7 @@ def _simulation(options: argparse.Namespace, path: str | None) -> device_file.Si
 
 
 def _list_examples() -> int:
-    devices = example_files.described()
+    devices = example_files.descriptions()
     width = max(map(len, devices))
     for name, description in devices.items():
         print(f"{name:{width}}  {description}")

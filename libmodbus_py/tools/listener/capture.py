@@ -145,12 +145,12 @@ class CaptureWriter:
 class CaptureReader:
     """
     Reads a file of `CaptureWriter`, even if Wireshark has saved it again, or the Modbus/TCP in a
-    capture of a network. `recorded` yields what each packet says, and the number of its connection.
+    capture of a network. `events` yields what each packet says, and the number of its connection.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._packets = PacketReader(path)
-        self.recorded: Iterator[tuple[int, Candidate | Damage] | Packet] = self._read()
+        self.events: Iterator[tuple[int, Candidate | Damage] | Packet] = self._read()
 
     def close(self) -> None:
         """Close the file; any number of times."""

@@ -209,7 +209,7 @@ class Listener:
 
     def _read_on(self, reader: CaptureReader) -> bool:
         """Read a frame; at the end of the capture, return True if there are transactions left."""
-        for event in reader.recorded:
+        for event in reader.events:
             if isinstance(event, Packet):
                 self._add(self._streams.take(event))
             else:

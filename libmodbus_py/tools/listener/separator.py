@@ -345,7 +345,7 @@ class Separator:
 
     def _is_late_echo(self, candidate: Candidate) -> bool:
         """Return True for the response to an earlier request while another one is awaited."""
-        request, late = self._pairing.due, self._pairing.given_up(candidate.frame.unit)
+        request, late = self._pairing.due, self._pairing.unanswered_request(candidate.frame.unit)
         if request is None or request.spoiled or late is None or not late.fits(candidate.frame):
             return False
         return candidate.began - request.ended <= self._times.limit(candidate.frame.unit)

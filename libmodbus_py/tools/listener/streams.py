@@ -16,7 +16,7 @@ from typing import NamedTuple
 from ...protocol.framing import Frame
 from .packets import Packet
 from .pairing import Pairing
-from .transaction import Heard, Part, Transaction, misused
+from .transaction import Heard, Part, Transaction, misuse_transaction
 
 TCP = 6  # the number of TCP among the protocols of IP
 MODBUS_PORT = 502  # the port by which Wireshark knows Modbus, and which a server has usually
@@ -180,7 +180,7 @@ class TcpConnection:
             elif 0 < frame.pdu[0] < 0x80:
                 self._pairing.ask(at, at, frame)
             else:
-                self._pairing.done.append(misused(at, frame))
+                self._pairing.done.append(misuse_transaction(at, frame))
         return self._ended()
 
     def _ended(self) -> list[Transaction]:

@@ -113,7 +113,7 @@ def decoded(pdu: bytes) -> Request[Any] | None:
         return RawRequest.decode(pdu) if is_unknown else None
 
 
-def answered(request: Request[Any], pdu: bytes) -> Ending:
+def ending_of(request: Request[Any], pdu: bytes) -> Ending:
     """Decode the response to a request as a client does."""
     try:
         return Ending("answered", request.decode_response(pdu))
@@ -124,21 +124,21 @@ def answered(request: Request[Any], pdu: bytes) -> Ending:
         return Ending("invalid", None, error)
 
 
-def damage_alone(began: float, data: bytes) -> Transaction:
+def damage_transaction(began: float, data: bytes) -> Transaction:
     """Return the transaction for bytes that are not a frame and belong to no request."""
     size = len(data)
     why = f"{size} bytes that are not a frame" if size > 1 else "a byte that is not a frame"
     return Transaction(began, "damaged", error=FrameError(why, received=data))
 
 
-def misused(began: float, frame: Frame) -> Transaction:
+def misuse_transaction(began: float, frame: Frame) -> Transaction:
     """Return the transaction for a frame whose function code is not allowed."""
     code = frame.pdu[0]
     error = InvalidResponse(f"a frame with function code {code:02X}h", received=frame.pdu)
     return Transaction(began, "invalid", frame.unit, error=error)
 
 
-def unasked(began: float, frame: Frame) -> Transaction:
+def unasked_response(began: float, frame: Frame) -> Transaction:
     """Return the transaction for a response that belongs to no request."""
     unit, pdu, _ = frame
     function, response, error = pdu[0] & 0x7F, None, None

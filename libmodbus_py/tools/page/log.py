@@ -97,9 +97,11 @@ class Log:
                     mapping = server.units[number].device.mapping
                     for access in touched(exchange.request, mapping=mapping).writes:
                         stop = access.address + access.count
-                        self.wrote(number, access.table, range(access.address, stop), peer or "")
+                        self.note_write(
+                            number, access.table, range(access.address, stop), peer or ""
+                        )
 
-    def wrote(self, unit: int | None, table: str, cells: range, who: str) -> None:
+    def note_write(self, unit: int | None, table: str, cells: range, who: str) -> None:
         """Remember that a client, or the page itself, wrote these addresses."""
         key = unit, table, cells.start, cells.stop
         names = ("number", "unit", "table", "start", "stop", "time", "who")

@@ -119,7 +119,7 @@ class Series(NamedTuple):
     units: str
 
 
-def charted(pairs: Pairs, now: float, units: str, every: float | None) -> dict[str, Any]:
+def chart_of(pairs: Pairs, now: float, units: str, every: float | None) -> dict[str, Any]:
     """Return the samples up to now as JSON for a chart; `every` as for `Samples`."""
     past = [(at, value) for at, value in pairs if at <= now]
     return {

@@ -20,7 +20,7 @@ from ...server.server import Server
 from ..faults.fault import KINDS, OPTIONAL, Fault
 from ..simulator.simulated import SimulatedDevice
 from .log import Log
-from .samples import charted
+from .samples import chart_of
 from .streams import Action, Download, Tables
 from .units import SAMPLED, ShownUnit, cell_rows, point_rows, shown_of
 
@@ -129,7 +129,7 @@ class ServerSource:
         }
 
     def _units(self) -> dict[int | None, ShownUnit]:
-        if self._server.devices is not self._shown.given:
+        if self._server.devices is not self._shown.devices:
             self._shown = shown_of(self._server)
         return self._shown.units
 
@@ -162,7 +162,7 @@ class ServerSource:
             _table(what)
         return self._unit(query).number, what, first, stop
 
-    def viewed(self, view: View) -> Tables:
+    def tables_of(self, view: View) -> Tables:
         """Return a table whose name is that of the unit and of the table that are shown."""
         number, what, first, stop = view
         unit = self._shown.units.get(number)
@@ -185,7 +185,7 @@ class ServerSource:
             raise ValueError("this value no longer exists")
         now = time.time()
         since = now - number("seconds", query["seconds"], 1, MOST_SECONDS)
-        return charted(samples.pairs(since), now, units[0], SAMPLED)
+        return chart_of(samples.pairs(since), now, units[0], SAMPLED)
 
     def _set(self, query: Given) -> None:
         unit, text = self._unit(query), query["text"]
@@ -198,7 +198,7 @@ class ServerSource:
             set_point(unit, point, text)
         else:
             point = _set_cells(unit, query, text)
-        self.log.wrote(unit.number, point.table, point.cells, "this page")
+        self.log.note_write(unit.number, point.table, point.cells, "this page")
 
     def _read(self, query: Given) -> object:
         table = _table(query["table"])

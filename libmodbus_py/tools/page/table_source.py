@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 from ...protocol.checks import integer, number
 from .log import Log
-from .samples import Pairs, Samples, Series, charted, samples_of_each, with_gaps
+from .samples import Pairs, Samples, Series, chart_of, samples_of_each, with_gaps
 from .streams import Action, Download, Tables
 from .text import cell_text, in_words, value_text
 
@@ -106,7 +106,7 @@ class TableSource:
             raise ValueError(f"find must be a string of at most {MOST_FOUND} characters")
         return pattern.lower(), query["problems"] is True, first, min(stop, first + MOST_VISIBLE)
 
-    def viewed(self, view: View) -> Tables:
+    def tables_of(self, view: View) -> Tables:
         pattern, only, first, stop = view
         rows, words = self._shown.rows(), pattern.split()
         if only:
@@ -128,7 +128,7 @@ class TableSource:
         since = now - number("seconds", query["seconds"], 1, MOST_SECONDS)
         every = series.samples.every
         pairs = self._with_older(series.samples.pairs(since), name, since, now, every)
-        return charted(pairs, now, cell_text(series.units), every)
+        return chart_of(pairs, now, cell_text(series.units), every)
 
     def _with_older(
         self, recent: Pairs, name: Sequence[str], since: float, now: float, every: float | None

@@ -129,7 +129,7 @@ def _point_row(point: Point) -> dict[str, Any]:
 class ShownServer(NamedTuple):
     """The devices that a server was given, and its units with them."""
 
-    given: Device | Mapping[int, Device]
+    devices: Device | Mapping[int, Device]
     units: dict[int | None, ShownUnit]
 
     def units_of(self, number: int, *, is_line: bool) -> list[int | None]:

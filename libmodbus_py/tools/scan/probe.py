@@ -131,8 +131,8 @@ def places(
     kinds = [options["parity"]] if "parity" in options else PARITIES
     settings = [
         (integer("baudrate", rate, 1, 4_000_000), parity)
-        for rate in listed("baudrates", baudrates, rates)
-        for parity in dict.fromkeys(map(parity_of, listed("parities", parities, kinds)))
+        for rate in distinct("baudrates", baudrates, rates)
+        for parity in dict.fromkeys(map(parity_of, distinct("parities", parities, kinds)))
     ]
     if baudrates is None and parities is None:
         settings.sort(key=lambda setting: USUAL.index(setting) if setting in USUAL else len(USUAL))
@@ -144,7 +144,7 @@ def places(
     return result
 
 
-def listed(name: str, items: Iterable[Item] | None, usual: Iterable[Item]) -> list[Item]:
+def distinct(name: str, items: Iterable[Item] | None, usual: Iterable[Item]) -> list[Item]:
     """Return each value once, in the order given."""
     source = usual if items is None else items
     if not isinstance(source, Iterable):

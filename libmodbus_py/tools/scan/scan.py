@@ -330,7 +330,9 @@ def scan(
     unit = endpoint.client_options.get("unit")
     usual = [*UNITS, *[DIRECT] * endpoint.has_transactions] if unit is None else [unit]
     lowest = int(not endpoint.has_transactions)  # without them 0 is a broadcast
-    numbers = [integer("units", unit, lowest, 255) for unit in probe.listed("units", units, usual)]
+    numbers = [
+        integer("units", unit, lowest, 255) for unit in probe.distinct("units", units, usual)
+    ]
     rounds = [numbers]
     if units is None and len(asked_at) > 1 and len(usual) > len(probe.USUAL_UNITS):
         rounds = [

@@ -96,7 +96,7 @@ class Movements:
                     compute = BEHAVIOURS[kind](point, self, **settings)
                     self._moving[point.table, point.span] = point, compute
 
-    def go_on_from(self, before: Movements) -> None:
+    def take_state_of(self, before: Movements) -> None:
         """Continue with the start, the seed and the held values of those before."""
         self._start, self.seed = before._start, before.seed
         self._holds = before._holds & self._moving.keys()

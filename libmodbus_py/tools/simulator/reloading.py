@@ -94,7 +94,7 @@ class Reloader:
         with inside(self._path):
             self._server.check_devices(simulation.devices)
         before = self._simulation
-        self._simulation = simulation.going_on_from(before)
+        self._simulation = simulation.with_state_of(before)
         if self._hooks is not None:
             self._hooks.use(self._simulation.devices)
         self._server.replace(self._simulation.devices, faults=self._simulation.faults)
