@@ -9,7 +9,7 @@ import pytest
 from libmodbus_py import Point, RegisterMap, pdu
 from libmodbus_py.listen import MapDecoder, Separator, Transaction
 from libmodbus_py.tools.listener.named import LearnedMap
-from libmodbus_py.tools.listener.transaction import AnswerTimes, damage_alone, decoded
+from libmodbus_py.tools.listener.transaction import AnswerTimes, damage_transaction, decoded
 from tests.support.cases import each_case
 from tests.support.talk import rtu
 
@@ -155,4 +155,4 @@ def test_response_times_have_a_shortest_a_mean_and_a_longest() -> None:
     [(b"\0", "a byte that is not a frame"), (b"\0\1", "2 bytes that are not a frame")],
 )
 def test_damage_is_told_with_its_size(data: bytes, text: str) -> None:
-    assert str(damage_alone(1.0, data).error).startswith(text)
+    assert str(damage_transaction(1.0, data).error).startswith(text)
