@@ -75,14 +75,14 @@ def flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def given(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]:
+def typed_options(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]:
     """Return the options that were typed."""
     return {name: value for name in names if (value := getattr(options, name, None)) is not None}
 
 
-def refuse_given(options: argparse.Namespace, names: Collection[str], why: str) -> None:
+def refuse_options(options: argparse.Namespace, names: Collection[str], why: str) -> None:
     """Raise ValueError if one of some options was typed: its name, and why it cannot be."""
-    if typed := given(options, names):
+    if typed := typed_options(options, names):
         raise ValueError(f"{flag(next(iter(typed)))} {why}")
 
 
@@ -329,7 +329,7 @@ def endpoint_of(options: argparse.Namespace) -> Endpoint:
     return with_options([options.url], options)[0]
 
 
-def connected(options: argparse.Namespace) -> Client:
+def new_client(options: argparse.Namespace) -> Client:
     """Make the client; it connects when it is used."""
     from ..client.blocking import Client
 
@@ -350,7 +350,7 @@ def with_options(
     from ..ports.endpoint import parse
 
     endpoints = [parse(url) for url in urls]
-    typed = given(options, names)
+    typed = typed_options(options, names)
     typed |= {name: ",".join(typed[name]) for name in REPEATED if name in typed}
     useful = {name for each in endpoints for name in options_of(each.scheme)}
     for transport, rules in TRANSPORTS.items():

@@ -57,7 +57,7 @@ examples:
   libmodbus-py read /dev/ttyUSB0 -b 9600 -u 7 --map meter.csv --watch"""
 
 
-def parsed(arguments: Sequence[str]) -> argparse.Namespace:
+def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     """
     Return the arguments of the command; ``run``, which runs the command with them; and
     ``parser``, whose ``error`` prints a message and exits.

@@ -23,7 +23,7 @@ from ...protocol.tables import TABLES
 from ...tools.files.map_texts import MARK, class_text, csv_text, toml_text
 from ...tools.scan.search import Extent, search
 from ...tools.simulator.example_files import map_file
-from ..arguments import OF_CLIENTS, connected, endpoint_of, list_keys, refuse_given
+from ..arguments import OF_CLIENTS, endpoint_of, list_keys, new_client, refuse_options
 from ..main import INTERRUPTED, CommandError
 from ..output import PROGRAM, Status, complain, counted, missing, progress, written_to
 
@@ -41,10 +41,10 @@ def check(options: argparse.Namespace) -> int:
     """
     said = ListOptions(**list_keys(options))
     if options.device is None:
-        refuse_given(options, OF_CLIENTS, "needs --device")
+        refuse_options(options, OF_CLIENTS, "needs --device")
         return max([_check_file(file, said) for file in options.files])
     options.url = options.device
-    with closing(connected(options)) as context:
+    with closing(new_client(options)) as context:
         return max([_check_file(file, said, context) for file in options.files])
 
 
@@ -216,7 +216,7 @@ def from_sunspec(options: argparse.Namespace) -> int:
     from ...tools.sunspec import discover
 
     check_output(options.output, TEXTS)
-    with closing(connected(options)) as context:
+    with closing(new_client(options)) as context:
         device = discover(context)
     for remark in device.notes:
         complain(remark)

@@ -204,7 +204,7 @@ def _raw(options: argparse.Namespace) -> int:
     from ...protocol.errors import ModbusError
     from ...protocol.pdu import RawRequest, decode_request
     from ...protocol.plain import number_of
-    from ..arguments import connected
+    from ..arguments import new_client
 
     function = options.function
     words = [function, *options.data]
@@ -215,7 +215,7 @@ def _raw(options: argparse.Namespace) -> int:
             raise ValueError(f"FUNCTION {function} can be {ways}; type the one that is meant")
         function = f"0x{function}"
     request = RawRequest(number_of("function", function), b"".join(map(_bytes_of, options.data)))
-    with closing(connected(options)) as context:
+    with closing(new_client(options)) as context:
         response = request.encode_response(context.execute(request))
     print(response.hex(" "))
     with suppress(ModbusError, ValueError):  # of a function that is not known

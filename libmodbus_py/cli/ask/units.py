@@ -14,7 +14,7 @@ from typing import Any
 from ...client.blocking import Client
 from ...protocol import errors
 from ...protocol.errors import ExceptionResponse, ModbusConnectionError, ModbusError
-from ..arguments import connected, endpoint_of
+from ..arguments import endpoint_of, new_client
 from ..main import CommandError, advice
 from ..output import complain, print_json
 
@@ -48,7 +48,7 @@ def ask_units(
     """
     units = units_of(options)
     codes = [0]
-    with closing(connected(options)) as context:
+    with closing(new_client(options)) as context:
         for unit in units:
             try:
                 codes.append(ask(client_of(context, unit)) or 0)

@@ -98,7 +98,7 @@ def _listen(options: argparse.Namespace) -> int:
         place = with_options([place], options, SERIAL_OPTIONS)[0].url
     else:
         why = f"applies to serial ports only, not to {place}"
-        arguments.refuse_given(options, SERIAL_OPTIONS, why)
+        arguments.refuse_options(options, SERIAL_OPTIONS, why)
     if options.compare_with is not None:
         return _compare(options, place, is_live=is_live)
     if options.writes:

@@ -100,7 +100,7 @@ def poll(
     for zone in options.zone:
         in_key(zone)
     if options.push:
-        return waited_for(_push(servers, settings, connections))
+        return run_to_end(_push(servers, settings, connections))
 
     async def work() -> int:
         hung_up = hangup.answered(lambda lines: logger.warning("%s", "; ".join([OF_PUSH, *lines])))
@@ -133,10 +133,10 @@ def poll(
         return 0
 
     journal = file.made_journal()
-    return waited_for(work())
+    return run_to_end(work())
 
 
-def waited_for(running: Coroutine[Any, Any, T]) -> T:
+def run_to_end(running: Coroutine[Any, Any, T]) -> T:
     """Run a fleet or a question about it to its end, and raise what ends a command."""
     try:
         return asyncio.run(running)
@@ -153,7 +153,7 @@ def waited_for(running: Coroutine[Any, Any, T]) -> T:
 async def _engine(
     servers: list[str], name: str, on_change: Callable[[], None] = lambda: None
 ) -> AsyncIterator[Any]:
-    client = await engine.connected(servers, name=name, on_change=on_change)
+    client = await engine.open_connection(servers, name=name, on_change=on_change)
     try:
         yield client
     finally:
@@ -217,7 +217,7 @@ async def _opened(
 
 
 def _fleet(options: argparse.Namespace) -> int:
-    return waited_for(_status(engine.parse_servers(options.engine), options.json))
+    return run_to_end(_status(engine.parse_servers(options.engine), options.json))
 
 
 async def _status(servers: list[str], as_json: bool) -> int:

@@ -104,13 +104,13 @@ def _gateway(options: argparse.Namespace) -> int:
             raise ValueError(f"{options.config}: listen is missing, and no URL is given")
         if file is not None:
             why = f"needs --to: {options.config} has its own routes"
-            arguments.refuse_given(options, ("units", *OF_DEVICES), why)
+            arguments.refuse_options(options, ("units", *OF_DEVICES), why)
         routes = [parse_route(text, options.units) for text in options.to or ()]
         urls, routes = _overridden(urls, routes, options)
         usual = file.options if file else {}
         gateway = Gateway(
             file.routes if file else routes,
-            **{**usual, **arguments.given(options, OPTIONS), **command.hooks},
+            **{**usual, **arguments.typed_options(options, OPTIONS), **command.hooks},
         )
         if file is not None:
             command.files.insert(0, partial(_read_again, gateway, str(options.config), file))

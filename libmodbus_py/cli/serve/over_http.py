@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any, TextIO
 
-from ..arguments import refuse_given
+from ..arguments import refuse_options
 from ..output import complain, inform
 from ..parser import Group, Parser, declare
 
@@ -87,7 +87,7 @@ def shown(
     """
     address: Address | None = options.page
     if address is None:
-        refuse_given(options, ("page_token", "page_url"), "needs --page")
+        refuse_options(options, ("page_token", "page_url"), "needs --page")
         yield lambda: None
         return
     from ...ports.hosts import is_loopback

@@ -20,7 +20,7 @@ from ...server.running import Handler, frozen_garbage, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, FleetFileError, load
 from ...services.fleet.fleet import Fleet
-from ...services.fleet.outputs.kinds import KINDS, made
+from ...services.fleet.outputs.kinds import KINDS, make_output
 from ...services.fleet.outputs.output import Output, check_exclusive
 from ...services.fleet.statistics import FleetStatistics
 from ...services.fleet.trial import overloads, trial_polls
@@ -128,7 +128,7 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
         return workers.poll(options, file, outputs, seen, show, hangup)
     fleet = Fleet(file.devices, outputs=outputs, journal=file.made_journal())
     with seen(fleet):
-        workers.waited_for(_run(fleet, options, file, hangup, show))
+        workers.run_to_end(_run(fleet, options, file, hangup, show))
     if not options.once:
         return 0
     counts = [line for line, is_left in _counts(fleet) if is_left]
@@ -140,9 +140,9 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
 def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
     outputs = file.made_outputs()
     for kind in FILES:
-        outputs += (made(kind, {"path": path}) for path in getattr(options, kind))
+        outputs += (make_output(kind, {"path": path}) for path in getattr(options, kind))
     if not (outputs or options.metrics or options.page or options.engine or sys.stdout.isatty()):
-        outputs.append(made("json", {"path": STANDARD_OUTPUT}))
+        outputs.append(make_output("json", {"path": STANDARD_OUTPUT}))
     check_exclusive(outputs, sources=file.sources)
     return outputs
 

@@ -28,7 +28,7 @@ from ...server.audit import Audit, AuditFile
 from ...server.limits import FULL_POLICIES, Limits
 from ...server.serving import Running, Serving
 from .. import logs
-from ..arguments import given
+from ..arguments import typed_options
 from ..output import complain, inform
 from ..parser import Parser, declare
 from ..tracing import print_frame
@@ -65,7 +65,7 @@ class _ServingCommand:
         self._trail = trail
         self._options = options
         self._hangup = hangup
-        limits = given(options, [each.name for each in fields(Limits)])
+        limits = typed_options(options, [each.name for each in fields(Limits)])
         if limits.get("idle_timeout") == math.inf:
             limits["idle_timeout"] = None
         if limits:

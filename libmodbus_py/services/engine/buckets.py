@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..tasks import finish
-from .connection import EngineError, explained
+from .connection import EngineError, engine_errors
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
@@ -43,7 +43,7 @@ class Bucket:
         """
         import nats.js.errors as js
 
-        with explained(self.name):
+        with engine_errors(self.name):
             try:
                 if value is None:
                     await self._keys.delete(key, last)
@@ -66,7 +66,7 @@ class Bucket:
         """
         watch = Watch(self.name, on_change, on_gap)
         try:
-            with explained(self.name):
+            with engine_errors(self.name):
                 await watch.begin(self._js)
         except BaseException:
             await watch.end()
@@ -157,7 +157,7 @@ async def open_bucket(client: Client, name: str, *, create: bool = False) -> Buc
     from nats.js import api
 
     js = client.jetstream(timeout=TIMEOUT)
-    with explained(name):
+    with engine_errors(name):
         await js.account_info()
         try:
             keys = await js.key_value(name)
@@ -193,7 +193,7 @@ async def keep_stream(client: Client, name: str, subjects: str, limits: dict[str
         storage=api.StorageType.FILE,
         **limits,
     )
-    with explained(name):
+    with engine_errors(name):
         try:
             former = (await js.stream_info(name)).config
         except js_errors.NotFoundError:

@@ -38,8 +38,8 @@ from ...tools.simulator.example_files import map_file
 from ..other_servers import SecretFile
 from .config import ENGINE, DeviceConfig, conflicts
 from .journal.journal import Journal
-from .outputs.kinds import KINDS, made, output_keys
-from .outputs.output import Output, file_at, shared, used
+from .outputs.kinds import KINDS, make_output, output_keys
+from .outputs.output import Output, file_at, shared_thing, used_thing
 
 # Keys whose values must not be written in the fleet file, which many can read.
 SECRET = ("password", "token")
@@ -89,7 +89,7 @@ class FleetFile:
 
     def made_outputs(self) -> list[Output]:
         """Return new outputs; each can be used by one fleet only."""
-        return [made(kind, keys) for kind, keys in self.outputs]
+        return [make_output(kind, keys) for kind, keys in self.outputs]
 
     def made_journal(self) -> Journal | None:
         """Return a new journal, which can be used by one fleet only; None if there is none."""
@@ -234,17 +234,17 @@ class _Reader:
                     keys = {key: _filled(key, value) for key, value in self._secrets(raw).items()}
                     if isinstance(keys.get("path"), str) and keys["path"] != "-":
                         keys["path"] = str(self._folder / keys["path"])
-                    output = made(kind, keys)
+                    output = make_output(kind, keys)
                     output.describe_devices({device.name: device for device in self._devices})
                 outputs.append((kind, keys))
                 places.append(path)
                 trial.append(output)
-        if (both := shared(trial)) is not None:
+        if (both := shared_thing(trial)) is not None:
             first, second, what = both
             reason = f"uses {what}, as {path_text(places[first])} does"
             raise WrongValue.about(places[second], reason)
         for place, output in zip(places, trial, strict=True):
-            if (source := used(output, self._sources)) is not None:
+            if (source := used_thing(output, self._sources)) is not None:
                 raise WrongValue.about(place, f"uses {source}, which the fleet is read from")
         return outputs
 

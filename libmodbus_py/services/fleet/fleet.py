@@ -167,7 +167,7 @@ class Fleet:
         await self._start()
         try:
             self._end_if_all_polled()
-            await self._receivers.ended(self._is_over)
+            await self._receivers.wait_for_end(self._is_over)
         finally:
             await self._stop()
 

@@ -96,7 +96,7 @@ class Receivers:
         for pump in self._pumps:
             pump.task.add_done_callback(_log_end)
 
-    async def ended(self, event: asyncio.Event) -> None:
+    async def wait_for_end(self, event: asyncio.Event) -> None:
         """Wait for an event, or for an output that fails permanently: raise its OutputError."""
         waiting = asyncio.create_task(event.wait())
         try:

@@ -21,7 +21,7 @@ from ...protocol.logs import HarmlessLogger
 from ...server.framed import Framed, SessionSettings
 from ...server.limits import ServerStatistics, host_of
 from ...server.service import Channel, Later, MakeSession
-from .line import Forwarded, GatewayLine, RequestBytes, request_of
+from .line import ForwardedRequest, GatewayLine, RequestBytes, request_of
 from .routes import Route
 from .statistics import GatewayStatistics
 
@@ -72,7 +72,7 @@ class Dispatcher:
         settings = SessionSettings(endpoint, statistics, has_turns=has_turns)
         return lambda channel: ForwardingSession(self, settings, channel)
 
-    def has(self, unit: int) -> bool:
+    def has_unit(self, unit: int) -> bool:
         """Return True if a unit is the gateway itself, or has a route."""
         return unit in self.routes or unit in self._own_units
 
@@ -118,17 +118,17 @@ class Dispatcher:
         self._check(session, unit, request, route.allow)
         now = self.now()
         age = route.cache if request.is_read else 0.0
-        if age and (answer := line.cached(device_unit, request, age, now)):
+        if age and (answer := line.cached_response(device_unit, request, age, now)):
             return answer
-        if len(session.asked) >= self._most_of_session:
+        if len(session.open_requests) >= self._most_of_session:
             line.statistics.full += 1
             return self._refuse_more(session, pdu)
-        forwarded = Forwarded(session, number, unit, device_unit, request, now, age)
-        session.asked[forwarded] = line
+        forwarded = ForwardedRequest(session, number, unit, device_unit, request, now, age)
+        session.open_requests[forwarded] = line
         code = line.put(forwarded, merge=route.merge and request.is_read)
         if not code:
             return None
-        session.asked.pop(forwarded, None)
+        session.open_requests.pop(forwarded, None)
         if code == errors.ServerDeviceBusy.code:
             return self._refuse_more(session, pdu)
         return _exception(pdu, code)
@@ -231,26 +231,26 @@ class Broadcast:
         self.session: ForwardingSession = session
         self.done_at: float = math.inf
         self._now = now
-        self._whole = Forwarded(session, frame.transaction, 0, 0, request, now())
-        self._parts = {Forwarded(self, 0, 0, 0, request, now()): line for line in lines}
+        self._whole = ForwardedRequest(session, frame.transaction, 0, 0, request, now())
+        self._parts = {ForwardedRequest(self, 0, 0, 0, request, now()): line for line in lines}
         self._left = len(lines)
         self._has_failed = False
 
     def begin(self) -> None:
-        self.session.asked[self._whole] = self
+        self.session.open_requests[self._whole] = self
         for part, line in self._parts.items():
             if line.put(part):
-                self.answered(part, b"\x80")
+                self.take_response(part, b"\x80")
 
-    def leave(self, forwarded: Forwarded) -> None:
+    def leave(self, forwarded: ForwardedRequest) -> None:
         """Take no response; and send no more, if the client waited for it to be sent."""
-        forwarded.asker = None
+        forwarded.requester = None
         if self.session.has_ids:
             for part, line in self._parts.items():
                 line.leave(part)
             self.done_at = self._now()
 
-    def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
+    def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
         self._left -= 1
         self._has_failed = self._has_failed or (response is not None and response[0] >= 0x80)
         if self._left:
@@ -276,7 +276,7 @@ class ForwardingSession(Framed):
 
     def __init__(self, dispatcher: Dispatcher, settings: SessionSettings, channel: Channel) -> None:
         endpoint = settings.endpoint
-        is_ours = dispatcher.has if endpoint.is_serial else lambda unit: True
+        is_ours = dispatcher.has_unit if endpoint.is_serial else lambda unit: True
         super().__init__(settings, channel, is_ours)
         self.peer: str = channel.address
         self.role: str | None = channel.role
@@ -285,8 +285,8 @@ class ForwardingSession(Framed):
         self.has_ids: bool = endpoint.has_transactions
         self.is_line: bool = endpoint.is_serial
         self._dispatcher = dispatcher
-        self.asked: dict[Forwarded, GatewayLine | Broadcast] = {}
-        self._unanswered = self.asked
+        self.open_requests: dict[ForwardedRequest, GatewayLine | Broadcast] = {}
+        self._unanswered = self.open_requests
 
     def caller(self, unit: int) -> Caller:
         return Caller(unit, self.peer, role=self.role, holder=self.channel.holder)
@@ -312,8 +312,8 @@ class ForwardingSession(Framed):
             changes = changes_of(request.known, caller)
             auditor.note(Executed(caller, request.pdu, response, changes, is_change))
 
-    def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
-        self.asked.pop(forwarded, None)
+    def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
+        self.open_requests.pop(forwarded, None)
         request = forwarded.request
         if request.changes:
             self.record(forwarded.from_unit, request, response or b"")
@@ -323,22 +323,22 @@ class ForwardingSession(Framed):
         if response is not None:
             answer = Frame(forwarded.from_unit, response, forwarded.number)
             self._send(answer, self.framer.encode(answer))
-        if not self.asked and self._settings.endpoint.is_datagram:
+        if not self.open_requests and self._settings.endpoint.is_datagram:
             self.channel.follow()
 
     def answer(self, request: Frame) -> Frame | None:
         if not self.has_ids:
-            self._withdraw(list(self.asked))
+            self._withdraw(list(self.open_requests))
         response = self._dispatcher.ask(self, request)
         return None if response is None else request._replace(pdu=response)
 
     def close(self) -> None:
         super().close()
-        self._withdraw(list(self.asked))
+        self._withdraw(list(self.open_requests))
 
-    def _withdraw(self, given_up: list[Forwarded]) -> None:
+    def _withdraw(self, given_up: list[ForwardedRequest]) -> None:
         for forwarded in given_up:
-            place = self.asked.pop(forwarded)
+            place = self.open_requests.pop(forwarded)
             if forwarded.request.changes:
                 self.record(forwarded.from_unit, forwarded.request, b"")
             place.leave(forwarded)

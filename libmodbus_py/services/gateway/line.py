@@ -113,19 +113,19 @@ class Requester(Hashable, Protocol):
     @property
     def host(self) -> Hashable: ...
 
-    def answered(self, forwarded: Forwarded, response: bytes | None) -> None: ...
+    def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None: ...
 
 
-class Forwarded(LineRequest):
+class ForwardedRequest(LineRequest):
     """The request of a client, whose transaction id is `number`, to a unit of a line."""
 
-    __slots__ = ("age", "asker", "counters", "first", "from_unit", "number", "others")
+    __slots__ = ("age", "counters", "first", "from_unit", "number", "others", "requester")
 
     request: RequestBytes
 
     def __init__(
         self,
-        asker: Requester,
+        requester: Requester,
         number: int,
         from_unit: int,
         unit: int,
@@ -133,20 +133,24 @@ class Forwarded(LineRequest):
         since: float,
         age: float = 0.0,
     ) -> None:
-        super().__init__(unit, request, host=asker.host, client=asker)
+        super().__init__(unit, request, host=requester.host, client=requester)
         self.waits_since = since
-        self.asker: Requester | None = asker  # None after the client is gone or was answered
+        self.requester: Requester | None = (
+            requester  # None after the client is gone or was answered
+        )
         self.number: int = number
         self.from_unit: int = from_unit  # as the client numbers it
         self.age: float = age  # of a cached response, in seconds; 0 for none
-        self.others: list[Forwarded] = []  # equal requests that get the same response
-        self.first: Forwarded | None = None  # the equal request that is sent in place of this one
+        self.others: list[ForwardedRequest] = []  # equal requests that get the same response
+        self.first: ForwardedRequest | None = (
+            None  # the equal request that is sent in place of this one
+        )
         self.counters: UnitStatistics  # once it was sent
 
     @property
     def is_wanted(self) -> bool:
         """True if a client waits for the response."""
-        return any(forwarded.asker is not None for forwarded in (self, *self.others))
+        return any(forwarded.requester is not None for forwarded in (self, *self.others))
 
     @property
     def is_sent(self) -> bool:
@@ -158,12 +162,12 @@ class Forwarded(LineRequest):
         """Pass the response to all that wait for it; return how many do not wait any more."""
         departures = 0
         for forwarded in (self, *self.others):
-            asker, forwarded.asker = forwarded.asker, None
+            requester, forwarded.requester = forwarded.requester, None
             forwarded.first = None  # breaks a reference cycle
-            if asker is None:
+            if requester is None:
                 departures += 1
             else:
-                asker.answered(forwarded, response)
+                requester.take_response(forwarded, response)
         return departures
 
 
@@ -197,7 +201,7 @@ class Cache:
             del self._answers[key]
 
 
-class GatewayLine(SharedLine[Forwarded]):
+class GatewayLine(SharedLine[ForwardedRequest]):
     """Sends the requests of clients over one connection."""
 
     def __init__(self, endpoint: Endpoint, options: GatewayOptions) -> None:
@@ -215,20 +219,22 @@ class GatewayLine(SharedLine[Forwarded]):
         self._silent = SilentUnits(self.client.timeout)
         self._cache = Cache()
         # Reads that others may join while they wait.
-        self._joinable: dict[tuple[int, bytes], Forwarded] = {}
+        self._joinable: dict[tuple[int, bytes], ForwardedRequest] = {}
         self._outage = Outage(logger, self.url)
         self._open_since = 0.0
 
     # --- requests -----------------------------------------------------------------------------
 
-    def cached(self, unit: int, request: RequestBytes, age: float, now: float) -> bytes | None:
+    def cached_response(
+        self, unit: int, request: RequestBytes, age: float, now: float
+    ) -> bytes | None:
         """Return a cached response that is no older than `age` seconds, or None."""
         answer = self._cache.get(unit, request.pdu, age, now)
         if answer is not None:
             self.statistics.unit(unit).cached += 1
         return answer
 
-    def put(self, forwarded: Forwarded, *, merge: bool = False) -> int:
+    def put(self, forwarded: ForwardedRequest, *, merge: bool = False) -> int:
         """Enqueue a request; return 0, or the code of the exception that answers it at once."""
         unit, request, now = forwarded.unit, forwarded.request, forwarded.waits_since
         if self.is_closed or (self._is_broadcast(forwarded) and not request.may_be_broadcast):
@@ -252,9 +258,9 @@ class GatewayLine(SharedLine[Forwarded]):
         self._count()
         return 0 if is_queued else BUSY
 
-    def leave(self, forwarded: Forwarded) -> None:
+    def leave(self, forwarded: ForwardedRequest) -> None:
         """Do not send the request of a client that is gone, unless others wait for it."""
-        forwarded.asker = None
+        forwarded.requester = None
         forwarded = forwarded.first or forwarded
         if not forwarded.is_wanted and self.drop(forwarded):
             self._forget_joinable(forwarded)
@@ -277,10 +283,10 @@ class GatewayLine(SharedLine[Forwarded]):
     def _count(self) -> None:
         self.statistics.waiting, self.statistics.in_flight = self.waiting, len(self.in_flight)
 
-    def _is_broadcast(self, forwarded: Forwarded) -> bool:
+    def _is_broadcast(self, forwarded: ForwardedRequest) -> bool:
         return forwarded.unit == 0 and self._has_broadcast
 
-    def _join(self, forwarded: Forwarded) -> bool:
+    def _join(self, forwarded: ForwardedRequest) -> bool:
         """Join an equal read that waits, if there is one; else later ones may join this one."""
         first = self._joinable.setdefault((forwarded.unit, forwarded.request.pdu), forwarded)
         if first is forwarded:
@@ -291,7 +297,7 @@ class GatewayLine(SharedLine[Forwarded]):
         self.statistics.unit(forwarded.unit).merged += 1
         return True
 
-    def _forget_joinable(self, forwarded: Forwarded) -> None:
+    def _forget_joinable(self, forwarded: ForwardedRequest) -> None:
         """Let no later read join a request that does not wait any more."""
         if self._joinable.get((forwarded.unit, forwarded.request.pdu)) is forwarded:
             del self._joinable[forwarded.unit, forwarded.request.pdu]
@@ -302,7 +308,7 @@ class GatewayLine(SharedLine[Forwarded]):
         for key in [key for key in self._joinable if unit in (0, key[0])]:
             del self._joinable[key]
 
-    def _send(self, job: Forwarded, now: float) -> None:
+    def _send(self, job: ForwardedRequest, now: float) -> None:
         self._forget_joinable(job)
         job.counters = self.statistics.unit(job.unit)
         job.counters.requests += 1
@@ -310,7 +316,7 @@ class GatewayLine(SharedLine[Forwarded]):
 
     # --- responses ----------------------------------------------------------------------------
 
-    def conclude(self, job: Forwarded, outcome: Any, now: float) -> None:
+    def conclude(self, job: ForwardedRequest, outcome: Any, now: float) -> None:
         function = job.request.function
         if not job.request.is_read:
             self._note_write(job.unit, now)
@@ -333,16 +339,16 @@ class GatewayLine(SharedLine[Forwarded]):
             is_ours = not isinstance(outcome, ModbusError)
             self._refuse(job, errors.ServerDeviceFailure.code if is_ours else NO_ANSWER)
 
-    def give_up(self, job: Forwarded, now: float) -> None:
+    def give_up(self, job: ForwardedRequest, now: float) -> None:
         job.counters.given_up += 1
         self._note_silence(job, now)
         self._refuse(job, NO_ANSWER)
 
-    def expire(self, job: Forwarded, now: float) -> None:
+    def expire(self, job: ForwardedRequest, now: float) -> None:
         self.statistics.full += 1
         self._refuse(job, BUSY)
 
-    def _note_answer(self, forwarded: Forwarded, now: float) -> None:
+    def _note_answer(self, forwarded: ForwardedRequest, now: float) -> None:
         unit = forwarded.counters
         unit.answers += 1
         unit.seconds += now - forwarded.asked_at
@@ -351,7 +357,7 @@ class GatewayLine(SharedLine[Forwarded]):
             unit.is_silent = False
             logger.info("%s: unit %d answers%s again", self.url, forwarded.unit, what)
 
-    def _count_failure(self, forwarded: Forwarded, error: BaseException, now: float) -> bool:
+    def _count_failure(self, forwarded: ForwardedRequest, error: BaseException, now: float) -> bool:
         """Count a failure; return True if the unit was silent for most of its timeout."""
         if isinstance(error, errors.ModbusTimeoutError):
             forwarded.counters.timeouts += 1
@@ -365,7 +371,7 @@ class GatewayLine(SharedLine[Forwarded]):
             logger.error("%s: %s failed", self.url, forwarded.request, exc_info=error)
         return False
 
-    def _note_silence(self, silent: Forwarded, now: float) -> None:
+    def _note_silence(self, silent: ForwardedRequest, now: float) -> None:
         """Let what gave no answer rest, and refuse the requests that wait for it."""
         unit, function = silent.unit, silent.request.function
         if self._is_broadcast(silent):
@@ -385,11 +391,11 @@ class GatewayLine(SharedLine[Forwarded]):
                 self.statistics.unit(unit).resting += 1
                 self._refuse(forwarded, NO_ANSWER)
 
-    def _refuse(self, forwarded: Forwarded, code: int) -> None:
+    def _refuse(self, forwarded: ForwardedRequest, code: int) -> None:
         self._forget_joinable(forwarded)
         self._answer(forwarded, bytes([forwarded.request.function | 0x80, code]))
 
-    def _answer(self, forwarded: Forwarded, response: bytes | None) -> None:
+    def _answer(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
         self.statistics.unwanted += forwarded.answer(response)
 
     # --- the connection -----------------------------------------------------------------------

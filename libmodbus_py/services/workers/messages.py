@@ -26,7 +26,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from ..engine.buckets import TIMEOUT, keep_stream
-from ..engine.connection import EngineError, explained, what
+from ..engine.connection import EngineError, engine_errors, explanation_of
 from ..fleet.commands import Commands
 from ..fleet.outputs.forms import poll_messages
 from ..fleet.outputs.output import Output
@@ -75,7 +75,7 @@ class Stream(Output):
     async def write_readings(self, readings: Sequence[Reading]) -> None:
         messages = list(_messages(readings, self._client.max_payload))
         try:
-            with explained(STREAM):
+            with engine_errors(STREAM):
                 async with asyncio.timeout(TIMEOUT):
                     acknowledged = [
                         # Because of its id, the server drops a message that is sent again.
@@ -142,7 +142,7 @@ class CommandService:
                 try:
                     subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._receive)
                 except Exception as error:
-                    self._log(f"commands: {what(error)}")
+                    self._log(f"commands: {explanation_of(error)}")
                     await asyncio.sleep(PAUSE_S)
             await asyncio.Event().wait()
         finally:

@@ -16,7 +16,16 @@ from ....protocol.logs import HarmlessLogger
 from ....system import lock_file
 from ..readings import NO_LABELS
 from . import schema
-from .schema import JournalDamaged, JournalError, JournalPoll, Points, Row, decoded, encoded, raised
+from .schema import (
+    JournalDamaged,
+    JournalError,
+    JournalPoll,
+    Points,
+    Row,
+    decoded,
+    encoded,
+    journal_errors,
+)
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -64,7 +73,7 @@ SET_PLACE = (
 DAMAGES = (AttributeError, LookupError, TypeError, ValueError, RecursionError)
 
 
-class Begun(NamedTuple):
+class RunStart(NamedTuple):
     """The first id of a run; for each output the id it confirmed, and how many readings wait."""
 
     first: int
@@ -103,13 +112,13 @@ class JournalFile:
 
     # --- life -------------------------------------------------------------------------------
 
-    def open(self, outputs: Collection[str], first: int = 0) -> Begun:
+    def open(self, outputs: Collection[str], first: int = 0) -> RunStart:
         """Open or create the file, and begin a run with the id `first`, 0 for one by the clock."""
         # Some other file must not be taken for a damaged journal, which is renamed.
         was_used = os.path.exists(f"{self.path}-lock")
         try:
             self._take_lock()
-            with raised(self.path):
+            with journal_errors(self.path):
                 self._database = sqlite3.connect(
                     self.path, isolation_level=None, check_same_thread=False
                 )
@@ -172,7 +181,7 @@ class JournalFile:
                 f" PRAGMA user_version = {schema.VERSION}; {schema.SCHEMA} COMMIT"
             )
 
-    def _begin(self, outputs: Collection[str], first: int) -> Begun:
+    def _begin(self, outputs: Collection[str], first: int) -> RunStart:
         database = self._used
         with self._transaction():
             [[read]] = database.execute("SELECT max(id + readings - 1) FROM poll")
@@ -184,7 +193,7 @@ class JournalFile:
                 [(name, first - 1) for name in outputs],
             )
             places = {name: database.execute(WAITING, (name,)).fetchone() for name in outputs}
-        return Begun(first, places)
+        return RunStart(first, places)
 
     def close(self) -> None:
         """Force all data onto the disk, close the file, and let others open it."""
@@ -198,7 +207,7 @@ class JournalFile:
             with contextlib.suppress(sqlite3.Error), contextlib.closing(database):
                 database.execute(last)
 
-    def replace(self, error: JournalDamaged, outputs: Collection[str], first: int = 0) -> Begun:
+    def replace(self, error: JournalDamaged, outputs: Collection[str], first: int = 0) -> RunStart:
         """Rename a damaged file, and begin a new one, as `open` does."""
         self._close_database()
         self._take_lock()
@@ -207,7 +216,7 @@ class JournalFile:
         # The changes of a database that is gone would spoil the one in its place.
         is_gone = self._identity not in (None, _identity_of(self.path))
         for ending in ("-wal", "-shm", ""):
-            with raised(self.path), contextlib.suppress(FileNotFoundError):
+            with journal_errors(self.path), contextlib.suppress(FileNotFoundError):
                 if is_gone and ending:
                     os.unlink(f"{self.path}{ending}")
                 else:
@@ -247,7 +256,7 @@ class JournalFile:
         Write polls, and by output the last id that it confirmed, in one transaction or not at all,
         and delete what is too old. `confirmed` is the last id that all outputs confirmed.
         """
-        with raised(self.path):
+        with journal_errors(self.path):
             if _identity_of(self.path) != self._identity:  # its contents would be lost
                 raise JournalDamaged(f"{self.path}: was deleted or replaced while it was in use")
             with self._transaction():
@@ -260,7 +269,7 @@ class JournalFile:
     def force(self) -> None:
         """Force what was written onto the disk, and merge it into the database if it is much."""
         wal = f"{self.path}-wal"
-        with raised(self.path):
+        with journal_errors(self.path):
             try:
                 descriptor = os.open(wal, os.O_RDONLY | os.O_CLOEXEC)
             except FileNotFoundError:  # its contents are merged when the database is closed
@@ -310,7 +319,10 @@ class JournalFile:
         """Return the polls behind an id, at least one if there is one, without damaged rows."""
         polls: list[JournalPoll] = []
         count = 0
-        with raised(self.path), contextlib.closing(self._used.execute(POLLS, (after,))) as rows:
+        with (
+            journal_errors(self.path),
+            contextlib.closing(self._used.execute(POLLS, (after,))) as rows,
+        ):
             for row in map(Row._make, rows):
                 count += row.readings
                 if polls and count > most:

@@ -82,7 +82,7 @@ class JournalPlace(Buffer):
         self.close_buffer()
         self._kept.clear()
 
-    def deleted(self, polls: Sequence[tuple[int, int]]) -> None:
+    def note_deletions(self, polls: Sequence[tuple[int, int]]) -> None:
         """Count polls, by first id and number of readings, that were deleted unconfirmed."""
         gaps = [(first, count) for first, count in polls if first > self.confirmed]
         if not gaps:

@@ -206,7 +206,7 @@ class JournalDamaged(JournalError):
 
 
 @contextlib.contextmanager
-def raised(path: str) -> Iterator[None]:
+def journal_errors(path: str) -> Iterator[None]:
     """Raise errors of SQLite and of the system as those of journals."""
     try:
         yield

@@ -45,7 +45,7 @@ def output_keys(kind: str) -> Keys:
     return keys_of(output_class(kind))
 
 
-def made(kind: str, keys: dict[str, Any]) -> Output:
+def make_output(kind: str, keys: dict[str, Any]) -> Output:
     """
     Make an output of a kind with the values of its keys.
 
