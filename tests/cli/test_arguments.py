@@ -8,7 +8,7 @@ import re
 
 from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.cli.arguments import endpoint_of
-from libmodbus_py.cli.commands import parsed
+from libmodbus_py.cli.commands import parse_arguments
 from libmodbus_py.cli.foreign import OPTIONS
 from libmodbus_py.ports.options import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
 from tests.cli.serving import serving
@@ -66,7 +66,7 @@ def test_the_unit_is_that_of_the_url_unless_it_is_told(
 
 @each_case(("flag", "echo"), [("--echo", True), ("--no-echo", False)])
 def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) -> None:
-    options = parsed(["read", "rtu+tcp://h:4001", "coils", "0", flag])
+    options = parse_arguments(["read", "rtu+tcp://h:4001", "coils", "0", flag])
     assert endpoint_of(options).options == {"echo": echo}
 
 
