@@ -48,10 +48,10 @@ that of a file, such as viewer, or of a MACHINE. Servers use DIR/crl.pem with
 
 EXAMPLES = """\
 examples:
-  libmodbus-py certificates papers --host plc.example --role Operator --days 30
+  libmodbus-py certificates certs --host plc.example --role Operator --days 30
   libmodbus-py certificates fleet n1.example n2.example n3.example
-  libmodbus-py certificates papers server --renew --days 90
-  libmodbus-py certificates papers --revoke operator"""
+  libmodbus-py certificates certs server --renew --days 90
+  libmodbus-py certificates certs --revoke operator"""
 
 ARGUMENTS = f"""
 DIR

@@ -135,9 +135,7 @@ class ForwardedRequest(LineRequest):
     ) -> None:
         super().__init__(unit, request, host=requester.host, client=requester)
         self.waits_since = since
-        self.requester: Requester | None = (
-            requester  # None after the client is gone or was answered
-        )
+        self.requester: Requester | None = requester  # None once it is gone or was answered
         self.number: int = number
         self.from_unit: int = from_unit  # as the client numbers it
         self.age: float = age  # of a cached response, in seconds; 0 for none
