@@ -46,7 +46,7 @@ async def test_only_what_differs_is_written_and_counted(
     assert await pushed(bucket, device(3), lease=20.0) == PushCounts(0, 0, 0)
     assert engine.latest[SETTINGS].revision == engine.revision
     many = [device(host) for host in range(1, 131)]
-    assert (await pushed(bucket, *many)).new == 129
+    assert (await pushed(bucket, *many)).additions == 129
     assert len((await read_bucket(bucket)).all_connections) == 130
 
 
