@@ -61,7 +61,7 @@ AGAIN = 0.2
 
 # The fraction of a lease after which a worker that does not see its own values reads the bucket
 # again: not yet if NATS takes 0.3 of a lease, and early enough to keep the lease.
-BLIND = 0.5
+UNSEEN = 0.5
 
 # The time after which the bucket is read again, in leases: no change reports that a key was purged.
 READ_AGAIN = 60
@@ -101,7 +101,7 @@ class _Deciding:
         self.longest_wait = worker.view.longest_lease * OTHERS_PART
         self.puts: list[Put] = []
         self.due = math.inf
-        self.is_in_vain = False
+        self.has_repeated = False
         # The other workers that may hold slots; and those whose slots are not shared now.
         self.others = [
             member
@@ -130,7 +130,7 @@ class _Deciding:
         unserved = self.unserved() if worker.is_first(self.now) else []
         # Last, because it acknowledges all changes up to the revision of the view.
         self.renew_lease(report)
-        return Decision(active, self.puts, self.due, self.is_blind(), unserved)
+        return Decision(active, self.puts, self.due, self.must_read_again(), unserved)
 
     def put_key(self, key: str, value: bytes | None) -> None:
         """Write a key, unless the same was written recently and the key has not changed."""
@@ -138,7 +138,7 @@ class _Deciding:
         if self.worker.has_written(key):
             if not self.has_passed(self.worker.attempts[key][1] + pause):
                 return
-            self.is_in_vain = True
+            self.has_repeated = True
         self.puts.append(Put(key, value, self.view.last_change(key).revision))
         self.has_passed(self.now + pause)
 
@@ -173,11 +173,11 @@ class _Deciding:
             )
             self.has_passed(self.now + pause)
 
-    def is_blind(self) -> bool:
-        """Return True if changes may be missing: own values are not seen, or writes are in vain."""
+    def must_read_again(self) -> bool:
+        """Return True if changes may be missing: own values unseen, or a repeated write."""
         heard_at = max(self.view.last_change(self.worker.key).at, self.view.since)
-        at = min(heard_at + self.lease * BLIND, self.view.since + self.lease * READ_AGAIN)
-        return self.has_passed(at) or self.is_in_vain
+        at = min(heard_at + self.lease * UNSEEN, self.view.since + self.lease * READ_AGAIN)
+        return self.has_passed(at) or self.has_repeated
 
     # Slots
 

@@ -180,7 +180,7 @@ class Polling:
                 self._writes.begin(self._write(put))
             self._log_lease()
             self._report_unserved(decision.unserved)
-            if decision.is_blind and self._is_whole:
+            if decision.must_read_again and self._is_whole:
                 self._doubted.set()
             now = await self._until_due()
 

@@ -31,14 +31,14 @@ class Decision(NamedTuple):
     Attributes:
         active: polling of others must have stopped before anything is written.
         due: the time of the next decision, unless something changes.
-        is_blind: True if changes may be missing, so that the bucket should be read again.
+        must_read_again: True if changes of the bucket may be missing.
         unserved: connections that no worker has polled for long. Only one worker finds any.
     """
 
     active: Mapping[str, Connection]
     puts: Sequence[Put] = ()
     due: float = math.inf
-    is_blind: bool = False
+    must_read_again: bool = False
     unserved: Sequence[Connection] = ()
 
 
