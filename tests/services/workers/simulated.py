@@ -223,7 +223,7 @@ class Process:
         self.open = set(self.worker.active)
         for put in decision.puts:
             self.write(put)
-        if self.again_at is None and decision.is_blind:
+        if self.again_at is None and decision.must_read_again:
             self.again_at = self.world.now
 
     def write(self, put: Put) -> None:

@@ -201,12 +201,12 @@ class TestSlots:
         one = beside_ended()
         (beat,) = one.decided(0.0)
         one.write(beat.key, beat.value, 0.0)
-        blind = []
+        reads_again = []
         for at in (0.1, 2.0, 2.2):
             one.worker.add_change(Change(beat.key, beat.value, one.revision + int(at) + 1), at)
             one.decided(at)
-            blind.append(one.last.is_blind)
-        assert blind == [False, False, True]
+            reads_again.append(one.last.must_read_again)
+        assert reads_again == [False, False, True]
 
 
 class TestAcknowledgements:
@@ -288,21 +288,21 @@ class TestBucketThatLies:
 
 
 class TestBlindness:
-    def blind(self, one: OneWorker, at: float) -> bool:
+    def reads_again(self, one: OneWorker, at: float) -> bool:
         one.decided(at)
-        return one.last.is_blind
+        return one.last.must_read_again
 
-    def test_a_worker_that_does_not_receive_its_own_values_is_blind(self) -> None:
+    def test_a_worker_that_does_not_receive_its_own_values_reads_again(self) -> None:
         one = OneWorker()
-        assert [self.blind(one, at) for at in (4.9, 5.1)] == [False, True]
+        assert [self.reads_again(one, at) for at in (4.9, 5.1)] == [False, True]
         one.member(one.me, 5.1)
-        assert [self.blind(one, at) for at in (10.0, 10.2)] == [False, True]
+        assert [self.reads_again(one, at) for at in (10.0, 10.2)] == [False, True]
 
     def test_the_bucket_is_read_again_after_a_while(self) -> None:
         one = OneWorker()
         for at in range(1, 700):
             one.step(float(at))
-            assert one.last.is_blind == (at >= 60 * LEASE)
+            assert one.last.must_read_again == (at >= 60 * LEASE)
 
 
 class TestUnserved:
