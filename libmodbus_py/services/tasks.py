@@ -85,7 +85,7 @@ Job = tuple[Callable[..., Any], tuple[Any, ...], asyncio.Future[Any]]
 
 
 class WriterThread:
-    """Calls functions in a thread, in order. A disk that hangs does not keep the program alive."""
+    """Calls functions in a thread, in order. A disk that hangs never delays the end."""
 
     def __init__(self, name: str) -> None:
         self._name = name

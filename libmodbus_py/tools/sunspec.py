@@ -295,7 +295,7 @@ def _discovery(bases: Iterable[int]) -> _Steps[SunSpecDevice]:
 
 
 def _counts(chain: _Chain, header: _Header, group: Mapping[str, Any]) -> _Steps[dict[str, int]]:
-    """Read the points by which groups are repeated, which are neighbours in all definitions."""
+    """Read the points by which groups are repeated, which are adjacent in all definitions."""
     offsets = counters_of(group)
     offsets = {name: at for name, at in offsets.items() if at < HEADER + header.length}
     if not offsets:

@@ -149,7 +149,7 @@ class Dispatcher:
         if self._guard is None and allow is None:
             return
         who: Who = unit, session.peer, session.role
-        pdu_request, accesses = request.known, touched(request.known, who)
+        pdu_request, accesses = request.pdu_request, touched(request.pdu_request, who)
         action = Asked(session.role, unit, session.peer, request.function, pdu_request, *accesses)
         try:
             if self._guard is not None:
@@ -309,7 +309,7 @@ class ForwardingSession(Framed):
         """Record a request and its response, if there is an audit trail."""
         if (auditor := self._dispatcher.auditor) is not None:
             caller = self.caller(unit)._replace(is_broadcast=unit == 0)
-            changes = changes_of(request.known, caller)
+            changes = changes_of(request.pdu_request, caller)
             auditor.note(Executed(caller, request.pdu, response, changes, is_change))
 
     def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
@@ -318,8 +318,8 @@ class ForwardingSession(Framed):
         if request.changes:
             self.record(forwarded.from_unit, request, response or b"")
         if response is None and self.has_ids and request.may_be_broadcast:
-            assert request.known is not None
-            response = request.known.encode_response(None)
+            assert request.pdu_request is not None
+            response = request.pdu_request.encode_response(None)
         if response is not None:
             answer = Frame(forwarded.from_unit, response, forwarded.number)
             self._send(answer, self.framer.encode(answer))

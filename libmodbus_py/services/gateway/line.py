@@ -57,14 +57,14 @@ class RequestBytes(pdu.Request[bytes]):
 
     # fmt: off
     __slots__ = (
-        "changes", "expects_response", "function", "is_read", "known", "may_be_broadcast", "pdu",
-        "repeatable",
+        "changes", "expects_response", "function", "is_read", "may_be_broadcast", "pdu",
+        "pdu_request", "repeatable",
     )
     # fmt: on
 
     def __init__(self, data: bytes, request: pdu.Request[Any] | None) -> None:
         self.pdu: bytes = data
-        self.known: pdu.Request[Any] | None = request
+        self.pdu_request: pdu.Request[Any] | None = request
         self.function: int = data[0]  # type: ignore[misc]  # here it is data, not the class's own
         self.is_read: bool = isinstance(request, READS)
         is_write = request is not None and request.may_be_broadcast
@@ -77,17 +77,17 @@ class RequestBytes(pdu.Request[bytes]):
         return self.pdu
 
     def decode_response(self, pdu: bytes) -> bytes:
-        if self.known is not None:
-            self.known.decode_response(pdu)
+        if self.pdu_request is not None:
+            self.pdu_request.decode_response(pdu)
             if self.may_be_broadcast:  # a write, whose echo may have bytes behind it
-                return pdu[: type(self.known).response_length(pdu) or None]
+                return pdu[: type(self.pdu_request).response_length(pdu) or None]
         elif not pdu or pdu[0] != self.function:
             raise self._refusal(pdu)
         return pdu
 
     def __str__(self) -> str:
-        if self.known is not None:
-            return str(self.known)
+        if self.pdu_request is not None:
+            return str(self.pdu_request)
         return f"a request of {len(self.pdu)} bytes"
 
 
@@ -175,7 +175,7 @@ class Cache:
     def __init__(self) -> None:
         self._answers: dict[tuple[int, bytes], tuple[float, bytes]] = {}
         # Unit -> the time of the last write; 0 for a write to all units.
-        self._written: dict[int, float] = {}
+        self._write_times: dict[int, float] = {}
 
     def get(self, unit: int, request: bytes, age: float, now: float) -> bytes | None:
         """Return a response that is at most `age` seconds old, or None."""
@@ -184,7 +184,7 @@ class Cache:
 
     def keep(self, unit: int, request: bytes, answer: bytes, asked_at: float) -> None:
         """Keep the response to a request that was sent at a time; it is no older."""
-        if asked_at <= max(self._written.get(number, -math.inf) for number in (0, unit)):
+        if asked_at <= max(self._write_times.get(number, -math.inf) for number in (0, unit)):
             return
         key = unit, request
         self._answers.pop(key, None)
@@ -194,7 +194,7 @@ class Cache:
 
     def forget(self, unit: int, now: float) -> None:
         """Drop the responses of a unit that may be written to; those of all units for unit 0."""
-        self._written[unit] = now
+        self._write_times[unit] = now
         for key in [key for key in self._answers if unit in (0, key[0])]:
             del self._answers[key]
 

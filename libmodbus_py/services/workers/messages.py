@@ -12,7 +12,7 @@ For an MQTT client of the NATS server the subjects are topics, with / in place o
 
 The worker that polls the device carries a command out, while its lease is valid. Commands to
 devices that do not exist, or whose slots have no worker, are refused by the worker with the lowest
-id. Commands to the devices of a worker that has just died are not answered: it may have carried
+id. Commands to the devices of a worker that has just ended are not answered: it may have carried
 them out.
 """
 

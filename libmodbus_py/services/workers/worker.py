@@ -168,10 +168,10 @@ class Worker:
 
     def is_first(self, now: float) -> bool:
         """Return True if this worker has the lowest id of those that have renewed their leases."""
-        living = (
+        candidates = (
             member.id for member in self.view.members.values() if self.view.is_heard(member, now)
         )
-        return min(living, default="") == self.id
+        return min(candidates, default="") == self.id
 
     def has_written(self, key: str) -> bool:
         """Return True if this worker has written a key that has not changed since."""

@@ -195,7 +195,7 @@ class Direction:
     def __init__(self) -> None:
         self.acknowledged: int | None = None  # by the other end
         self._next: int | None = None
-        self._waiting: dict[int, tuple[float, bytes]] = {}  # segments behind a gap, by number
+        self._segments: dict[int, tuple[float, bytes]] = {}  # segments behind a gap, by number
         self._data = b""
 
     def take(self, segment: Segment, at: float) -> Iterator[tuple[float, Frame]]:
@@ -206,21 +206,21 @@ class Direction:
         if self._next is None:
             self._next = number
         if segment.data:
-            self._waiting.setdefault(number & 0xFFFFFFFF, (at, segment.data))
+            self._segments.setdefault(number & 0xFFFFFFFF, (at, segment.data))
             yield from self._in_order()
-            while self._waiting and self._is_lost():
+            while self._segments and self._is_lost():
                 yield from self._over_a_gap()
 
     def rest(self) -> Iterator[tuple[float, Frame]]:
         """Yield the frames behind gaps that nothing has filled."""
-        while self._waiting:
+        while self._segments:
             yield from self._over_a_gap()
 
     def _is_lost(self) -> bool:
         """Return True if the capture lacks what is before the segments that wait."""
-        if len(self._waiting) > MAX_WAITING:
+        if len(self._segments) > MAX_WAITING:
             return True
-        first, end = min(map(self._behind, self._waiting)), self.acknowledged
+        first, end = min(map(self._behind, self._segments)), self.acknowledged
         return end is not None and self._behind(end) >= first
 
     def _behind(self, number: int) -> int:
@@ -229,8 +229,8 @@ class Direction:
         return (number - self._next + 0x80000000 & 0xFFFFFFFF) - 0x80000000
 
     def _in_order(self) -> Iterator[tuple[float, Frame]]:
-        while self._waiting and self._behind(number := min(self._waiting, key=self._behind)) <= 0:
-            at, data = self._waiting.pop(number)
+        while self._segments and self._behind(number := min(self._segments, key=self._behind)) <= 0:
+            at, data = self._segments.pop(number)
             data = data[-self._behind(number) :]
             if data:
                 assert self._next is not None
@@ -238,7 +238,7 @@ class Direction:
                 yield from self._frames(at, data)
 
     def _over_a_gap(self) -> Iterator[tuple[float, Frame]]:
-        self._next = min(self._waiting, key=self._behind)
+        self._next = min(self._segments, key=self._behind)
         self._data = b""
         yield from self._in_order()
 

@@ -178,7 +178,7 @@ class RowHistory:
         self._counts = counts
         self._clock = clock
         self._lock = threading.Lock()
-        self._known: dict[Name, tuple[Counts, dict[str, Samples]]] = {}
+        self._rows: dict[Name, tuple[Counts, dict[str, Samples]]] = {}
         self._at = 0.0
 
     def sample(self) -> None:
@@ -190,7 +190,7 @@ class RowHistory:
             seconds, self._at = now - self._at, now
             rows = dict(self._counts())
             most = samples_of_each(len(rows) * len(UNITS))
-            self._known = {
+            self._rows = {
                 name: self._row(name, counts, now, seconds, most) for name, counts in rows.items()
             }
         finally:
@@ -199,9 +199,9 @@ class RowHistory:
     def _row(
         self, name: Name, counts: Counts, now: float, seconds: float, most: int
     ) -> tuple[Counts, dict[str, Samples]]:
-        if name not in self._known:
+        if name not in self._rows:
             return counts, {column: Samples(SAMPLED, most) for column in UNITS}
-        before, series = self._known[name]
+        before, series = self._rows[name]
         if seconds > 0:
             for column, figure in _figures(before, counts, seconds).items():
                 series[column].resize(most)
@@ -215,7 +215,7 @@ class RowHistory:
 
     def series(self, name: Name, column: str) -> Series | None:
         """Return the numbers of a row; None if there is no such row or column."""
-        former = self._known.get(name)
+        former = self._rows.get(name)
         if former is None or column not in former[1]:
             return None
         return Series(former[1][column], UNITS[column])

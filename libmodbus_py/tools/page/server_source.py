@@ -116,8 +116,8 @@ class ServerSource:
 
     def __init__(self, server: Server) -> None:
         self._server = server
-        self._shown = shown_of(server)
-        self.log: Log = Log(lambda: self._shown)
+        self._shown_server = shown_of(server)
+        self.log: Log = Log(lambda: self._shown_server)
         self.downloads: Mapping[str, Download] = {"/log.csv": self.log.download}
         self.actions: Mapping[str, Action] = {
             "/value": self._set,
@@ -129,9 +129,9 @@ class ServerSource:
         }
 
     def _units(self) -> dict[int | None, ShownUnit]:
-        if self._server.devices is not self._shown.devices:
-            self._shown = shown_of(self._server)
-        return self._shown.units
+        if self._server.devices is not self._shown_server.devices:
+            self._shown_server = shown_of(self._server)
+        return self._shown_server.units
 
     def _unit(self, query: Given) -> ShownUnit:
         units, number = self._units(), query["unit"]
@@ -165,7 +165,7 @@ class ServerSource:
     def tables_of(self, view: View) -> Tables:
         """Return a table whose name is that of the unit and of the table that are shown."""
         number, what, first, stop = view
-        unit = self._shown.units.get(number)
+        unit = self._shown_server.units.get(number)
         if unit is None:
             return {}
         if what == "points":

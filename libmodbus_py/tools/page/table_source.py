@@ -81,13 +81,13 @@ class TableSource:
     script = "table.js"
 
     def __init__(self, source: Shown) -> None:
-        self._shown = source
+        self._source = source
         self.actions: Mapping[str, Action] = {"/history": self._history}
         log = source.log
         self.downloads: Mapping[str, Download] = {} if log is None else {"/log.csv": log.download}
 
     def common(self) -> Tables:
-        source, log = self._shown, self._shown.log
+        source, log = self._source, self._source.log
         text, is_problem = source.status()
         head = {
             "kind": source.kind,
@@ -108,7 +108,7 @@ class TableSource:
 
     def tables_of(self, view: View) -> Tables:
         pattern, only, first, stop = view
-        rows, words = self._shown.rows(), pattern.split()
+        rows, words = self._source.rows(), pattern.split()
         if only:
             rows = [row for row in rows if row.is_problem]
         if words:
@@ -121,7 +121,7 @@ class TableSource:
         texts = [*name, column] if isinstance(name, list) else []
         if len(texts) != 3 or not all(isinstance(text, str) for text in texts):
             raise ValueError("row must be a list of two strings, and column a string")
-        series = self._shown.series((name[0], name[1]), column)
+        series = self._source.series((name[0], name[1]), column)
         if series is None:
             raise ValueError("this value no longer exists")
         now = time.time()
@@ -134,9 +134,9 @@ class TableSource:
         self, recent: Pairs, name: Sequence[str], since: float, now: float, every: float | None
     ) -> Pairs:
         until = recent[0][0] if recent else now
-        if self._shown.older is None or until - since < SHORTEST:
+        if self._source.older is None or until - since < SHORTEST:
             return recent
-        older = self._shown.older(name[0], name[1], since, until, MOST_OLDER)
+        older = self._source.older(name[0], name[1], since, until, MOST_OLDER)
         # Of each of `MOST_OLDER` / 3 spans of time, a journal returns three samples at most.
         apart = None if every is None else max(every, 2 * 3 / MOST_OLDER * (until - since))
         return with_gaps([*(sample for sample in older if sample[0] < until), *recent], apart)

@@ -49,7 +49,7 @@ class ShownUnit:
         self.device: Device = device
         self.points: tuple[Point, ...] = tuple(device.points.values())
         self.samples: dict[str, Samples] = {}
-        self._computed: dict[tuple[str, range], list[range]] = {}
+        self._runs: dict[tuple[str, range], list[range]] = {}
         self._until = 0.0
         self._has_failed = False
 
@@ -65,10 +65,10 @@ class ShownUnit:
         """
         if (now := time.monotonic()) >= self._until:
             self._until = now + RETRY
-            self._computed.clear()
+            self._runs.clear()
         key = table, addresses
-        runs = self._computed.get(key, [addresses])
-        self._computed[key] = [cell for run in runs for cell in self._refreshed(table, run)]
+        runs = self._runs.get(key, [addresses])
+        self._runs[key] = [cell for run in runs for cell in self._refreshed(table, run)]
 
     def _refreshed(self, table: str, run: range) -> list[range]:
         """Return the parts of a range that were computed."""

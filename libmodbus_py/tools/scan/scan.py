@@ -167,7 +167,7 @@ class _PlaceScan:
         self.is_left: bool = False  # nothing is left to ask here
         self.refused: ModbusConnectionError | None = None  # the port cannot have this setting
         self._units = units
-        self._nothing: dict[int, ModbusError] = {}
+        self._unit_errors: dict[int, ModbusError] = {}
         self._latest = 0.0
         self._others = 0
         # The units that are answered like those that cannot exist, and the answers of these.
@@ -201,7 +201,7 @@ class _PlaceScan:
     def _probe(self, prober: Prober, unit: int) -> Generator[Found, None, None]:
         answer = prober.probe(unit)
         if isinstance(answer, ModbusError):
-            self._nothing[unit] = answer
+            self._unit_errors[unit] = answer
         elif answer.exception in self._answers_of_none(prober):
             self._alike.append((unit, answer))
             self.is_left = answer.exception is None
@@ -211,7 +211,7 @@ class _PlaceScan:
         for late, answer in prober.late():
             self._latest = max(self._latest, answer.took)
             if late in self._units:
-                self._nothing.pop(late, None)
+                self._unit_errors.pop(late, None)
                 self._others += 1
                 yield replace(self._found_unit(prober, late, answer), is_late=True)
 
@@ -238,7 +238,7 @@ class _PlaceScan:
     def notes(self) -> Iterator[str]:
         if self.refused is not None:
             yield str(self.refused)
-        errors = list(self._nothing.values())
+        errors = list(self._unit_errors.values())
         if gateway := sum(isinstance(error, NO_UNIT) for error in errors):
             yield (
                 f"a gateway reports {gateway} units as absent (exception 10 or 11);"

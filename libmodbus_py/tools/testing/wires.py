@@ -63,7 +63,7 @@ class _Wire:
         self._selector = selectors.DefaultSelector()
         self._wake, self._sleep = socket.socketpair()
         self._selector.register(self._sleep, selectors.EVENT_READ, None)
-        self._unplugged = threading.Event()
+        self._unplug_end = threading.Event()
         self._thread = threading.Thread(target=self._carry, name="wire", daemon=True)
 
     def __enter__(self) -> Self:
@@ -88,7 +88,7 @@ class _Wire:
     def unplug(self) -> None:
         """Close both ends, as when a cable is pulled; return when this is done."""
         self._wake.send(b"u")
-        self._unplugged.wait()
+        self._unplug_end.wait()
 
     def _close_ends(self) -> None:
         raise NotImplementedError
@@ -103,7 +103,7 @@ class _Wire:
                         if entry.data is not None:
                             self._selector.unregister(entry.fileobj)
                     self._close_ends()
-                    self._unplugged.set()
+                    self._unplug_end.set()
                     break  # the other descriptors are closed now
                 else:
                     return
