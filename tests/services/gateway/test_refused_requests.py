@@ -111,7 +111,7 @@ def test_each_function_is_a_read_or_a_write() -> None:
     for vector in WORKED:
         known = pdu.decode_request(vector.pdu)
         request = request_of(vector.pdu)
-        assert request.known == known
+        assert request.pdu_request == known
         assert request.is_read == isinstance(known, READS)
         assert request.may_be_broadcast == known.may_be_broadcast
         assert request.repeatable == known.repeatable
@@ -121,7 +121,7 @@ def test_each_function_is_a_read_or_a_write() -> None:
 
 def test_a_request_of_an_unknown_function_may_do_anything_once() -> None:
     request = request_of(b"\x41\1\2")
-    assert request.known is None
+    assert request.pdu_request is None
     assert (request.is_read, request.may_be_broadcast, request.repeatable) == (False, False, False)
     assert request.expects_response
     assert request.changes
