@@ -34,7 +34,7 @@ def one_by_one(read: Callable[[], Values], requests: int) -> None:
 
 
 def context(place: str, requests: int) -> None:
-    from libmodbus_py.contexts import TcpContext
+    from libmodbus_py import TcpContext
 
     with TcpContext(HOST, int(place), unit=1) as context:
         one_by_one(lambda: context.read_holding_registers(0, REGISTERS), requests)

@@ -31,7 +31,7 @@ from libmodbus_py.protocol.framing import (
     TcpFramer,
     UdpFramer,
 )
-from libmodbus_py.security.role import RoleError, decode_role, encode_role, role_of
+from libmodbus_py.security.certificates import RoleError, decode_role, encode_role, role_of
 from libmodbus_py.services.fleet import files as fleet_files
 from libmodbus_py.services.gateway import config as gateway_file
 from libmodbus_py.tools.listener.separator import LineFraming, Separator

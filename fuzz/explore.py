@@ -46,10 +46,11 @@ from libmodbus_py.client.connection import Transactions
 from libmodbus_py.client.history import forget_lines
 from libmodbus_py.client.options import checked_options
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.ports.making import make_port
+from libmodbus_py.ports.port import make_port
 from libmodbus_py.protocol import pdu
 from libmodbus_py.protocol.errors import ExceptionResponse, ModbusConnectionError
-from libmodbus_py.protocol.framing import Frame, crc16, make_framer, mbap, rtu
+from libmodbus_py.protocol.frames import mbap
+from libmodbus_py.protocol.framing import Frame, crc16, make_framer, rtu
 
 # Times are in ticks. An answer takes 2. A unit in DOUBT is silent for twice as long.
 TIMEOUT = 12.0

@@ -24,7 +24,7 @@ from fuzz.checks import (
     check_stream,
     examples,
 )
-from libmodbus_py.security.role import encode_role
+from libmodbus_py.security.certificates import encode_role
 from libmodbus_py.tools.certificates import make
 from libmodbus_py.tools.listener.separator import LineFraming
 

@@ -18,7 +18,7 @@ from .device.device import Device as Device
 from .device.hooks import Hook as Hook
 from .device.mapping import Mapping as Mapping
 from .maps.items import Read as Read
-from .maps.map_file import MapError as MapError
+from .maps.lists import MapError as MapError
 from .maps.meaning import NoValue as NoValue
 from .maps.plan import Plan as Plan
 from .maps.point import Point as Point

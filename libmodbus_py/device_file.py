@@ -1,6 +1,4 @@
-"""
-The short path of `tools.simulator.device_file`: importing this module gives that module.
-"""
+"""The short path of `tools.simulator.device_file`: importing this module gives that module."""
 
 import sys
 

@@ -1,6 +1,4 @@
-"""
-Polling of many devices: a short path to `services.fleet`.
-"""
+"""Polling of many devices: a short path to `services.fleet`."""
 
 from .services.fleet.config import DeviceConfig
 from .services.fleet.files import FleetFile, FleetFileError, load
@@ -13,19 +11,7 @@ from .services.fleet.readings import Reading
 from .services.fleet.statistics import FleetStatistics, JournalStatistics, OutputStatistics
 
 __all__ = [
-    "DeviceConfig",
-    "Fleet",
-    "FleetFile",
-    "FleetFileError",
-    "FleetStatistics",
-    "HistoricalValue",
-    "Journal",
-    "JournalError",
-    "JournalStatistics",
-    "Output",
-    "OutputError",
-    "OutputStatistics",
-    "Reading",
-    "ReadingsRefused",
-    "load",
-]
+    "DeviceConfig", "Fleet", "FleetFile", "FleetFileError", "FleetStatistics", "HistoricalValue",
+    "Journal", "JournalError", "JournalStatistics", "Output", "OutputError", "OutputStatistics",
+    "Reading", "ReadingsRefused", "load",
+]  # fmt: skip

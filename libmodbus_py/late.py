@@ -1,6 +1,4 @@
-"""
-Public names of packages, imported when they are first used (PEP 562).
-"""
+"""Public names of packages, imported when they are first used (PEP 562)."""
 
 from __future__ import annotations
 
@@ -10,8 +8,6 @@ from itertools import pairwise
 TYPE_CHECKING = False  # imports for type checkers alone would delay every start
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-__all__ = ["Public"]
 
 
 class Public:

@@ -1,6 +1,4 @@
-"""
-Listening to other devices on a line or in a capture file: a short path to `tools.listener`.
-"""
+"""Listening to other devices on a line or in a capture file: a short path to `tools.listener`."""
 
 from .tools.listener.listener import Listener, listen
 from .tools.listener.named import MapDecoder, NamedValue
@@ -8,15 +6,7 @@ from .tools.listener.packets import CaptureError
 from .tools.listener.separator import Separator
 from .tools.listener.transaction import Summary, Transaction
 
-# fmt: off
 __all__ = [
-    "CaptureError",
-    "Listener",
-    "MapDecoder",
-    "NamedValue",
-    "Separator",
-    "Summary",
-    "Transaction",
+    "CaptureError", "Listener", "MapDecoder", "NamedValue", "Separator", "Summary", "Transaction",
     "listen",
-]
-# fmt: on
+]  # fmt: skip

@@ -1,6 +1,4 @@
-"""
-The live page of a running server: a short path to `tools.page`.
-"""
+"""The live page of a running server: a short path to `tools.page`."""
 
 from .tools.page.page import Page, live_page
 

@@ -1,6 +1,4 @@
-"""
-Metrics for Prometheus: a short path to `services.integrations.prometheus`.
-"""
+"""Metrics for Prometheus: a short path to `services.integrations.prometheus`."""
 
 from .services.integrations.prometheus import Collector, collect
 

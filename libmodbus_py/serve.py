@@ -1,6 +1,4 @@
-"""
-Servers, devices, hooks, rules and audits: a short path to `server` and `device`.
-"""
+"""Servers, devices, hooks, rules and audits: a short path to `server` and `device`."""
 
 from .device.access import Access, Caller, ValueChange
 from .device.authorization import Allow, Asked, Rules
@@ -14,11 +12,8 @@ from .server.server import Server
 from .server.serving import Running
 from .tools.faults.fault import Fault
 
-# fmt: off
 __all__ = [
     "Access", "Allow", "Asked", "Audit", "AuditEvent", "AuditFile", "Caller", "Device", "Fault",
-    "FifoQueue",
-    "Hook", "Limits", "Mapping", "RecordFile", "Rules", "Running", "Server", "ServerStatistics",
-    "ValueChange",
-]
-# fmt: on
+    "FifoQueue", "Hook", "Limits", "Mapping", "RecordFile", "Rules", "Running", "Server",
+    "ServerStatistics", "ValueChange",
+]  # fmt: skip

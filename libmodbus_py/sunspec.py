@@ -1,6 +1,4 @@
-"""
-SunSpec models of inverters, meters and batteries: a short path to `tools.sunspec`.
-"""
+"""SunSpec models of inverters, meters and batteries: a short path to `tools.sunspec`."""
 
 from .tools.sunspec import SunSpecDevice, SunSpecError, SunSpecModel, discover
 

@@ -16,22 +16,7 @@ import stat
 import struct
 import time
 from collections.abc import Callable
-from typing import BinaryIO, Protocol
-
-__all__ = [
-    "IP_PKTINFO",
-    "KEY_REJECTED",
-    "DescriptorPoller",
-    "Flag",
-    "allow_all_descriptors",
-    "boot_time",
-    "call_in_children",
-    "lock_file",
-    "most_descriptors",
-    "open_file",
-    "peer_credentials",
-    "reserve_descriptors",
-]
+from typing import BinaryIO
 
 # Python has no name for it before 3.14; the number is that of <linux/in.h>.
 IP_PKTINFO: int = getattr(socket, "IP_PKTINFO", 8)
@@ -92,32 +77,6 @@ class Flag:
                 os.close(end)
 
 
-class DescriptorPoller(Protocol):
-    """
-    Many descriptors that are waited for through one, as `select.epoll`.
-
-    Events are POLLIN and POLLOUT of `select`; errors are reported as POLLERR or POLLHUP, or as the
-    events that were asked for.
-    """
-
-    @property
-    def closed(self) -> bool: ...
-
-    def fileno(self) -> int:
-        """Return a descriptor that is readable while one of the others is ready."""
-        ...
-
-    def register(self, fd: int, eventmask: int = ..., /) -> None: ...
-    def modify(self, fd: int, eventmask: int, /) -> None: ...
-    def unregister(self, fd: int, /) -> None: ...
-
-    def poll(self, timeout: float | None = ..., maxevents: int = ..., /) -> list[tuple[int, int]]:
-        """Return descriptors that are ready, with their events."""
-        ...
-
-    def close(self) -> None: ...
-
-
 def call_in_children(function: Callable[[], None]) -> None:
     """Call a function in each process that is forked from this one from now on."""
     if hasattr(os, "register_at_fork"):
@@ -129,7 +88,7 @@ def boot_time() -> float:
     return time.clock_gettime(CLOCK_BOOTTIME)
 
 
-def peer_credentials(made: socket.socket) -> tuple[int, int]:
+def peer_credentials(connection: socket.socket) -> tuple[int, int]:
     """
     Return the process and the user at the other end of a connected Unix socket.
 
@@ -137,8 +96,8 @@ def peer_credentials(made: socket.socket) -> tuple[int, int]:
     processes have other numbers.
     """
     size = struct.calcsize("3i")
-    found = made.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
-    process, user, _ = struct.unpack("3i", found)
+    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+    process, user, _ = struct.unpack("3i", credentials)
     return process, user
 
 

@@ -1,6 +1,4 @@
-"""
-Serial lines, recording servers and faults, for tests: a short path to `tools.testing`.
-"""
+"""Serial lines, recording servers and faults, for tests: a short path to `tools.testing`."""
 
 from .server.faults import FaultSwitch
 from .tools.testing.recording import RecordingServer, ServerMaker

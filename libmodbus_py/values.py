@@ -1,6 +1,4 @@
-"""
-The short path of `protocol.values`: importing this module gives that module.
-"""
+"""The short path of `protocol.values`: importing this module gives that module."""
 
 import sys
 

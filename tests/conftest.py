@@ -1,8 +1,8 @@
-"""
-What the tests share: a device with known contents, and a server for it on every transport.
-"""
+"""What the tests share: a device with known contents, and a server for it on every transport."""
 
+import asyncio
 import gc
+import inspect
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -45,6 +45,15 @@ def pytest_collection_finish() -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the tests that take longest, so that the last ones are short."""
     items.sort(key=_longest, reverse=True)
+
+
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a test that is a coroutine function in an event loop."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    names = inspect.signature(pyfuncitem.obj).parameters
+    asyncio.run(pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names}))
+    return True
 
 
 def _longest(item: pytest.Item) -> float:

@@ -1,8 +1,4 @@
-"""
-The explorer of connections finds nothing, and finds each rule that is broken on purpose.
-"""
-
-from __future__ import annotations
+"""The explorer of connections finds nothing, and finds each rule that is broken on purpose."""
 
 import logging
 import math
@@ -19,8 +15,7 @@ from libmodbus_py.client.history import History, Pair
 from libmodbus_py.client.line import Line
 from libmodbus_py.client.queue import Queue
 
-PARTS = 6
-"""The worlds of four requests with one that is unusual are walked in so many parts."""
+PARTS = 6  # the worlds of four requests with one that is unusual are walked in so many parts
 
 
 @pytest.fixture(autouse=True)

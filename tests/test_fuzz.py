@@ -154,12 +154,7 @@ def test_lines(framing: Literal["rtu", "ascii"], data: st.DataObject) -> None:
 
 @pytest.mark.parametrize(
     ("framing", "faults", "least"),
-    [
-        ("rtu", 0.0, 1.0),
-        ("rtu", 0.01, 0.99),
-        ("ascii", 0.0, 1.0),
-        ("ascii", 0.01, 0.99),
-    ],
+    [("rtu", 0.0, 1.0), ("rtu", 0.01, 0.99), ("ascii", 0.0, 1.0), ("ascii", 0.01, 0.99)],
 )
 def test_a_listener_names_most(framing: Framing, faults: float, least: float) -> None:
     """`fuzz.listening` does it for longer."""

@@ -1,6 +1,4 @@
-"""
-The fixture that says what a test left: each kind by name, and nobody else's.
-"""
+"""The fixture that says what a test left: each kind by name, and nobody else's."""
 
 from pathlib import Path
 

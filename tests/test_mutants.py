@@ -1,11 +1,8 @@
-"""
-The tool that changes the package in single places finds what a test notices, and what none does.
-"""
+"""The tool that changes the package in single places finds what no test notices."""
 
 from __future__ import annotations
 
 import ast
-import json
 import signal
 import subprocess
 import sys
@@ -13,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fuzz.covering import Covering, functions
-from fuzz.mutants import DECIDING, Running, Trial, chosen, files_beside, judged
+from fuzz.mutants import DECIDING, Running, chosen, judged
 from fuzz.mutations import TUNING, mutants
 
 ROOT = Path(__file__).parent.parent
@@ -101,18 +97,6 @@ def take(waiting: list[int]) -> bool:
     }
 
 
-def test_functions_for_type_checkers_are_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "tank.py"
-    path.write_text(
-        """
-@overload
-def fill(level: int, count: int = 1) -> list[int]: ...
-def fill(level, count=2): return [level] * count
-"""
-    )
-    assert {each.line for each in mutants(path)} == {4}
-
-
 def test_each_tuning_constant_is_one_of_the_package() -> None:
     defined = {
         name.id
@@ -123,46 +107,6 @@ def test_each_tuning_constant_is_one_of_the_package() -> None:
         if isinstance(name, ast.Name)
     }
     assert frozenset().union(*TUNING.values()) - defined == set()
-
-
-def test_a_mutant_differs_in_one_place_and_keeps_its_lines(tank: Path) -> None:
-    before = ast.dump(ast.parse(SOURCE))
-    sources = [each.source for each in mutants(tank)]
-    assert len(set(sources)) == len(EXPECTED)
-    for source in sources:
-        assert ast.dump(ast.parse(source)) != before
-        assert source.count("\n") == SOURCE.count("\n")
-
-
-def test_lines_are_known_although_a_function_moves(tank: Path) -> None:
-    covering = Covering()
-    (fill, _) = functions(tank)
-    covering.tests[fill.key] = {"2": ["test_a.py::test"], "8": ["test_b.py::test"]}
-    covering.digests[fill.key] = dict.fromkeys(("test_a.py", "test_b.py"), fill.digest)
-    assert covering.of_lines(tank, 10, 10) == {"test_a.py::test"}
-    assert covering.of_lines(tank, 11, 11) == set()
-    tank.write_text("import os\n\n" + SOURCE)
-    assert covering.of_lines(tank, 12, 12) == {"test_a.py::test"}
-    # Of a function that has changed all its tests count.
-    tank.write_text(SOURCE.replace("LIMIT and", "LIMIT or"))
-    assert covering.of_lines(tank, 10, 10) == {"test_a.py::test", "test_b.py::test"}
-
-
-def test_a_file_of_another_format_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "written"
-    path.write_text(json.dumps({"files": {"a": "1"}, "seconds": {}, "tests": {}, "digests": {}}))
-    assert Covering.read(path) == Covering()
-
-
-def test_what_is_known_of_tests_is_read_as_it_was_written(tank: Path, tmp_path: Path) -> None:
-    (fill, _) = functions(tank)
-    names = "test_a.py::test", "test_b.py::test"
-    covering = Covering(dict.fromkeys(names, "digest"), {names[0]: 0.5, names[1]: 1.0})
-    covering.tests[fill.key] = {"2": [names[1]], "8": list(names)}
-    covering.digests[fill.key] = {"test_a.py": fill.digest}
-    covering.write(tmp_path / "written")
-    assert Covering.read(tmp_path / "written") == covering
-    assert Covering.read(tmp_path / "other") == Covering()
 
 
 def test_the_same_seed_draws_the_same() -> None:
@@ -186,35 +130,6 @@ def test_what_keeps_the_package_from_being_imported_is_no_survivor(tmp_path: Pat
     (tmp_path / "output").write_text("ERROR: file or directory not found: tests/nothing.py\n")
     assert judged(running, pytest.ExitCode.USAGE_ERROR).kind == "unknown"
     assert judged(running, None).kind == judged(running, -signal.SIGXCPU).kind == "hung"
-
-
-def test_tests_in_folders_of_the_test_folder_are_beside_too() -> None:
-    drawn = chosen(["tools/faults/fault.py"], 1, seed=1)
-    found = {str(path) for path in files_beside(drawn)}
-    assert {"tests/tools/faults/test_delivery.py", "tests/simulation/test_world.py"} <= found
-
-
-def test_tests_with_the_name_of_the_module_come_first() -> None:
-    path = Path("libmodbus_py/services/line.py")
-    mutant = next(each for each in mutants(path) if "misses - 1" in str(each))
-    (function,) = [each for each in functions(path) if each.key.endswith(":.rest_after")]
-    seconds = {
-        "tests/services/test_turns.py::fast": 0.1,
-        "tests/services/test_line.py::slow": 3.0,
-        "tests/services/test_full_line.py::fast": 0.2,
-        "tests/services/test_turns.py::slow": 0.3,
-        "tests/server/test_line.py::elsewhere": 0.1,
-    }
-    covering = Covering(seconds=seconds)
-    covering.tests[function.key] = {str(mutant.line - function.first): list(seconds)}
-    covering.digests[function.key] = {name.partition("::")[0]: function.digest for name in seconds}
-    names = [name.rpartition("/")[2] for name in Trial(covering, Path("."), 1).tests_of(mutant)]
-    assert names == [
-        "test_full_line.py::fast",
-        "test_line.py::slow",
-        "test_turns.py::fast",
-        "test_turns.py::slow",
-    ]
 
 
 TRYING = """

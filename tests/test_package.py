@@ -1,6 +1,4 @@
-"""
-The package as a whole: what an import brings, what is public, and that all of libmodbus is there.
-"""
+"""The package as a whole: what an import brings, what is public, all of libmodbus."""
 
 import ast
 import copy
@@ -63,8 +61,6 @@ def test_public_modules_do_not_hand_out_private_names() -> None:
         assert [each for each in exported if each.startswith("_")] == []
 
 
-# --- the map -------------------------------------------------------------------------------
-
 FOLDERS = sorted({name.split(".")[0] for name in MODULES if "." in name})
 
 
@@ -106,9 +102,6 @@ class TestMap:
         if folder == "server":  # a table names the files of transports
             files -= {*TRANSPORTS}
         assert sorted(each for each in files if not re.search(rf"\b{each}\b", text)) == []
-
-
-# --- public names --------------------------------------------------------------------------
 
 
 SHORT_PATHS = {
@@ -254,8 +247,6 @@ class TestPublicNames:
             assert str(inspect.Signature(bare)) == text, name
 
 
-# --- what an import brings ------------------------------------------------------------------
-
 SLOW = {"asyncio", "ssl", "logging", "random", "argparse", "subprocess", "hashlib"}
 """Modules of Python that take longer than what they would be imported for."""
 
@@ -364,8 +355,6 @@ class TestLateImports:
         assert "ssl" in imported_by("from libmodbus_py import Security")
 
 
-# --- libmodbus -------------------------------------------------------------------------------
-
 HEADERS = [
     Path("/usr/include/modbus") / name for name in ("modbus.h", "modbus-tcp.h", "modbus-rtu.h")
 ]
@@ -471,9 +460,6 @@ class TestLowLevel:
         assert low_level.__all__ == ["ffi", "lib", "loaded_version"]
 
 
-# --- a package that cannot be loaded ------------------------------------------------------------
-
-
 def import_from(directory: Path) -> subprocess.CompletedProcess[str]:
     """Without site, so that no editable installation lends its compiled module."""
     backend = importlib.import_module("_cffi_backend").__file__ or ""
@@ -505,9 +491,7 @@ def copied_modules(package: Path) -> Path:
 
 class TestImportErrors:
     @pytest.mark.parametrize("missing", ["protocol/_scan", "binding/_libmodbus"])
-    def test_without_a_compiled_module_it_says_what_to_install(
-        self, tmp_path: Path, missing: str
-    ) -> None:
+    def test_without_a_compiled_module_it_says_what_to_install(self, tmp_path, missing) -> None:
         package = copied_package(tmp_path)
         copied_modules(package)
         for built in package.glob(f"{missing}.*"):
@@ -540,8 +524,6 @@ class TestImportErrors:
         run = import_from(tmp_path)
         assert (run.returncode, run.stderr) == (0, "")
 
-
-# --- errors --------------------------------------------------------------------------------------
 
 TRANSACTION: dict[str, Any] = {
     "unit": 17,

@@ -1,6 +1,4 @@
-"""
-Names of arguments, tables, types and orders that are wrong: the error names the one that was meant.
-"""
+"""Wrong names of arguments, tables, types and orders: the error names the one meant."""
 
 import copy
 import inspect
@@ -81,9 +79,7 @@ def test_a_wrong_name_of_an_argument(make: Callable[..., Any], named: str, meant
         (search, "stopbits", "rtu:///dev/ttyUSB0?stop_bits=..."),
     ],
 )
-def test_a_wrong_name_of_an_argument_of_a_function(
-    function: Callable[..., Any], named: str, meant: str
-) -> None:
+def test_a_wrong_name_of_an_argument_of_a_function(function, named, meant) -> None:
     with pytest.raises(TypeError) as raised:
         function(URL, **{named: 1})
     assert str(raised.value).startswith(f"'{named}' must be one of ")

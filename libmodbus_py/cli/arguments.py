@@ -16,11 +16,10 @@ from ..ports.options import (
     ASCII_DEFAULTS,
     CLIENT_OPTIONS,
     PARITIES,
-    SECURITY_OPTIONS,
     SERIAL_DEFAULTS,
     SERIAL_OPTIONS,
 )
-from ..ports.schemes import SCHEMES, TRANSPORTS, options_of, shape_of
+from ..ports.schemes import SCHEMES, SECURITY_OPTIONS, TRANSPORTS, options_of, shape_of
 from .parser import declare
 
 TYPE_CHECKING = False  # see commands

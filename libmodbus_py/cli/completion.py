@@ -90,7 +90,7 @@ def _argcomplete() -> Any:
     try:
         import argcomplete
     except ImportError:
-        from ..protocol.extras import what_is_missing
+        from ..version import what_is_missing
 
         raise ImportError(what_is_missing("completion", "completion")) from None
     return argcomplete

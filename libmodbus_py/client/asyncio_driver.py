@@ -18,7 +18,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from ..ports.port import abandoned_in_children
-from ..ports.waiting_async import Alarm, run_async
+from ..ports.waiting import Alarm, run_async
 from ..protocol.checks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
 from .call import Batch, Call

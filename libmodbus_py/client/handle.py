@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
-from ..ports.making import make_port
+from ..ports.port import make_port
 from ..protocol.checks import integer, seconds
 from .call import Batch, Timeouts
 from .keywords import NoOthers, public_methods, unexpected

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from ..protocol.errors import MAX_RECEIVED, FrameError, InvalidResponse, ModbusError
-from ..protocol.framing import TcpFramer, UdpFramer, mbap
+from ..protocol.frames import TcpFramer, UdpFramer, mbap
 from .call import Call, Matching, no_answer
 from .statistics import Statistics
 

@@ -166,7 +166,7 @@ def _explain_role(certificate: bytes | None) -> str:
     if certificate is None:
         return ""
     try:
-        from ..security.role import role_of
+        from ..security.certificates import role_of
 
         role = role_of(certificate)
     # Without cryptography, or a descriptor to import it; or the SSLContext was given.

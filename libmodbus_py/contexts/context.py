@@ -1,6 +1,4 @@
-"""
-The base of both contexts: the modbus_t, its lock and state, its errors and settings.
-"""
+"""The base of both contexts: the modbus_t, its lock and state, its errors and settings."""
 
 from __future__ import annotations
 
@@ -16,18 +14,10 @@ from typing import Any, ClassVar, Literal, Self, TypeVar
 from ..binding.library import check, ffi, lib
 from ..ports.port import abandoned_in_children, lost
 from ..ports.waiting import READ, Waker, Woken
+from ..protocol import errors
 from ..protocol.checks import integer, seconds
-from ..protocol.errors import (
-    ExceptionResponse,
-    FrameError,
-    ModbusConnectionError,
-    ModbusError,
-    ModbusTimeoutError,
-)
 from ..protocol.frames import Frame, Framer
 from ..protocol.pdu.request import Request
-
-__all__ = ["BUSY", "CLOSED", "FOREIGN", "OPEN", "READY", "ContextBase", "too_many_descriptors"]
 
 Result = TypeVar("Result")
 
@@ -135,7 +125,9 @@ class ContextBase(ABC):
         if state is FOREIGN:
             raise RuntimeError("a context does not survive a fork: make one in the child")
         if self._is_closed:
-            raise ModbusConnectionError("closed; connect() opens it again", errno=errno.EBADF)
+            raise errors.ModbusConnectionError(
+                "closed; connect() opens it again", errno=errno.EBADF
+            )
         if state is CLOSED:
             self._open()
             self._state = self._after
@@ -167,7 +159,6 @@ class ContextBase(ABC):
             waker.close()
 
     def _interrupt(self) -> None:
-        """End the wait of another thread."""
         if (waker := self._waker) is not None:
             waker.wake()
 
@@ -211,18 +202,18 @@ class ContextBase(ABC):
                 result = action()
                 self._state = self._after
                 return result
-            except ModbusError as error:
+            except errors.ModbusError as error:
                 self._judge(error)
                 raise
             finally:
                 if self._state is BUSY:
                     self._spoil()
 
-    def _judge(self, error: ModbusError) -> None:
+    def _judge(self, error: errors.ModbusError) -> None:
         """Decide what becomes of the connection after an error of a request."""
-        if isinstance(error, ExceptionResponse):
+        if isinstance(error, errors.ExceptionResponse):
             self._state = self._after
-        elif isinstance(error, ModbusConnectionError):
+        elif isinstance(error, errors.ModbusConnectionError):
             self._spoil()
             self._drop()
 
@@ -231,16 +222,16 @@ class ContextBase(ABC):
         """Add the request, the unit and the endpoint to errors."""
         try:
             yield
-        except ModbusError as error:
+        except errors.ModbusError as error:
             self._describe(error, request)
             raise
 
-    def _describe(self, error: ModbusError, request: Request[Any] | None) -> None:
+    def _describe(self, error: errors.ModbusError, request: Request[Any] | None) -> None:
         error.unit, error.endpoint = self.unit, self._endpoint
         if request is not None:
             error.function, error.asked = request.function, str(request)
 
-    def _receive_frames(self, framer: Framer, deadline: float) -> list[Frame | FrameError]:
+    def _receive_frames(self, framer: Framer, deadline: float) -> list[Frame | errors.FrameError]:
         """
         Return the next frames and errors, one or more.
 
@@ -261,7 +252,7 @@ class ContextBase(ABC):
             if frames:
                 return frames
             if waker.now() >= deadline:
-                raise ModbusTimeoutError(os.strerror(errno.ETIMEDOUT))
+                raise errors.ModbusTimeoutError(os.strerror(errno.ETIMEDOUT))
 
     # --- settings ------------------------------------------------------------------------------
 
@@ -290,9 +281,8 @@ class ContextBase(ABC):
 
     @response_timeout.setter
     def response_timeout(self, value: float) -> None:
-        self._set_seconds(
-            lib.modbus_set_response_timeout, seconds("response_timeout", value, 0.000001)
-        )
+        number = seconds("response_timeout", value, 0.000001)
+        self._set_seconds(lib.modbus_set_response_timeout, number)
 
     @property
     def byte_timeout(self) -> float:
@@ -313,9 +303,8 @@ class ContextBase(ABC):
 
     @indication_timeout.setter
     def indication_timeout(self, value: float) -> None:
-        self._set_seconds(
-            lib.modbus_set_indication_timeout, seconds("indication_timeout", value, 0)
-        )
+        number = seconds("indication_timeout", value, 0)
+        self._set_seconds(lib.modbus_set_indication_timeout, number)
 
     @property
     def error_recovery(self) -> Literal["none", "protocol"]:
@@ -399,13 +388,13 @@ class ContextBase(ABC):
             check(function(self._modbus, *divmod(microseconds, 1_000_000)))
 
 
-def closed_meanwhile() -> ModbusConnectionError:
-    return ModbusConnectionError("closed by another thread", errno=errno.EBADF)
+def closed_meanwhile() -> errors.ModbusConnectionError:
+    return errors.ModbusConnectionError("closed by another thread", errno=errno.EBADF)
 
 
-def too_many_descriptors(descriptor: int) -> ModbusConnectionError | None:
+def too_many_descriptors(descriptor: int) -> errors.ModbusConnectionError | None:
     """Return the error for a descriptor that libmodbus cannot wait for; None if it can."""
     if descriptor < FD_SETSIZE:
         return None
     text = f"descriptor {descriptor}: libmodbus takes those below {FD_SETSIZE}; Client takes all"
-    return ModbusConnectionError(text, errno=errno.EMFILE)
+    return errors.ModbusConnectionError(text, errno=errno.EMFILE)

@@ -1,29 +1,31 @@
 """
-The functions of Modbus as methods: those of libmodbus, and those that it lacks.
+The functions of Modbus as methods: those of libmodbus, and those that it lacks; slaves by hand, as
+in C: receive a request, answer it from a mapping or with an exception.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
 from ..binding.library import check, ffi, lib
+from ..device.access import touched
+from ..device.mapping import Mapping
+from ..ports.options import CLIENT_OPTIONS
 from ..ports.waiting import READ
-from ..protocol import pdu
+from ..protocol import errors, pdu
 from ..protocol.checks import integer
-from ..protocol.errors import FrameError, InvalidResponse, ModbusError
-from ..protocol.frames import Framer
+from ..protocol.frames import Frame, Framer, Overheard
+from ..protocol.framing import is_one_frame
+from ..protocol.scan import is_one_adu
 from ..protocol.tables import TABLE_SIZE
 from .context import BUSY, READY, ContextBase
 
-__all__ = ["Functions"]
-
 Result = TypeVar("Result")
-
-TURNAROUND = 0.1
-"""Seconds in which units carry out a broadcast (serial line, 2.4.1)."""
 
 _unpack = ffi.unpack
 
@@ -107,7 +109,7 @@ class Functions(ContextBase):
         def act() -> pdu.ServerId:
             size = check(lib.modbus_report_slave_id(self._modbus, len(self._bits), self._bits))
             if size < 2:
-                raise InvalidResponse(f"answered with {size} bytes of data")
+                raise errors.InvalidResponse(f"answered with {size} bytes of data")
             return pdu.ServerId.split(bytes(_unpack(self._bits, size)))
 
         return self._transact(pdu.ReportServerId(), act)
@@ -191,9 +193,7 @@ class Functions(ContextBase):
         return self.execute(pdu.EncapsulatedTransport(mei_type, data))
 
     def flush(self) -> int:
-        """
-        Discard what was received and not read (modbus_flush); return how many bytes, 0 on a line.
-        """
+        """Discard unread bytes (modbus_flush); return their number, 0 on a serial line."""
         with self._lock:
             self._ensure_open()
             return self._discard_input()
@@ -214,7 +214,7 @@ class Functions(ContextBase):
             if self._state is not READY:
                 try:
                     self._prepare()
-                except ModbusError as error:
+                except errors.ModbusError as error:
                     self._describe(error, kind(address, count))
                     raise
             self._state = BUSY
@@ -225,7 +225,7 @@ class Functions(ContextBase):
                     return values
                 try:
                     check(-1)
-                except ModbusError as error:
+                except errors.ModbusError as error:
                     self._judge(error)
                     self._describe(error, kind(address, count))
                     raise
@@ -246,17 +246,18 @@ class Functions(ContextBase):
         body = bytes([unit]) + encoded
         check(lib.modbus_send_raw_request(self._modbus, body, len(body)))
         if self._is_serial and unit == 0:
-            self._wait(-1, READ, time.monotonic() + TURNAROUND)
+            self._wait(-1, READ, time.monotonic() + CLIENT_OPTIONS["turnaround"].default)
             return None
         if not request.expects_response:
             return None
         framer = self._client_framer(request)
         frames = self._receive_frames(framer, time.monotonic() + self.response_timeout)
         frame = frames[0]
-        if isinstance(frame, FrameError):
+        if isinstance(frame, errors.FrameError):
             raise frame
         if frame.unit != unit or frame.transaction:  # libmodbus sends raw requests with id 0
-            raise InvalidResponse(f"answered by unit {frame.unit} with id {frame.transaction}")
+            text = f"answered by unit {frame.unit} with id {frame.transaction}"
+            raise errors.InvalidResponse(text)
         return request.decode_response(frame.pdu)
 
     @abstractmethod
@@ -268,3 +269,139 @@ class Functions(ContextBase):
 
 HOLDING_REGISTERS, READ_REGISTERS = pdu.ReadHoldingRegisters, lib.modbus_read_registers
 """Of the most frequent request, found once."""
+
+
+# --- slaves ---------------------------------------------------------------------------------
+
+ANSWERED = frozenset((1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23))
+"""The functions that modbus_reply answers; all others it refuses, after it has slept."""
+
+
+class Slave(Functions):
+    """The methods of a slave."""
+
+    _framer: Framer | None = None
+
+    def __init__(self, modbus: Any, unit: int, timeout: float) -> None:
+        self._requests: deque[Frame | errors.FrameError] = deque()
+        super().__init__(modbus, unit, timeout)
+
+    def receive(self) -> bytes | None:
+        """
+        Wait for a request, and return its whole frame.
+
+        None for a request that is not for this slave, as modbus_receive returns 0: on a serial line
+        one to another unit. On TCP all units are received.
+
+        This package splits what it reads by the length in the header, or by the CRC: modbus_receive
+        takes the rest of a request of a function that it does not know for the next request.
+
+        Raises:
+            FrameError: the bytes are no frame (EMBBADCRC); receive again, on TCP `accept` again.
+            ModbusTimeoutError: nothing came within `indication_timeout`, if that is set.
+            ModbusConnectionError: the master has closed the connection, or there is none.
+        """
+        with self._lock, self._errors():
+            self._ensure_open()
+            state, self._state = self._state, BUSY
+            try:
+                return self._next_request()
+            except errors.ModbusError as error:
+                if not (self._is_serial or isinstance(error, errors.ModbusTimeoutError)):
+                    self._drop()
+                raise
+            finally:
+                if self._state is BUSY:
+                    self._state = state
+
+    def reply(self, request: bytes, mapping: Mapping) -> int:
+        """
+        Answer a request from a mapping (modbus_reply), and return the number of bytes sent.
+
+        A wrong request is refused here, because modbus_reply reads past the end of short requests,
+        and sleeps after an illegal quantity or function. Requests of a code of 80h or more, and
+        those to unit 0 of a serial line, which are carried out, get no answer: 0 is returned.
+
+        Args:
+            request: a frame as `receive` returns it.
+            mapping: the tables; addresses in holes are refused, too.
+
+        Raises:
+            TypeError, ValueError: the request is no such frame.
+            ModbusConnectionError: the answer cannot be sent.
+        """
+        if not isinstance(mapping, Mapping):
+            raise TypeError(f"mapping must be a Mapping, not {type(mapping).__name__}")
+        _, data = self._parts(request)
+        if code := _refusal(data, mapping):
+            return self.reply_exception(request, code)
+        tables = ffi.addressof(mapping._struct, "tables")
+        with mapping.lock:
+            return self._answer(request, lib.modbus_reply, len(request), tables)
+
+    def reply_exception(self, request: bytes, code: int) -> int:
+        """
+        Refuse a request (modbus_reply_exception), and return the number of bytes sent.
+
+        Args:
+            request: a frame as `receive` returns it; 0 is returned where `reply` does.
+            code: the exception code, 1..11, such as ``IllegalDataAddress.code``.
+
+        Raises: as `reply`.
+        """
+        number = integer("code", code, 1, lib.MODBUS_EXCEPTION_MAX - 1)
+        unit, data = self._parts(request)
+        if data[0] & 0x80 or (self._is_serial and unit == 0):
+            return 0
+        return self._answer(request, lib.modbus_reply_exception, number)
+
+    def _next_request(self) -> bytes | None:
+        timeout = self.indication_timeout
+        deadline = time.monotonic() + timeout if timeout else math.inf
+        framer = self._framer = self._framer or self._server_framer()
+        while True:
+            while self._requests:
+                frame = self._requests.popleft()
+                if isinstance(frame, errors.FrameError):
+                    raise frame
+                if not isinstance(frame, Overheard):
+                    is_other = self._is_serial and frame.unit not in (0, self.unit)
+                    return None if is_other else framer.encode(frame)
+            self._requests.extend(self._receive_frames(framer, deadline))
+
+    def _answer(self, request: bytes, function: Callable[..., int], *arguments: Any) -> int:
+        # Zeroed, and as long as the longest: libmodbus looks where a short request has no bytes.
+        buffer = ffi.new("uint8_t[]", lib.MODBUS_TCP_MAX_ADU_LENGTH)
+        ffi.memmove(buffer, request, len(request))
+        with self._lock, self._errors():
+            self._ensure_open()
+            if self._framer is not None:
+                self._framer.note_answer()
+            try:
+                return check(function(self._modbus, buffer, *arguments))
+            except errors.ModbusError:
+                self._drop()  # a part of the answer may have been sent
+                raise
+
+    def _parts(self, request: bytes) -> tuple[int, bytes]:
+        if not isinstance(request, bytes):
+            raise TypeError(f"request must be bytes, not {type(request).__name__}")
+        if not (is_one_adu if self._is_serial else is_one_frame)(request):
+            raise ValueError("request must be a whole frame, as receive() returns it")
+        head = self.header_length
+        return request[head - 1], request[head : -2 if self._is_serial else None]
+
+    @abstractmethod
+    def _server_framer(self) -> Framer: ...
+
+
+def _refusal(data: bytes, mapping: Mapping) -> int:
+    """Return the exception code for a PDU that cannot be answered from a mapping; else 0."""
+    if data[0] not in ANSWERED:
+        return int(lib.MODBUS_EXCEPTION_ILLEGAL_FUNCTION)
+    try:
+        writes, reads = touched(pdu.decode_request(data), mapping=mapping)
+    except errors.ExceptionResponse as refusal:
+        return refusal.code
+    exist = all(getattr(mapping, at.table).has(at.address, at.count) for at in writes + reads)
+    return 0 if exist else int(lib.MODBUS_EXCEPTION_ILLEGAL_DATA_ADDRESS)

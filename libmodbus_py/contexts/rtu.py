@@ -1,6 +1,4 @@
-"""
-Contexts on serial lines in RTU mode.
-"""
+"""Contexts on serial lines in RTU mode."""
 
 from __future__ import annotations
 
@@ -20,9 +18,7 @@ from ..protocol.framing import RtuFramer
 from ..protocol.pdu.request import Request
 from ..protocol.rtu import has_own_length
 from .context import CLOSED, OPEN, too_many_descriptors
-from .slave import Slave
-
-__all__ = ["RtuContext"]
+from .functions import Slave
 
 NOISE = 10
 """Response timeouts for which a line may be noisy after a failure, before that is an error."""
@@ -198,9 +194,9 @@ class RtuContext(Slave):
         with self._lock, self._errors(), self._rts_errors():
             return super()._read(kind, function, cells, address, count)
 
-    def _answer(self, request: bytes, action: Any) -> int:
+    def _answer(self, request: bytes, function: Callable[..., int], *arguments: Any) -> int:
         with self._lock, self._errors(), self._rts_errors():
-            return super()._answer(request, action)
+            return super()._answer(request, function, *arguments)
 
     # --- the port ---------------------------------------------------------------------------------
 

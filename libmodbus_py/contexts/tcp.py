@@ -1,6 +1,4 @@
-"""
-Contexts over TCP: connections to a slave, and from a master.
-"""
+"""Contexts over TCP: connections to a slave, and from a master."""
 
 from __future__ import annotations
 
@@ -22,9 +20,7 @@ from ..protocol.errors import ModbusConnectionError, ModbusError
 from ..protocol.framing import TcpFramer
 from ..protocol.pdu.request import Request
 from .context import CLOSED, FOREIGN, READY, closed_meanwhile, too_many_descriptors
-from .slave import Slave
-
-__all__ = ["TcpContext"]
+from .functions import Slave
 
 
 class _Opening(TcpPort):
@@ -133,16 +129,13 @@ class TcpContext(Slave):
             if self._state not in (READY, CLOSED):
                 self._ensure_open()
             self._drop()
-            return self._wait_for_master()
-
-    def _wait_for_master(self) -> str:
-        peer = None
-        while peer is None:
-            if self._listener is None:
-                raise ModbusConnectionError("listen() comes first", errno=errno.EINVAL)
-            self._wait(self._listener.fileno(), READ, math.inf)
-            peer = self._accept(self._listener)
-        return peer
+            peer = None
+            while peer is None:
+                if self._listener is None:
+                    raise ModbusConnectionError("listen() comes first", errno=errno.EINVAL)
+                self._wait(self._listener.fileno(), READ, math.inf)
+                peer = self._accept(self._listener)
+            return peer
 
     def _accept(self, listener: socket.socket) -> str | None:
         # libmodbus closes the descriptor when it fails: 3.1.6.

@@ -1,6 +1,4 @@
-"""
-What a request reads and writes, and where it came from: for hooks, rules and audits.
-"""
+"""What a request reads and writes, and where it came from: for hooks, rules and audits."""
 
 from __future__ import annotations
 
@@ -17,14 +15,7 @@ from .mapping import Mapping
 from .records import RecordFile
 
 if TYPE_CHECKING:
-    from ..security.describing import CertificateHolder
-
-# fmt: off
-__all__ = [
-    "ACCESSES", "READABLE", "WRITABLE", "Access", "Auditor", "Caller", "Executed", "TableOrFile",
-    "Touched", "ValueChange", "Who", "changes_of", "touched", "touched_by", "values_at",
-]
-# fmt: on
+    from ..security.certificates import CertificateHolder
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
 
+from ..binding.library import Answered, Watched, answer_in_c, make_tally, replier, reply
 from ..protocol.checks import integer
 from ..protocol.errors import (
     ExceptionResponse,
@@ -53,12 +54,9 @@ from .hooks import Hook, HookLike, Hooks
 from .mapping import Mapping, Table
 from .named_values import NamedValues, PointIndex, PointRules, RuledCells, zeros_for
 from .records import Records
-from .reply import Answered, Watched, answer_in_c, make_tally, replier, reply
 
 if TYPE_CHECKING:
     from ..maps.register_map import RegisterMap
-
-__all__ = ["Device"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -199,14 +197,15 @@ class Device(NamedValues, PythonFunctions):
 
     def _arrange(self) -> None:
         """Decide which requests rules, hooks and handlers want; C may answer all others."""
-        reads, writes = self._hooks.reads, self._hooks.writes
         rules = PointRules(self._ruled_cells(), lambda: self.points)
         self._rules = rules if rules.reads or rules.writes else None
-        if self._rules is not None:
-            reads = {table: joined([*reads[table], *rules.reads.get(table, ())]) for table in reads}
-            writes = {
-                table: joined([*writes[table], *rules.writes.get(table, ())]) for table in writes
-            }
+        reads, writes = (
+            {table: joined([*hooked[table], *ruled.get(table, ())]) for table in hooked}
+            for hooked, ruled in (
+                (self._hooks.reads, rules.reads),
+                (self._hooks.writes, rules.writes),
+            )
+        )
         # Request class -> the rule that finds the accesses for rules and hooks.
         self._finds = {
             request: kind.find
@@ -238,7 +237,6 @@ class Device(NamedValues, PythonFunctions):
         return getattr(self.answer, "__func__", None) is not _ANSWER
 
     def _is_whole(self, table: str, ranges: tuple[range, ...]) -> bool:
-        """Return True if joined ranges contain all addresses that a table has."""
         return bool(ranges) and not without(getattr(self.mapping, table).ranges, ranges)
 
     @classmethod
@@ -358,7 +356,7 @@ class Device(NamedValues, PythonFunctions):
             return start, b"", 0, 0
         with self._mapping.lock:
             return answer_in_c(
-                replier(), self._mapping, self._watched, self._tally, unit, data, start
+                replier(), self._mapping._struct, self._watched, self._tally, unit, data, start
             )
 
     def refuse(self, pdu: bytes, code: int, caller: Caller = _UNKNOWN) -> bytes:
@@ -470,7 +468,7 @@ class Device(NamedValues, PythonFunctions):
                 if not isinstance(response, bytes) or not 1 <= len(response) <= MAX_PDU:
                     raise ValueError(f"not a response PDU: {reprlib.repr(response)}")
             elif type(request) in ACCESSES:
-                response = reply(pdu, self.mapping)
+                response = reply(pdu, self.mapping._struct)
             else:
                 raise IllegalFunction(function=request.function)
             if touched is not None and touched.writes:

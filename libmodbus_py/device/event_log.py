@@ -12,29 +12,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from ..protocol.errors import (
-    Acknowledge,
-    NegativeAcknowledge,
-    ServerDeviceBusy,
-    ServerDeviceFailure,
-)
+from ..protocol import errors, pdu
 from ..protocol.framing import LINE_FEED
-from ..protocol.pdu import (
-    CommEventCounter,
-    CommEventLog,
-    ReadCommEventCounter,
-    ReadCommEventLog,
-    SubFunction,
-)
-
-__all__ = ["EventLog"]
 
 # Counters are plain numbers, too: an enumeration would take most of the time of a note.
-COUNTERS = range(SubFunction.BUS_MESSAGE_COUNT, SubFunction.BUS_CHARACTER_OVERRUN_COUNT + 1)
-SERVER_MESSAGES = int(SubFunction.SERVER_MESSAGE_COUNT)
-BUS_MESSAGES = int(SubFunction.BUS_MESSAGE_COUNT)
+COUNTERS = range(pdu.SubFunction.BUS_MESSAGE_COUNT, pdu.SubFunction.BUS_CHARACTER_OVERRUN_COUNT + 1)
+SERVER_MESSAGES = int(pdu.SubFunction.SERVER_MESSAGE_COUNT)
+BUS_MESSAGES = int(pdu.SubFunction.BUS_MESSAGE_COUNT)
 EVENT_COUNT = -1  # no sub-function reads it
-EVENT_COUNTER = ReadCommEventCounter.function
+EVENT_COUNTER = pdu.ReadCommEventCounter.function
 
 
 class Event:
@@ -48,16 +34,16 @@ class Event:
 # Exception code -> the bit of the send event.
 SENT_EXCEPTIONS = {
     **dict.fromkeys((1, 2, 3), Event.SENT_REFUSAL),
-    ServerDeviceFailure.code: Event.SENT_FAILURE,
-    Acknowledge.code: Event.SENT_BUSY,
-    ServerDeviceBusy.code: Event.SENT_BUSY,
-    NegativeAcknowledge.code: Event.SENT_NAK,
+    errors.ServerDeviceFailure.code: Event.SENT_FAILURE,
+    errors.Acknowledge.code: Event.SENT_BUSY,
+    errors.ServerDeviceBusy.code: Event.SENT_BUSY,
+    errors.NegativeAcknowledge.code: Event.SENT_NAK,
 }
 
 # Exception code -> the counter of its own.
 COUNTED_EXCEPTIONS = {
-    ServerDeviceBusy.code: SubFunction.SERVER_BUSY_COUNT,
-    NegativeAcknowledge.code: SubFunction.SERVER_NAK_COUNT,
+    errors.ServerDeviceBusy.code: pdu.SubFunction.SERVER_BUSY_COUNT,
+    errors.NegativeAcknowledge.code: pdu.SubFunction.SERVER_NAK_COUNT,
 }
 
 
@@ -74,7 +60,7 @@ class EventLog:
         self.is_serial: bool = is_serial
         self.delimiter: int = LINE_FEED
         self.listen_only: bool = False
-        self._events: deque[int] = deque(maxlen=ReadCommEventLog.max_events)
+        self._events: deque[int] = deque(maxlen=pdu.ReadCommEventLog.max_events)
         self._counters: dict[int, int] = {}
         self.clear_counters()
 
@@ -92,10 +78,9 @@ class EventLog:
         counters[BUS_MESSAGES] = counters[BUS_MESSAGES] + 1 & 0xFFFF
 
     def note_damage(self, *, overrun: bool) -> None:
-        """Count bytes that are not a frame."""
         if overrun:
-            self._count(SubFunction.BUS_CHARACTER_OVERRUN_COUNT)
-        self._count(SubFunction.BUS_COMMUNICATION_ERROR_COUNT)
+            self._count(pdu.SubFunction.BUS_CHARACTER_OVERRUN_COUNT)
+        self._count(pdu.SubFunction.BUS_COMMUNICATION_ERROR_COUNT)
         self._log(Event.RECEIVED | Event.COMMUNICATION_ERROR | (Event.OVERRUN if overrun else 0))
 
     def note_request(self, *, broadcast: bool) -> None:
@@ -111,14 +96,14 @@ class EventLog:
         """Note that a request has been processed; its response is empty if it was not executed."""
         is_refusal = len(response) == 2 and response[0] & 0x80
         if is_refusal:
-            self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT)
+            self._count(pdu.SubFunction.BUS_EXCEPTION_ERROR_COUNT)
             counter = COUNTED_EXCEPTIONS.get(response[1])
             if counter is not None and not silent:
                 self._count(counter)
         elif response and request[0] != EVENT_COUNTER:
             self._counters[EVENT_COUNT] = self._counters[EVENT_COUNT] + 1 & 0xFFFF
         if silent:
-            self._count(SubFunction.SERVER_NO_RESPONSE_COUNT)
+            self._count(pdu.SubFunction.SERVER_NO_RESPONSE_COUNT)
         event = (
             Event.SENT | SENT_EXCEPTIONS.get(response[1], 0)
             if is_refusal and not silent
@@ -128,9 +113,9 @@ class EventLog:
 
     def note_exchanges(self, requests: int, refusals: int, latest: Iterable[int]) -> None:
         """Note requests that C has answered; `latest`: whether each was refused, oldest first."""
-        self._count(SubFunction.BUS_MESSAGE_COUNT, requests)
-        self._count(SubFunction.SERVER_MESSAGE_COUNT, requests)
-        self._count(SubFunction.BUS_EXCEPTION_ERROR_COUNT, refusals)
+        self._count(pdu.SubFunction.BUS_MESSAGE_COUNT, requests)
+        self._count(pdu.SubFunction.SERVER_MESSAGE_COUNT, requests)
+        self._count(pdu.SubFunction.BUS_EXCEPTION_ERROR_COUNT, refusals)
         self._count(EVENT_COUNT, requests - refusals)
         for was_refused in latest:
             self._log(Event.RECEIVED)
@@ -144,8 +129,7 @@ class EventLog:
 
     # --- functions 8, 11 and 12 -------------------------------------------------------------
 
-    def counter(self, counter: SubFunction) -> int:
-        """Return a counter, 0..65535."""
+    def counter(self, counter: pdu.SubFunction) -> int:
         return self._counters[counter]
 
     def clear_counters(self) -> None:
@@ -154,8 +138,7 @@ class EventLog:
         self._counters.update(dict.fromkeys((*COUNTERS, EVENT_COUNT), 0))
 
     def clear_overrun(self) -> None:
-        """Clear the overrun counter (sub-function 20)."""
-        self._counters[SubFunction.BUS_CHARACTER_OVERRUN_COUNT] = 0
+        self._counters[pdu.SubFunction.BUS_CHARACTER_OVERRUN_COUNT] = 0
 
     def restart(self, *, clear_log: bool) -> None:
         """Reset to the state after power-up, except for the log if it is kept (sub-function 1)."""
@@ -167,15 +150,13 @@ class EventLog:
         self._events.appendleft(Event.RESTARTED)
 
     def enter_listen_only(self) -> None:
-        """Enter listen-only mode (sub-function 4)."""
         self._events.appendleft(Event.ENTERED_LISTEN_ONLY)
         self.listen_only = True
 
-    def read_event_counter(self) -> CommEventCounter:
+    def read_event_counter(self) -> pdu.CommEventCounter:
         """Answer function 11; no program command ever runs here, so the status is 0."""
-        return CommEventCounter(0, self._counters[EVENT_COUNT])
+        return pdu.CommEventCounter(0, self._counters[EVENT_COUNT])
 
-    def read_event_log(self) -> CommEventLog:
-        """Answer function 12."""
-        messages = self._counters[SubFunction.BUS_MESSAGE_COUNT]
-        return CommEventLog(0, self._counters[EVENT_COUNT], messages, bytes(self._events))
+    def read_event_log(self) -> pdu.CommEventLog:
+        messages = self._counters[pdu.SubFunction.BUS_MESSAGE_COUNT]
+        return pdu.CommEventLog(0, self._counters[EVENT_COUNT], messages, bytes(self._events))

@@ -1,6 +1,4 @@
-"""
-The functions of a device that libmodbus lacks: files, queues, identification and diagnostics.
-"""
+"""The functions of a device that libmodbus lacks: files, queues, identification and diagnostics."""
 
 from __future__ import annotations
 
@@ -8,35 +6,17 @@ from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingABC
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from ..protocol import pdu
 from ..protocol.checks import checked_callback, integer
 from ..protocol.errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from ..protocol.framing import delimiter_after
 from ..protocol.mistakes import WrongType, WrongValue
-from ..protocol.pdu import (
-    MAX_PDU,
-    Diagnostics,
-    EncapsulatedTransport,
-    IdentificationPage,
-    ReadCommEventCounter,
-    ReadCommEventLog,
-    ReadDeviceIdentification,
-    ReadExceptionStatus,
-    ReadFifoQueue,
-    ReadFileRecords,
-    ReportServerId,
-    Request,
-    ServerId,
-    SubFunction,
-    WriteFileRecords,
-)
 from ..protocol.pdu.interface import OBJECT_NAMES, ReadDeviceIdCode, pages
 from .event_log import EventLog
 from .hooks import timed
 from .records import FifoQueue, Files, Queues, RecordFile, Records, items_of
 
-__all__ = ["ARGUMENTS_ONLY", "DEFAULT_SERVER_ID", "Handlers", "PythonFunctions"]
-
-DEFAULT_SERVER_ID = ServerId(b"\x01", True, b"libmodbus-py")
+DEFAULT_SERVER_ID = pdu.ServerId(b"\x01", True, b"libmodbus-py")
 
 DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
     "VendorName": "libmodbus-py",
@@ -45,17 +25,15 @@ DEFAULT_IDENTIFICATION: dict[str | int, str | bytes] = {
 }
 
 
-Handlers = MappingABC[type[Request[Any]], Callable[[Any], Any]]
+Handlers = MappingABC[type[pdu.Request[Any]], Callable[[Any], Any]]
 """Request class -> the function of the application that answers its requests."""
 
 
 # What would be passed over in silence if it were set: the device does not look there.
-# fmt: off
 ARGUMENTS_ONLY = frozenset((
     "after_write", "authorize", "before_read", "before_write", "canopen", "handlers",
     "identification",
-))
-# fmt: on
+))  # fmt: skip
 
 
 class PythonFunctions:
@@ -66,7 +44,7 @@ class PythonFunctions:
         files: MappingABC[int, Records] | None,
         fifos: MappingABC[int, Sequence[int]] | None,
         identification: MappingABC[str | int, str | bytes] | None,
-        server_id: ServerId,
+        server_id: pdu.ServerId,
         exception_status: int,
         canopen: Callable[[bytes], bytes] | None,
         handlers: Handlers | None,
@@ -99,12 +77,12 @@ class PythonFunctions:
         self._fifos = Queues(fifos)
 
     @property
-    def server_id(self) -> ServerId:
+    def server_id(self) -> pdu.ServerId:
         """The response to function 17."""
         return self._server_id
 
     @server_id.setter
-    def server_id(self, server_id: ServerId) -> None:
+    def server_id(self, server_id: pdu.ServerId) -> None:
         self._server_id = _checked_server_id(server_id)
 
     @property
@@ -138,13 +116,13 @@ class PythonFunctions:
             raise IllegalDataAddress(f"file {number} lacks records {record}+{length}")
         return file
 
-    def _read_file_records(self, request: ReadFileRecords, _: EventLog) -> list[list[int]]:
+    def _read_file_records(self, request: pdu.ReadFileRecords, _: EventLog) -> list[list[int]]:
         return [
             self._file(number, record, length).read(record, length)
             for number, record, length in request.records
         ]
 
-    def _write_file_records(self, request: WriteFileRecords, _: EventLog) -> None:
+    def _write_file_records(self, request: pdu.WriteFileRecords, _: EventLog) -> None:
         # All are found before the first is written: all or nothing.
         files = [self._file(file, at, len(values)) for file, at, values in request.records]
         for file, (_number, record, values) in zip(files, request.records, strict=True):
@@ -155,20 +133,20 @@ class PythonFunctions:
             raise IllegalDataAddress(f"no queue at {address}")
         return self.fifos[address]
 
-    def _read_fifo_queue(self, request: ReadFifoQueue, _: EventLog) -> list[int]:
+    def _read_fifo_queue(self, request: pdu.ReadFifoQueue, _: EventLog) -> list[int]:
         queue = list(self._fifo(request.address))
         if len(queue) > request.max_count:
             raise IllegalDataValue(f"{len(queue)} registers in the queue")
         return queue
 
-    def _encapsulated_transport(self, request: EncapsulatedTransport, _: EventLog) -> bytes:
+    def _encapsulated_transport(self, request: pdu.EncapsulatedTransport, _: EventLog) -> bytes:
         if self._canopen is None:
             raise IllegalFunction(function=request.function)
         return self._canopen(request.data)
 
     def _read_device_identification(
-        self, request: ReadDeviceIdentification, _: EventLog
-    ) -> IdentificationPage:
+        self, request: pdu.ReadDeviceIdentification, _: EventLog
+    ) -> pdu.IdentificationPage:
         objects = self._identification
         highest = max(objects)
         conformity = 0x80 | (1 if highest <= 2 else 2 if highest <= 6 else 3)
@@ -177,68 +155,68 @@ class PythonFunctions:
             return pages(request, objects)._replace(conformity=conformity)
         if number not in objects:
             raise IllegalDataAddress(f"no object {number}")
-        return IdentificationPage(conformity, None, {number: objects[number]})
+        return pdu.IdentificationPage(conformity, None, {number: objects[number]})
 
-    def _diagnostics(self, request: Diagnostics, log: EventLog) -> bytes:
+    def _diagnostics(self, request: pdu.Diagnostics, log: EventLog) -> bytes:
         data = request.data
         try:
-            sub_function = SubFunction(request.sub_function)
+            sub_function = pdu.SubFunction(request.sub_function)
         except ValueError:
             raise IllegalFunction(f"no sub-function {request.sub_function}") from None
-        silencing = (SubFunction.RESTART_COMMUNICATIONS, SubFunction.FORCE_LISTEN_ONLY)
+        silencing = (pdu.SubFunction.RESTART_COMMUNICATIONS, pdu.SubFunction.FORCE_LISTEN_ONLY)
         if sub_function in silencing and not log.is_serial:
             raise IllegalFunction("one client must not silence the device for all")
         values = _DATA.get(sub_function, (b"\0\0",))
         if values is not None and data not in values:
             raise IllegalDataValue(f"data {data.hex()}")
         match sub_function:
-            case SubFunction.RETURN_QUERY_DATA | SubFunction.RESTART_COMMUNICATIONS:
+            case pdu.SubFunction.RETURN_QUERY_DATA | pdu.SubFunction.RESTART_COMMUNICATIONS:
                 pass  # a restart comes after its echo
-            case SubFunction.CHANGE_ASCII_DELIMITER:
+            case pdu.SubFunction.CHANGE_ASCII_DELIMITER:
                 delimiter = delimiter_after(request.encode(), log.delimiter)
                 if delimiter != data[0] or data[1]:
                     raise IllegalDataValue(f"delimiter {data.hex()}")
                 log.delimiter = delimiter
-            case SubFunction.FORCE_LISTEN_ONLY:
+            case pdu.SubFunction.FORCE_LISTEN_ONLY:
                 log.enter_listen_only()
-            case SubFunction.CLEAR_COUNTERS:
+            case pdu.SubFunction.CLEAR_COUNTERS:
                 log.clear_counters()
                 self.diagnostic_register = 0
-            case SubFunction.CLEAR_OVERRUN:
+            case pdu.SubFunction.CLEAR_OVERRUN:
                 log.clear_overrun()
-            case SubFunction.RETURN_DIAGNOSTIC_REGISTER:
+            case pdu.SubFunction.RETURN_DIAGNOSTIC_REGISTER:
                 return self.diagnostic_register.to_bytes(2, "big")
             case _:
                 return log.counter(sub_function).to_bytes(2, "big")
         return data
 
     # Request class -> the method that answers it; libmodbus answers all others.
-    _own: ClassVar[dict[type[Request[Any]], Callable[..., Any]]] = {
-        ReadFileRecords: _read_file_records,
-        WriteFileRecords: _write_file_records,
-        ReadFifoQueue: _read_fifo_queue,
-        ReadExceptionStatus: lambda device, request, log: device.exception_status,
-        ReportServerId: lambda device, request, log: device.server_id,
-        ReadCommEventCounter: lambda device, request, log: log.read_event_counter(),
-        ReadCommEventLog: lambda device, request, log: log.read_event_log(),
-        Diagnostics: _diagnostics,
-        EncapsulatedTransport: _encapsulated_transport,
-        ReadDeviceIdentification: _read_device_identification,
+    _own: ClassVar[dict[type[pdu.Request[Any]], Callable[..., Any]]] = {
+        pdu.ReadFileRecords: _read_file_records,
+        pdu.WriteFileRecords: _write_file_records,
+        pdu.ReadFifoQueue: _read_fifo_queue,
+        pdu.ReadExceptionStatus: lambda device, request, log: device.exception_status,
+        pdu.ReportServerId: lambda device, request, log: device.server_id,
+        pdu.ReadCommEventCounter: lambda device, request, log: log.read_event_counter(),
+        pdu.ReadCommEventLog: lambda device, request, log: log.read_event_log(),
+        pdu.Diagnostics: _diagnostics,
+        pdu.EncapsulatedTransport: _encapsulated_transport,
+        pdu.ReadDeviceIdentification: _read_device_identification,
     }
 
 
 # Sub-function -> the data that it accepts; None for any. All others accept 0000.
-_DATA: dict[SubFunction, tuple[bytes, ...] | None] = {
-    SubFunction.RETURN_QUERY_DATA: None,
-    SubFunction.CHANGE_ASCII_DELIMITER: None,
-    SubFunction.RESTART_COMMUNICATIONS: (b"\0\0", b"\xff\0"),
+_DATA: dict[pdu.SubFunction, tuple[bytes, ...] | None] = {
+    pdu.SubFunction.RETURN_QUERY_DATA: None,
+    pdu.SubFunction.CHANGE_ASCII_DELIMITER: None,
+    pdu.SubFunction.RESTART_COMMUNICATIONS: (b"\0\0", b"\xff\0"),
 }
 
 
-def _checked_server_id(server_id: ServerId) -> ServerId:
+def _checked_server_id(server_id: pdu.ServerId) -> pdu.ServerId:
     """Return the response to function 17 if it can be sent."""
     example = 'ServerId(b"\\x01", running=True)'
-    if not isinstance(server_id, ServerId):
+    if not isinstance(server_id, pdu.ServerId):
         kind = type(server_id).__name__
         raise WrongType("server_id", f"must be a ServerId, such as {example}, not {kind}")
     for name in ("identifier", "additional"):
@@ -249,15 +227,15 @@ def _checked_server_id(server_id: ServerId) -> ServerId:
             "server_id.running", f"must be True, False or None, not {server_id.running!r}"
         )
     size = len(server_id.data)
-    if not 2 <= size <= MAX_PDU - 2:
-        raise WrongValue("server_id", f"must take 2..{MAX_PDU - 2} bytes, not {size}")
+    if not 2 <= size <= pdu.MAX_PDU - 2:
+        raise WrongValue("server_id", f"must take 2..{pdu.MAX_PDU - 2} bytes, not {size}")
     return server_id
 
 
-def _bound(handlers: Handlers | None) -> dict[type[Request[Any]], Callable[..., Any]]:
-    bound: dict[type[Request[Any]], Callable[..., Any]] = {}
+def _bound(handlers: Handlers | None) -> dict[type[pdu.Request[Any]], Callable[..., Any]]:
+    bound: dict[type[pdu.Request[Any]], Callable[..., Any]] = {}
     for request, handle in items_of("handlers", "{request class: function}", handlers):
-        if not (isinstance(request, type) and issubclass(request, Request)):
+        if not (isinstance(request, type) and issubclass(request, pdu.Request)):
             raise TypeError(f"handlers must be {{request class: function}}, not {request!r}")
         checked_callback(("handlers", request.__name__), handle)  # a better name than below
         measured = timed(f"the handler of {request.__name__}", handle)

@@ -16,8 +16,6 @@ from ..protocol.mistakes import named_arguments
 from ..protocol.tables import TABLE_SIZE, checked_ranges, joined, touches
 from .access import READABLE, Access, Touched
 
-__all__ = ["SLOW", "Hook", "HookLike", "Hooks", "timed"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 SLOW = 0.1
@@ -71,18 +69,11 @@ class Hook:
         fifos: Addresses | None = None,
     ) -> None:
         checked_callback("call", call)
-        addresses_of = {
-            "coils": coils,
-            "discrete_inputs": discrete_inputs,
-            "holding_registers": holding_registers,
-            "input_registers": input_registers,
-            "file": files,
-            "fifo": fifos,
-        }
         self._call: Callable[[Access], object] = call
+        tables = coils, discrete_inputs, holding_registers, input_registers, fifos, files
         places = {
             table: joined(checked_ranges(NAMES.get(table, table), addresses))
-            for table, addresses in addresses_of.items()
+            for table, addresses in zip(READABLE, tables, strict=True)
             if addresses is not None
         }
         self._places: dict[str, tuple[range, ...]] | None = places or None
@@ -143,7 +134,6 @@ class Hooks:
         _call(self._before_read, touched.reads)
 
     def after(self, touched: Touched) -> None:
-        """Call the hook for writes that were carried out."""
         _call(self._after_write, touched.writes)
 
 

@@ -13,28 +13,18 @@ import weakref
 from abc import ABC, abstractmethod
 from array import array
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as MappingABC
 from itertools import pairwise
 from operator import index
 from typing import Any, ClassVar, Generic, Literal, Self, TypeAlias, TypeVar, Unpack, overload
 
-from ..binding.library import ffi, lib
+from ..binding.library import TABLE_NUMBERS, ffi, runs
 from ..protocol.checks import integer
 from ..protocol.mistakes import named_arguments
 from ..protocol.tables import TABLE_SIZE, checked_ranges, joined, without
 from ..protocol.values import Layout, TypeName, value_type
 from ..system import call_in_children
-
-__all__ = ["TABLE_NUMBERS", "Mapping", "RegisterTable", "Table", "runs"]
-
-TABLE_NUMBERS: dict[str, int] = {
-    "coils": lib.COILS,
-    "discrete_inputs": lib.DISCRETE_INPUTS,
-    "holding_registers": lib.HOLDING_REGISTERS,
-    "input_registers": lib.INPUT_REGISTERS,
-}
-"""The names of the C struct members of a table."""
 
 Cell = TypeVar("Cell", bool, int)
 
@@ -147,7 +137,6 @@ class Table(ABC, Generic[Cell]):
             self._cells[place] = memoryview(cells)
 
     def _place(self, key: int | slice) -> slice:
-        """Return the positions of addresses among the cells."""
         first, end = self.addresses.start, self.addresses.stop
         if isinstance(key, slice):
             start = first if key.start is None else self._address(key.start)
@@ -380,11 +369,6 @@ def _renew_locks() -> None:
 call_in_children(_renew_locks)
 
 
-def runs(ranges: Sequence[range]) -> Any:
-    """Return the edges of a runs_t, which the caller keeps alive; ranges in order, none empty."""
-    return ffi.new("uint16_t[]", [edge for run in ranges for edge in (run[0], run[-1])])
-
-
 def _span(addresses: range) -> str:
     return f"{addresses.start}..{addresses.stop - 1}"
 
@@ -402,7 +386,6 @@ def _values(name: str, contents: MappingABC[Any, Any]) -> dict[int, list[Any]]:
 
 
 def _ranges(name: str, contents: Any) -> tuple[range, ...]:
-    """Return the addresses that an argument stands for."""
     if isinstance(contents, int) and not isinstance(contents, bool):
         if not 0 <= contents <= TABLE_SIZE:
             raise ValueError(f"{name} must be in 0..{TABLE_SIZE}, not {contents}")

@@ -24,17 +24,6 @@ if TYPE_CHECKING:
     from ..maps.point import Point
     from ..maps.register_map import RegisterMap
 
-__all__ = [
-    "NamedValues",
-    "PointIndex",
-    "PointRules",
-    "RuledCells",
-    "cells_after",
-    "known_point",
-    "source_after",
-    "zeros_for",
-]
-
 Written = MappingABC[tuple[str, int], Any]
 """Table and address -> the value that is written there."""
 
@@ -59,7 +48,6 @@ def known_point(points: MappingABC[str, Point], name: object) -> Point:
 
 
 def cells_after(point: Point, mapping: Mapping, writes: Written = NOTHING) -> list[Any]:
-    """Return the cells of a point, as they will be after a write."""
     table, cells = point.table, point.cells
     present: list[Any] = getattr(mapping, table)[cells.start : cells.stop]
     if not writes:
@@ -201,7 +189,6 @@ class RuledCells(NamedTuple):
 
     @classmethod
     def of(cls, point: Point) -> RuledCells:
-        """Return the rule that a point has in its own table."""
         return cls((point.table, 0), point.cells, point.access, point)
 
 

@@ -17,8 +17,6 @@ from ..protocol.checks import integer
 from ..protocol.mistakes import WrongType, inside
 from ..protocol.pdu import RECORDS_PER_FILE
 
-__all__ = ["FifoQueue", "Files", "Queues", "RecordFile", "Records", "items_of"]
-
 Records: TypeAlias = int | Iterable[int] | MappingABC[int, int]
 """The number of records, or their values."""
 

@@ -32,8 +32,8 @@ from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..protocol.checks import integer, shown
-from ..protocol.json_text import JSON, each_once
 from ..protocol.mistakes import Path, WrongType, WrongValue, inside
+from ..protocol.plain import JSON, each_once
 from ..protocol.tables import TABLE_SIZE, TABLES, joined, touches
 from ..system import open_file
 from .access import Access, TableOrFile, values_at
@@ -43,13 +43,6 @@ from .records import Files
 if TYPE_CHECKING:
     from ..maps.point import Point
     from ..maps.register_map import RegisterMap
-
-# fmt: off
-__all__ = [
-    "fingerprint", "load_state", "read_text", "remove_leftovers", "replace_file", "state_text",
-    "unit_text",
-]
-# fmt: on
 
 KIND, VERSION = "state", 1
 
@@ -118,7 +111,6 @@ def _with_values(device: Stateful, values: Iterable[Access]) -> Cells:
 
 
 def _differences(present: Cells, others: Cells) -> Iterator[Access]:
-    """Yield the runs of cells that differ from others."""
     for (table, file), (start, cells) in present.items():
         if cells == others[table, file][1]:  # most are, and to compare each cell takes long
             continue

@@ -25,15 +25,8 @@ from ..protocol.mistakes import WrongValue
 from ..protocol.plain import CONTROL
 from .texts import FileError, FilePlace
 
-__all__ = ["CELLS", "CsvRow", "CsvText", "csv_rows", "flag_in", "number_in", "whole_in"]
-
-DELIMITERS = ",;\t|"
-
 MARKDOWN = "Markdown"
 """In place of a delimiter: bars, also at both ends of a row."""
-
-# The most lines above the headings.
-MOST_TITLES = 30
 
 # Control characters, which editors and terminals obey and no table contains.
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
@@ -53,11 +46,8 @@ class CsvText:
     """
     The text of a table: its row of headings, its delimiter, and how many rows are skipped above.
 
-    Args:
-        text: the text.
-        is_known: whether a heading is known.
-        kind: the class of errors about characters, or what is not CSV.
-        headings: those of a list that has none of its own.
+    `is_known` says whether a heading is known; `kind` is the class of errors about characters, or
+    what is not CSV; `headings` are those of a list that has none of its own.
     """
 
     def __init__(
@@ -89,12 +79,11 @@ class CsvText:
         if any(self._rulers[:1]):
             self.delimiter = MARKDOWN
             ruler = self._rulers[0]
-            lines = [at for at, _ in enumerate(self._lines[:ruler]) if self._is_cells(at)]
             self.head = CsvRow(ruler, self._markdown_cells(ruler - 1))
-            self.skipped = len(lines) - 1
+            self.skipped = sum("|" in line for line in self._lines[:ruler]) - 1
             return
         heads, errors = [], []
-        for delimiter in DELIMITERS:
+        for delimiter in ",;\t|":
             try:
                 heads.append((*self._head(delimiter, is_known), delimiter))
             except FileError as error:
@@ -137,7 +126,7 @@ class CsvText:
         """Return how many headings are known, their row, and how many rows stand above it."""
         head = 0, CsvRow(1, []), 0
         try:
-            for at, row in enumerate(islice(self._rows(delimiter), MOST_TITLES + 1)):
+            for at, row in enumerate(islice(self._rows(delimiter), 31)):  # up to 30 lines of titles
                 known = sum(map(is_known, row.cells))
                 if at == 0 or (known > head[0] and known >= 2):
                     head = known, row, at  # perhaps below a row of groups of columns
@@ -151,8 +140,8 @@ class CsvText:
     def _rows(self, delimiter: str, below: int | None = None) -> Iterator[CsvRow]:
         """Yield all rows; below that line, what may be a comment or a name is an error."""
         if delimiter == MARKDOWN:
-            for at in range(len(self._lines)):
-                if self._is_cells(at) and at not in self._rulers:
+            for at, line_text in enumerate(self._lines):
+                if "|" in line_text and at not in self._rulers:
                     yield CsvRow(at + 1, self._markdown_cells(at))
             return
         at = 0  # the index of the next line
@@ -206,26 +195,20 @@ class CsvText:
             raise self._kind((), reason, place=FilePlace(line=line))
         return True
 
-    def _is_cells(self, at: int) -> bool:
-        return "|" in self._lines[at]
-
     def _markdown_cells(self, at: int) -> list[str]:
         row = re.sub(r"^\||(?<!\\)\|$", "", self._lines[at].strip())
         cells = [cell.strip().replace(r"\|", "|") for cell in re.split(r"(?<!\\)\|", row)]
         return [re.sub(r"^(`|\*\*)(.*)\1$", r"\2", cell) for cell in cells]
 
 
-def csv_rows(rows: Iterable[Iterable[Any]]) -> str:
+def csv_rows(rows: Iterable[Iterable[Any]], quoting: Literal[0, 2] = csv.QUOTE_MINIMAL) -> str:
     """Return rows as CSV (RFC 4180), with all texts quoted if one has a control character."""
     rows = [[*row] for row in rows]  # which may be iterators, and are written twice
-    text = _written(rows, csv.QUOTE_MINIMAL)
-    return _written(rows, csv.QUOTE_NONNUMERIC) if CONTROL.search(text) else text
-
-
-def _written(rows: Iterable[Iterable[Any]], quoting: Literal[0, 2]) -> str:
-    text = io.StringIO(newline="")
-    csv.writer(text, lineterminator="\n", quoting=quoting).writerows(rows)
-    return text.getvalue()
+    lines = io.StringIO(newline="")
+    csv.writer(lines, lineterminator="\n", quoting=quoting).writerows(rows)
+    text = lines.getvalue()
+    is_quoted = quoting == csv.QUOTE_NONNUMERIC or not CONTROL.search(text)
+    return text if is_quoted else csv_rows(rows, csv.QUOTE_NONNUMERIC)
 
 
 _WITH_MARK = re.compile(r"[+-]?[0-9]+[.,][0-9]+([eE][+-]?[0-9]+)?")
@@ -250,10 +233,10 @@ def whole_in(cell: str) -> int:
     """Read 100, 0x64 or 64h; raise WrongValue for anything else."""
     if re.fullmatch("[0-9]{1,20}", cell):
         return int(cell)
-    if found := re.fullmatch("0x([0-9a-f]{1,16})|([0-9a-f]{1,16})h", cell.casefold()):
-        return int(found[1] or found[2], 16)
-    wanted = "a whole number such as 100, 0x64 or 64h"
-    raise WrongValue((), f"must be {wanted}, not {reprlib.repr(cell)}")
+    if match := re.fullmatch("0x([0-9a-f]{1,16})|([0-9a-f]{1,16})h", cell.casefold()):
+        return int(match[1] or match[2], 16)
+    form = "a whole number such as 100, 0x64 or 64h"
+    raise WrongValue((), f"must be {form}, not {reprlib.repr(cell)}")
 
 
 def flag_in(cell: str) -> bool:
@@ -263,10 +246,6 @@ def flag_in(cell: str) -> bool:
     return cell.lower() == "true"
 
 
-def _words(cell: str) -> list[str]:
-    return [each.strip() for each in cell.split(";") if each.strip()]
-
-
 CELLS: dict[str, Callable[[str], Any]] = {
     "str": str,
     "int": whole_in,
@@ -274,6 +253,6 @@ CELLS: dict[str, Callable[[str], Any]] = {
     "float | None": number_in,
     "WriteFunction | None": str,
     "bool": flag_in,
-    "tuple[str, ...]": _words,
+    "tuple[str, ...]": lambda cell: [word.strip() for word in cell.split(";") if word.strip()],
 }
 """Annotation of an argument -> reads its value from a cell."""

@@ -14,17 +14,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..protocol.checks import integer, shown
+from ..protocol.checks import choice, integer, shown
 from ..protocol.mistakes import Path, WrongType, WrongValue, close_option, inside, item
 from .texts import shown_key
-
-# fmt: off
-__all__ = [
-    "REQUIRED", "Check", "Key", "Keys", "a_list", "anything", "bytes_or_text", "flag", "in_bytes",
-    "in_seconds", "keys_of", "one_of", "table", "tables", "text",
-    "whole",
-]
-# fmt: on
 
 Check = Callable[[Path, object], Any]
 """Checks the value of the key at a path, and returns the converted value."""
@@ -73,36 +65,29 @@ class Keys(dict[str, Key]):
     def __or__(self, other: Mapping[str, Key]) -> Keys:  # type: ignore[override]
         return Keys({**self, **other}.values())
 
-    def read(self, path: Path, given: object) -> Any:
+    def read(self, path: Path, content: object) -> Any:
         """Return the result of `make` for the checked values; errors have the path of a key."""
-        found = table(path, given)
-        for name in found:
+        values = table(path, content)
+        for name in values:
             if name not in self:
                 close = close_option(name, self)
                 reason = f"no such key; allowed are {', '.join(self)}{close}"
                 raise WrongValue.about((*path, shown_key(name)), reason)
         for key in self.values():
-            if key.default is REQUIRED and key.name not in found:
+            if key.default is REQUIRED and key.name not in values:
                 raise WrongValue((*path, key.name), "is missing")
-        values = {name: self[name].check((*path, name), value) for name, value in found.items()}
+        values = {name: self[name].check((*path, name), value) for name, value in values.items()}
         with inside(*path):
             return self._make(**values)
 
 
 def keys_of(make: Callable[..., Any], **checks: Check) -> Keys:
     """Return the arguments of a class as keys; it checks all values but those of `checks`."""
-    return Keys(
-        (
-            Key(
-                each.name,
-                checks.get(each.name, anything),
-                default=each.default,
-                kind=str(each.annotation),
-            )
-            for each in inspect.signature(make).parameters.values()
-        ),
-        make,
-    )
+    keys = [
+        Key(name, checks.get(name, anything), default=entry.default, kind=str(entry.annotation))
+        for name, entry in inspect.signature(make).parameters.items()
+    ]
+    return Keys(keys, make)
 
 
 def whole(low: int, high: int) -> Check:
@@ -128,9 +113,9 @@ a_list: Check = _of_kind(list, "a list")
 def tables(path: Path, value: object) -> list[dict[str, object]]:
     """Check an array of tables."""
     if not isinstance(value, list):
-        name = ".".join(each for each in path if isinstance(each, str))
+        name = ".".join(part for part in path if isinstance(part, str))
         raise WrongType(path, f"must be a list of tables: [[{name}]]")
-    return [table(item(path, at), each) for at, each in enumerate(value)]
+    return [table(item(path, at), entry) for at, entry in enumerate(value)]
 
 
 def bytes_or_text(low: int, high: int) -> Check:
@@ -153,13 +138,7 @@ def bytes_or_text(low: int, high: int) -> Check:
 
 def one_of(*choices: str) -> Check:
     """Return a check for one of some words."""
-
-    def check(path: Path, value: object) -> str:
-        if value not in choices:
-            raise WrongValue(path, f"must be one of {', '.join(choices)}, not {shown(value)}")
-        return str(value)
-
-    return check
+    return lambda path, value: choice(path, value, choices)
 
 
 # --- amounts with their units, such as "90 days" and "2 GB" ---------------------------------------
@@ -207,5 +186,5 @@ def _amount(
 
 def _in_units(text: str, units: dict[str, int]) -> float:
     """Return an amount in its smallest unit; nan if it is none."""
-    found = _AMOUNT.fullmatch(text)
-    return float(found[1]) * units.get(found[2], math.nan) if found else math.nan
+    match = _AMOUNT.fullmatch(text)
+    return float(match[1]) * units.get(match[2], math.nan) if match else math.nan

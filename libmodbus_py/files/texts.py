@@ -15,16 +15,9 @@ from collections.abc import Callable, Iterator, Mapping
 from os import PathLike, fspath
 from typing import Any, NamedTuple, Self, TypeVar
 
-from ..protocol.extras import what_is_missing
 from ..protocol.mistakes import Mistake, Path, Problem, WrongValue, placed
 from ..system import open_file
-
-# fmt: off
-__all__ = [
-    "FileError", "FilePlace", "compared", "line_of", "load_file", "read_table",
-    "read_text", "read_toml", "reread", "shown_key",
-]
-# fmt: on
+from ..version import what_is_missing
 
 
 class FilePlace(NamedTuple):
@@ -45,9 +38,7 @@ class FileError(WrongValue):
     The content of a file is wrong.
 
     Attributes:
-        place: the place of the mistake.
-        path: the key that is wrong, such as ("unit", 0, "id").
-        reason: the mistake, and the values that are allowed.
+        place: the place of the mistake; `path` is the key, such as ("unit", 0, "id").
     """
 
     def __init__(
@@ -59,8 +50,8 @@ class FileError(WrongValue):
     @classmethod
     def of(cls, error: Exception, place: FilePlace | None = None) -> Self:
         """Return a TypeError or ValueError as an error about a place."""
-        found = placed(error, ())
-        return cls(found.path, found.reason, found.between, place)
+        mistake = placed(error, ())
+        return cls(mistake.path, mistake.reason, mistake.between, place)
 
     def in_file(self, file: str) -> Self:
         """Return the same error about a place in a file."""
@@ -117,16 +108,12 @@ def read_table(
     except LookupError:
         raise kind("encoding", f"{name!r} is not known, such as cp1252", place=place) from None
     except UnicodeDecodeError as error:
-        reason = f"byte {error.start} is not {name}: say its encoding (--encoding), {ENCODINGS}"
-        raise kind((), reason, place=place) from None
+        reason = f"byte {error.start} is not {name}: say its encoding (--encoding), such as"
+        some = "cp1252 (western Europe), cp1250 (central Europe), cp1251 (Cyrillic), gbk (Chinese)"
+        raise kind((), f"{reason} {some}", place=place) from None
     if encoding is not None:
         return text, f"read as {name}"
     return text, "read as utf-16, because it is not UTF-8" if is_utf_16 else ""
-
-
-ENCODINGS = (
-    "such as cp1252 (western Europe), cp1250 (central Europe), cp1251 (Cyrillic), gbk (Chinese)"
-)
 
 
 def _spreadsheet(
@@ -187,11 +174,10 @@ def reread(load: Callable[[], Content], use: Callable[[Content], str]) -> str:
 
 def compared(path: str, noun: str, before: Mapping[Any, Any], after: Mapping[Any, Any]) -> str:
     """Return a line about what changed in a file: things called `noun`, by name or number."""
-    both = before.keys() & after.keys()
     counts = {
-        "new": len(after.keys() - both),
-        "changed": sum(before[key] != after[key] for key in both),
-        "removed": len(before.keys() - both),
+        "new": len(after.keys() - before.keys()),
+        "changed": sum(before[key] != after[key] for key in before.keys() & after.keys()),
+        "removed": len(before.keys() - after.keys()),
     }
     changes = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
     plural = "s" * (len(after) != 1)
@@ -221,9 +207,9 @@ def shown_key(key: str) -> str:
 def line_of(text: str, path: Path) -> int | None:
     """Return the line, from 1, of a key of a TOML document, or of what is around it."""
     nearest, depth = None, 0
-    for line, found in _paths(text):
+    for line, other in _paths(text):
         shared = 0
-        while found[: shared + 1] == path[: shared + 1] and shared < min(len(found), len(path)):
+        while other[: shared + 1] == path[: shared + 1] and shared < min(len(other), len(path)):
             shared += 1
         if shared > depth:
             nearest, depth = line, shared
@@ -236,13 +222,12 @@ def _paths(text: str) -> Iterator[tuple[int, Path]]:
     table: Path = ()
     # Not splitlines, which accepts more line endings than TOML.
     for line, content in enumerate(text.split("\n"), start=1):
-        if found := _LINE.match(content):
-            names = [
-                shown_key(part.strip("\"'")) for part in re.findall(_PART, found[2] or found[3])
-            ]
-            if found[1]:
-                table = _table_path(names, found[1] == "[[", seen)
-            yield line, table if found[1] else (*table, *names)
+        if match := _LINE.match(content):
+            parts = re.findall(_PART, match[2] or match[3])
+            names = [shown_key(part.strip("\"'")) for part in parts]
+            if match[1]:
+                table = _table_path(names, match[1] == "[[", seen)
+            yield line, table if match[1] else (*table, *names)
 
 
 def _table_path(names: list[str], is_array: bool, seen: Counter[Path]) -> Path:

@@ -41,20 +41,6 @@ from ..protocol.errors import (
 )
 from ..protocol.tables import TABLES
 
-# fmt: off
-__all__ = [
-    "Block",
-    "BlockPiece",
-    "Holes",
-    "PartialAnswer",
-    "Span",
-    "Unreadable",
-    "carried_out",
-    "is_refusal",
-    "reading",
-]
-# fmt: on
-
 RETRY_S = 600.0
 """Seconds after which what a device refused is tried again."""
 
@@ -149,10 +135,7 @@ class PastRefusal(NamedTuple):
 
 @dataclass(slots=True)
 class Holes:
-    """
-    The refusals of one unit, as one client knows them: pieces, and where requests begin; and which
-    request of a plan is sent first.
-    """
+    """What one client knows of a unit: refused pieces, where requests begin, and the first one."""
 
     refused: dict[Span, PastRefusal] = field(default_factory=dict)
     cuts: dict[tuple[Any, ...], PastRefusal] = field(default_factory=dict)
@@ -194,12 +177,13 @@ class _PlanRun:
     def tolerant(self) -> _PlanSteps[list[Any]]:
         """Read all pieces but the holes, and search for others."""
         self._forget_old_cuts()
-        left_out = self._leave_out()
+        known = self._holes.refused.copy()
+        left_out = {piece: known[piece.span] for piece in self._pieces if piece.span in known}
+        self._read = {piece.span: alike(hole.error) for piece, hole in left_out.items()}
         portions = self._portions()
-        oldest = min(left_out, key=lambda piece: left_out[piece].at, default=None)
-        trials = (
-            [oldest] if oldest and (not portions or left_out[oldest].is_due(*self._time)) else []
-        )
+        trials = sorted(left_out, key=lambda piece: left_out[piece].at)[:1]
+        if portions and trials and not left_out[trials[0]].is_due(*self._time):
+            trials = []
         refusals = yield from self._send([*portions, *([piece] for piece in trials)])
         for piece in trials:
             outcome = self._read[piece.span]
@@ -258,13 +242,6 @@ class _PlanRun:
         cuts = self._holes.cuts
         for at in [at for at, cut in cuts.copy().items() if cut.is_due(*self._time)]:
             cuts.pop(at, None)
-
-    def _leave_out(self) -> dict[BlockPiece, PastRefusal]:
-        """Leave known holes out, and return them."""
-        refusals = self._holes.refused.copy()
-        left_out = {piece: refusals[piece.span] for piece in self._pieces if piece.span in refusals}
-        self._read = {piece.span: alike(hole.error) for piece, hole in left_out.items()}
-        return left_out
 
     def _portions(self) -> list[list[BlockPiece]]:
         """Return what is to be asked for, in as few requests as holes and cuts allow."""

@@ -1,6 +1,4 @@
-"""
-What is read by a plan: the items, with their types, and their values by name.
-"""
+"""What is read by a plan: the items, with their types, and their values by name."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, Literal, Required, TypeAlias, TypedDict, TypeVar
 
 from ..protocol.errors import ModbusError
-from ..protocol.mistakes import WrongType, WrongValue, named_arguments, placed
+from ..protocol.mistakes import WrongType, WrongValue, inside, named_arguments
 from ..protocol.pdu.request import store
 from ..protocol.tables import TABLES, RegisterTable, Table, checked_table, checked_values
 from ..protocol.values import Order, TypeName, ValueType, value_type
@@ -18,13 +16,6 @@ from ..protocol.words import FloatType, PlainIntegerType
 
 if TYPE_CHECKING:
     from datetime import datetime
-
-# fmt: off
-__all__ = [
-    "AnyItem", "BitItem", "Borders", "FloatItem", "Forbidden", "IntegerItem", "Items", "Key",
-    "NamedValues", "PlanOptions", "Read", "Strict", "Tolerant", "Values", "checked_items",
-]
-# fmt: on
 
 
 @named_arguments
@@ -174,14 +165,11 @@ def checked_items(items: object) -> dict[Any, Read]:
 def _checked_item(name: object, item: object) -> Read:
     if isinstance(item, Read):
         return item
+    path = f"items[{name!r}]"
     if not isinstance(item, tuple) or not 2 <= len(item) <= 7:
-        raise WrongType(
-            f"items[{name!r}]", f"must be a Read or a tuple of its arguments, not {item!r}"
-        )
+        raise WrongType(path, f"must be a Read or a tuple of its arguments, not {item!r}")
     arguments: list[Any] = [*item]
     if len(arguments) > 2 and isinstance(arguments[2], str):
         arguments.insert(2, 1)
-    try:
+    with inside(path):
         return Read(*arguments)
-    except (TypeError, ValueError) as error:
-        raise placed(error, (f"items[{name!r}]",)) from None

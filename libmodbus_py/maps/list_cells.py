@@ -1,24 +1,23 @@
 """
-The cells of register lists: a reader for each kind of column, which returns a value of `Point` or
-raises WrongValue.
+The columns of register lists: which heading means what; and a reader of the cells of each kind,
+which returns a value of `Point` or raises WrongValue.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import reprlib
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
-from ..files.csv_text import flag_in, number_in, whole_in
+from ..files.csv_text import CsvRow, flag_in, number_in, whole_in
 from ..protocol.mistakes import WrongValue, close_to
 from ..protocol.values import parse_reference
-from ..protocol.words import ORDER_WORDS, TYPE_WORDS, plain, type_named
-from .list_words import ListOptions, word_of, words
+from ..protocol.words import ORDER_WORDS, plain
+from .list_words import MOST_NAMED, Origin, word_of, words
 from .point_checks import BYTES, SCALES
-
-__all__ = ["PADDINGS", "RAW", "READERS", "address_in", "type_keys"]
 
 FUNCTION_TABLES = {
     **dict.fromkeys((1, 5, 15), "coils"),
@@ -44,14 +43,6 @@ def _word(meanings: Mapping[str, str]) -> Callable[[str], str]:
     return read
 
 
-def _table(text: str) -> str:
-    return _word(words().tables)(text)
-
-
-def _access(text: str) -> str:
-    return _word(words().accesses)(text)
-
-
 def _writable(text: str) -> str:
     yes = ["yes", "y", "true", "1", "x", "w", "ja", "oui", "sí", "si", "是"]
     no = ["no", "n", "false", "0", "-", "nein", "non", "否"]
@@ -72,19 +63,23 @@ def _missing(text: str) -> str | list[int | float]:
     if plain(text) == "sunspec":
         return "sunspec"
     numbers = re.split(r"[;,\s]+", text.strip("; "))
-    return [whole_in(each) if each[:2] in ("0x", "0X") else number_in(each) for each in numbers]
+    return [whole_in(word) if word[:2] in ("0x", "0X") else number_in(word) for word in numbers]
+
+
+def _json(text: str, kind: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        raise WrongValue((), f"must be {kind}, not {reprlib.repr(text)}") from None
 
 
 def _names(text: str) -> dict[str, str]:
     """Return the names of "0 = off; 1 = on", or of a JSON object."""
     if text.startswith("{"):
-        try:
-            return dict(json.loads(text))
-        except ValueError:
-            raise WrongValue((), f"must be a JSON object, not {reprlib.repr(text)}") from None
+        return dict(_json(text, "a JSON object"))
     names: dict[str, str] = {}
-    for each in text.strip("; ").split(";"):
-        key, separator, name = each.partition("=")
+    for pair in text.strip("; ").split(";"):
+        key, separator, name = pair.partition("=")
         if not separator or not name.strip():
             raise WrongValue((), f"must be like 0 = off; 1 = on, not {reprlib.repr(text)}")
         if key.strip() in names:
@@ -96,10 +91,6 @@ def _names(text: str) -> dict[str, str]:
 
 
 _STATES = re.compile(r"(?<!\S)-?[0-9]+\s*=")
-
-
-def _units_or_states(text: str) -> dict[str, Any]:
-    return {"states": _names(text)} if _STATES.match(text) else {"units": _units(text)}
 
 
 _WITH_SCALE = re.compile(r"[x\xd7*]?\s*([01][.,]0*1|10+|1/10+)\s*(?=[^\W\d]|[°%µ])(.*)")
@@ -139,22 +130,17 @@ def _formula(text: str) -> dict[str, Any]:
         return {"scale" if factor[1] == "*" else "divisor": number}
     if power := _POWER.fullmatch(text.strip().casefold()):
         return {"scale_address": power[1]}
-    wanted = "x * 0.1, x / 10 or x * Math.pow(10, sf['40075'])"
-    raise WrongValue((), f"must be like {wanted}, not {reprlib.repr(text)}")
+    form = "x * 0.1, x / 10 or x * Math.pow(10, sf['40075'])"
+    raise WrongValue((), f"must be like {form}, not {reprlib.repr(text)}")
 
 
 def _initial(text: str) -> Any:
     """Return the number, the truth, the list in JSON, or the text."""
     if text.startswith("["):
-        try:
-            return json.loads(text)
-        except ValueError:
-            raise WrongValue((), f"must be a list in JSON, not {reprlib.repr(text)}") from None
+        return _json(text, "a list in JSON")
     for read in (flag_in, number_in):
-        try:
+        with contextlib.suppress(WrongValue):
             return read(text)
-        except WrongValue:
-            continue
     return text
 
 
@@ -170,18 +156,20 @@ READERS: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys((*NUMBERS, *RAW, "plausible_maximum", "rewrite"), number_in),
     **dict.fromkeys(("states", "bits"), _names),
     "units": _units,
-    "units_or_states": _units_or_states,
+    "units_or_states": lambda text: (
+        {"states": _names(text)} if _STATES.match(text) else {"units": _units(text)}
+    ),
     "scale_and_units": _scale_and_units,
     "exponent": _exponent,
     "negative_exponent": lambda text: -_exponent(text),
     "formula": _formula,
     "initial": _initial,
-    "table": _table,
+    "table": lambda text: _word(words().tables)(text),
     "function": _function,
     "type": str,
     "order": lambda text: ORDER_WORDS.get(plain(text), text),
     "padding": lambda text: PADDINGS.get(plain(text), text),
-    "access": _access,
+    "access": lambda text: _word(words().accesses)(text),
     "writable": _writable,
     "missing": _missing,
     **dict.fromkeys(("never_falls", "border"), flag_in),
@@ -198,10 +186,7 @@ _WITH_TABLE = re.compile(r"([134])[x:]0*([1-9][0-9]{0,4})")
 
 
 def address_in(cell: str, base: int, *, is_reference: bool) -> tuple[str, int, int | None]:
-    """
-    Return the table of a cell, "" if it does not say it, its address, and how many it names; None
-    if it names one.
-    """
+    """Return the table of a cell, or "", its address, and how many it names; None for one."""
     if ends := _RANGE.fullmatch(cell):
         first, last = (address_in(end, base, is_reference=is_reference) for end in ends.groups())
         if last[1] < first[1]:
@@ -210,96 +195,166 @@ def address_in(cell: str, base: int, *, is_reference: bool) -> tuple[str, int, i
     if match := _WITH_TABLE.fullmatch(cell.casefold()):
         table, address = parse_reference(f"{match[1]}{match[2]:0>5}")
         return table, address, None
-    if is_reference:
-        try:
-            table, address = parse_reference(cell)
-        except ValueError:
-            wanted = "a reference such as 40123 or 300007 where nothing says the table"
-            given = f"{reprlib.repr(cell)} (--list table=holding_registers says it)"
-            raise WrongValue((), f"must be {wanted}, not {given}") from None
+    if not is_reference:
+        return "", _number(cell, base), None
+    try:
+        table, address = parse_reference(cell)
         return table, address, None
-    return "", _number(cell, base), None
+    except ValueError:
+        form = "a reference such as 40123 or 300007 where nothing says the table"
+        text = f"{reprlib.repr(cell)} (--list table=holding_registers says it)"
+        raise WrongValue((), f"must be {form}, not {text}") from None
 
 
 def _number(cell: str, base: int) -> int:
     if base == 16 and re.fullmatch("[0-9A-Fa-f]{1,8}", cell):
         return int(cell, 16)
-    if base != 10 and (re.fullmatch("0[0-9]+|[0-9A-Fa-f]{2,8}", cell) and not cell.isdecimal()):
-        raise WrongValue((), f"must be like 100, 0x64 or 64h; {_HEX}: {reprlib.repr(cell)}")
+    hint = "if it is hexadecimal, say --column address_hex=HEADING"
+    if base != 10 and (re.fullmatch("[0-9A-Fa-f]{2,8}", cell) and not cell.isdecimal()):
+        raise WrongValue((), f"must be like 100, 0x64 or 64h; {hint}: {reprlib.repr(cell)}")
     if base != 10 and re.fullmatch("0[0-9]+", cell):
-        raise WrongValue((), f"may be decimal, --column address_dec=HEADING; {_HEX}: {cell}")
+        raise WrongValue((), f"may be decimal, --column address_dec=HEADING; {hint}: {cell}")
     return whole_in(cell)
 
 
-_HEX = "if it is hexadecimal, say --column address_hex=HEADING"
+# --- columns -----------------------------------------------------------------------------
 
-# --- types -------------------------------------------------------------------------------
+NOTHING = "nothing"
+"""The kind of columns that are ignored."""
 
-_WITH_ORDER = re.compile("(.+?) ?(abcd|cdab|badc|dcba|ab|ba)")
-_ORDERS = {"ab": "ABCD", "ba": "DCBA"}
-_TEXT = re.compile(r"(?:string|str|char|chars|ascii|text|utf8|字符串) ?:? ?([0-9]{1,9})")
+CHANGE_VALUES = ("type", "order", "scale", "divisor", "units", "access")
+"""Kinds of which no second column is ignored."""
 
+HEADINGS_OF_KINDS = {word_of(kind): kind for kind in READERS}
+"""Headings that are kinds themselves: all but "device" are keys of a map."""
 
-def type_keys(
-    cell: str, options: ListOptions, registers: int | None, size: int | None
-) -> dict[str, Any]:
-    """Return the arguments that the word of a type says; `registers` and `size` of a text."""
-    origin = options.of_origin
-    word = word_of(cell)
-    said = {word_of(key): meaning for key, meaning in options.types.items()}
-    meaning = said.get(word, origin.types.get(word))
-    if meaning is None and re.fullmatch(r"string:[0-9]+", cell.casefold()):
-        return {"type": cell.casefold()}
-    if meaning is None and (length := _TEXT.fullmatch(word)):
-        return {"type": f"string:{_text_size(int(length[1]), cell, options, registers, size)}"}
-    if meaning is None:
-        meaning = _meaning(word)
-    if meaning is None and (parts := _WITH_ORDER.fullmatch(word)):
-        order = _ORDERS.get(parts[2], parts[2].upper())
-        meaning = f"{_meaning(parts[1])} {order}" if _meaning(parts[1]) else None
-    has_size = registers is not None or size is not None
-    if meaning is None and has_size and _TEXT.fullmatch(f"{word} 1"):
-        meaning = "string"
-    if meaning is None:
-        raise _unknown(cell, word)
-    if meaning.startswith("?"):
-        raise WrongValue((), meaning[1:])
-    name, _, more = meaning.partition(" ")
-    key = "byte" if more in BYTES else "encoding" if more.startswith("utf") else "order"
-    keys = {"type": name} | ({key: more} if more else {})
-    if name == "string":
-        if not has_size:
-            raise WrongValue((), f"{cell} needs a column with its registers or bytes")
-        keys["type"] = f"string:{2 * registers if registers is not None else size}"
-    return keys
+KEYS = {word for word in HEADINGS_OF_KINDS if word != "device"}
 
 
-def _meaning(word: str) -> str | None:
-    return TYPE_WORDS.get(word) or type_named(word) or words().types.get(word)
+class ListColumn(NamedTuple):
+    """A column that says something: where it is, its heading, and the base of its addresses."""
+
+    at: int
+    heading: str
+    base: int = 0  # 10 or 16, or 0 if the heading does not say it
 
 
-def _text_size(
-    length: int, cell: str, options: ListOptions, registers: int | None, size: int | None
-) -> int:
-    """Return the bytes of a text of a length, which counts bytes or registers."""
-    lengths = options.lengths or options.of_origin.lengths
-    if registers is not None and length in (registers, 2 * registers):
-        return 2 * registers
-    if size is not None and length == size:
-        return size
-    if lengths is None:
-        reason = f"{cell} may count bytes or registers: say --list lengths=bytes or =registers"
-        raise WrongValue((), reason)
-    return length if lengths == "bytes" else 2 * length
+class SaidColumns(NamedTuple):
+    """What the options say of columns: kind -> its heading, and the words that mean nothing."""
+
+    headings: Mapping[str, str]
+    ignored: frozenset[str]
+
+    @classmethod
+    def of(cls, columns: Mapping[str, Any]) -> SaidColumns:
+        """Return what the option `columns` says; raise ValueError if a kind does not exist."""
+        headings = {**columns}
+        ignored = headings.pop(NOTHING, ())
+        ignored = [ignored] if isinstance(ignored, str) else ignored
+        kinds = words().headings | HEADINGS_OF_KINDS
+        headings = {kinds.get(word_of(kind), kind): text for kind, text in headings.items()}
+        for kind in headings:
+            if kind not in READERS:
+                allowed = ", ".join((*READERS, NOTHING))
+                hint = close_to(kind, READERS)
+                raise ValueError(f"columns must name some of {allowed}, not {kind!r}{hint}")
+        return cls(headings, frozenset(map(word_of, ignored)))
 
 
-def _unknown(cell: str, word: str) -> WrongValue:
-    if meanings := words().ambiguous_types.get(word):
-        example = f"--list 'types={cell}={re.split('[, ]', meanings)[0]}'"
-        reason = f"{cell} may be {meanings}: say which, as in {example}"
-        return WrongValue((), reason)
-    names = dict.fromkeys([*TYPE_WORDS.values(), "string:N"])
-    hint = close_to(word, [*TYPE_WORDS, *words().types])
-    allowed = ", ".join(names)
-    said = f"{reprlib.repr(cell)} (--list 'types={cell}=TYPE' says it)"
-    return WrongValue((), f"must be one of {allowed}, not {said}{hint}")
+def find_columns(
+    head: CsvRow, said: SaidColumns, origin: Origin, error: Callable[[str], Exception]
+) -> tuple[dict[str, ListColumn], list[str]]:
+    """
+    Return the columns of a row of headings by their kinds, and the headings that mean nothing;
+    raise what `error` makes of a reason if a heading has two meanings, or one is missing.
+    """
+    cells = [" ".join(cell.split()) for cell in head.cells]
+    by_heading = {word_of(heading): kind for kind, heading in said.headings.items()}
+    for key, heading in said.headings.items():
+        if word_of(heading) not in map(word_of, cells):
+            raise error(f"no column {heading}, which is named for {key}")
+    columns: dict[str, ListColumn] = {}
+    ignored = []
+    kind: str | None
+    # Headings that are the names of keys come before other words.
+    headings = [(at, heading) for at, heading in enumerate(cells) if heading]
+    for at, heading in sorted(headings, key=lambda column: word_of(column[1]) not in KEYS):
+        word, base = without_base(word_of(heading))
+        kind = by_heading.get(word_of(heading)) or _kind(heading, word, said, origin, error)
+        if kind is None:
+            ignored.append(heading)
+            continue
+        if kind in ("address_hex", "address_dec"):
+            kind, base = "address", 16 if kind.endswith("hex") else 10
+        if kind not in columns:
+            columns[kind] = ListColumn(at, heading, base)
+        elif kind == "address" and base != columns[kind].base and base:
+            if base == 10:  # one in hexadecimal beside it says the same
+                columns[kind] = ListColumn(at, heading, base)
+        elif kind == "description" or (
+            word_of(columns[kind].heading) in KEYS and kind not in CHANGE_VALUES
+        ):
+            ignored.append(heading)
+        else:
+            both = f"columns {columns[kind].heading} and {heading} both hold the {kind}"
+            raise error(f"{both}: say which, as in {_option(kind, heading)}")
+    for key in ("name", "address"):
+        if key not in columns:
+            usual = [word for word, meaning in words().headings.items() if meaning == key]
+            some = ", ".join(usual[:MOST_NAMED])
+            raise error(f"no column {key}; it may be called {some} ...")
+    return columns, ignored
+
+
+def _kind(
+    heading: str, word: str, said: SaidColumns, origin: Origin, error: Callable[[str], Exception]
+) -> str | None:
+    """Return the kind of a heading that is not named in the options; None if it has none."""
+    if word_of(heading) in said.ignored:
+        return None
+    for text in (word_of(heading), word, word.removeprefix("modbus ")):
+        if text in origin.columns:
+            return origin.columns[text] or None
+        kind = HEADINGS_OF_KINDS.get(text, words().headings.get(text))
+        if kind in said.headings:
+            return None  # another column is said to hold it
+        if kind is not None:
+            return kind
+    ambiguous = words().ambiguous
+    if (key := ambiguous.get(word_of(heading), ambiguous.get(word))) is not None:
+        choices = words().choices[key]
+        if not choices.keys().isdisjoint(said.headings):
+            return None
+        meanings = ", or ".join(
+            f"{_option(kind, heading)} if {text}" for kind, text in choices.items()
+        )
+        raise error(f"column {heading} has two meanings: say {meanings}")
+    alarming = words().alarming
+    spaced = word_of(re.sub("(?<=[a-z])(?=[A-Z])", " ", heading))  # of valueFormat
+    parts = [*word.split(), *spaced.split()]
+    parts += [part for part in alarming if not part.isascii() and part in word]
+    kinds = [alarming[part] for part in parts if part in alarming]
+    if kinds and word not in words().harmless and kinds[0] not in said.headings:
+        advice = f"{_option(kinds[0], heading)}, or {_option(NOTHING, heading)} to ignore it"
+        raise error(f"column {heading} is not known: say {advice}")
+    return None
+
+
+def _option(kind: str, heading: str) -> str:
+    """Return the option that says what a heading means."""
+    return f"--column {kind}={heading}" if " " not in heading else f"--column '{kind}={heading}'"
+
+
+def without_base(word: str) -> tuple[str, int]:
+    """Return a heading without the base of its numbers, which is 0 if it does not say it."""
+    for ends, base in ((_HEX, 16), (_DEC, 10)):
+        for end in ends:
+            if word.endswith(end) and word != end.strip():
+                return word.removesuffix(end).strip(), base
+            if word.startswith(f"{end.strip()} "):
+                return word.removeprefix(f"{end.strip()} "), base
+    return word, 0
+
+
+_HEX = (" hex", " hexadecimal", " 0x", "十六进制", " hexadezimal")
+_DEC = (" dec", " decimal", "十进制", " dezimal", " décimal")

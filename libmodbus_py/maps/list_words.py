@@ -1,5 +1,6 @@
 """
-The words of register lists, from ``list_words.toml``, and the options that say how one is read.
+The words of register lists, from ``list_words.toml``, those of types, and the options that say how
+a list is read.
 
 What a word means is looked up in this order: what the options say, what the origin of the list
 means by it, what every vendor means.
@@ -7,6 +8,8 @@ means by it, what every vendor means.
 
 from __future__ import annotations
 
+import re
+import reprlib
 import tomllib
 import unicodedata
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,20 +23,14 @@ from ..files.schema import keys_of
 from ..protocol.checks import integer
 from ..protocol.mistakes import WrongType, WrongValue, close_to, inside, named_arguments
 from ..protocol.pdu.request import store
-from ..protocol.words import ORDER_WORDS, TABLE_WORDS, order_named, plain, table_named
-
-# fmt: off
-__all__ = [
-    "LIST", "MODPOLL", "REFERENCE", "ListKeys", "ListOptions", "Origin", "flat_rows", "options_of",
-    "word_of", "words",
-]
-# fmt: on
+from ..protocol.words import ORDER_WORDS, TABLE_WORDS, TYPE_WORDS, plain, type_named
+from .point_checks import ACCESSES, BYTES
 
 REFERENCE = "reference"
 """In place of a first address: each address is a reference, such as 40123."""
 
-LENGTHS = ("bytes", "registers")
-"""The units that the number behind the type of a text may count."""
+MOST_NAMED = 12
+"""How many of a list are named in a message, at most."""
 
 
 class ListKeys(TypedDict, total=False):
@@ -117,7 +114,7 @@ def _keyed(value: Any) -> Any:
     if not isinstance(value, Mapping):
         return value
     return {
-        int(key) if isinstance(each, list) else word_of(key): each for key, each in value.items()
+        int(key) if isinstance(text, list) else word_of(key): text for key, text in value.items()
     }
 
 
@@ -169,20 +166,20 @@ class ListOptions:
         for name in ("columns", "only", "types"):
             if not isinstance(getattr(self, name), Mapping):
                 raise WrongType(name, f"must be a mapping, not {getattr(self, name)!r}")
-        choices = {
-            "origin": words().origins,
-            "lengths": LENGTHS,
-            "access": ("read", "write", "read_write"),
-        }
+        lengths = ("bytes", "registers")
+        choices = {"origin": words().origins, "lengths": lengths, "access": ACCESSES}
         for name, allowed in choices.items():
             value = getattr(self, name)
             if value is not None and value not in allowed:
-                wanted = f"must be one of {', '.join(allowed)}, not {value!r}"
-                raise WrongValue(name, wanted + close_to(value, allowed))
-        if self.table is not None:
-            store(self, table=_named("table", table_named(self.table), self.table, TABLE_WORDS))
-        if self.order is not None:
-            store(self, order=_named("order", order_named(self.order), self.order, ORDER_WORDS))
+                reason = f"must be one of {', '.join(allowed)}, not {value!r}"
+                raise WrongValue(name, reason + close_to(value, allowed))
+        for name, meanings in (("table", TABLE_WORDS), ("order", ORDER_WORDS)):
+            if (value := getattr(self, name)) is None:
+                continue
+            if (meaning := meanings.get(plain(str(value)))) is None:
+                allowed = ", ".join(dict.fromkeys(meanings.values()))
+                raise WrongValue(name, f"must be one of {allowed}, not {value!r}")
+            store(self, **{name: meaning})
         if self.first_address not in (None, REFERENCE):
             if isinstance(self.first_address, str) and self.first_address.isdecimal():
                 store(self, first_address=int(self.first_address))
@@ -211,17 +208,80 @@ LIST = keys_of(ListOptions).but("columns")
 """The options but for `columns`, as keys of files."""
 
 
-def options_of(given: Mapping[str, Any]) -> ListOptions:
+def options_of(content: Mapping[str, Any]) -> ListOptions:
     """Return the options that the keys `columns` and `list` of a table in a file say."""
     with inside("list"):
-        return ListOptions(columns=given.get("columns", {}), **given.get("list", {}))
+        return ListOptions(columns=content.get("columns", {}), **content.get("list", {}))
 
 
-def _named(name: str, found: str | None, text: object, meanings: Mapping[str, str]) -> str:
-    if found is None:
-        allowed = ", ".join(dict.fromkeys(meanings.values()))
-        raise WrongValue(name, f"must be one of {allowed}, not {text!r}")
-    return found
+# --- types -------------------------------------------------------------------------------
+
+_WITH_ORDER = re.compile("(.+?) ?(abcd|cdab|badc|dcba|ab|ba)")
+_ORDERS = {"ab": "ABCD", "ba": "DCBA"}
+_TEXT = re.compile(r"(?:string|str|char|chars|ascii|text|utf8|字符串) ?:? ?([0-9]{1,9})")
+
+
+def type_keys(
+    cell: str, options: ListOptions, registers: int | None, size: int | None
+) -> dict[str, Any]:
+    """Return the arguments that the word of a type says; `registers` and `size` of a text."""
+    origin = options.of_origin
+    word = word_of(cell)
+    meanings = {word_of(key): meaning for key, meaning in options.types.items()}
+    meaning = meanings.get(word, origin.types.get(word))
+    if meaning is None and re.fullmatch(r"string:[0-9]+", cell.casefold()):
+        return {"type": cell.casefold()}
+    if meaning is None and (length := _TEXT.fullmatch(word)):
+        return {"type": f"string:{_text_size(int(length[1]), cell, options, registers, size)}"}
+    if meaning is None:
+        meaning = _meaning(word)
+    if meaning is None and (parts := _WITH_ORDER.fullmatch(word)):
+        order = _ORDERS.get(parts[2], parts[2].upper())
+        meaning = f"{_meaning(parts[1])} {order}" if _meaning(parts[1]) else None
+    has_size = registers is not None or size is not None
+    if meaning is None and has_size and _TEXT.fullmatch(f"{word} 1"):
+        meaning = "string"
+    if meaning is None:
+        raise _unknown(cell, word)
+    if meaning.startswith("?"):
+        raise WrongValue((), meaning[1:])
+    name, _, more = meaning.partition(" ")
+    key = "byte" if more in BYTES else "encoding" if more.startswith("utf") else "order"
+    keys = {"type": name} | ({key: more} if more else {})
+    if name == "string":
+        if not has_size:
+            raise WrongValue((), f"{cell} needs a column with its registers or bytes")
+        keys["type"] = f"string:{2 * registers if registers is not None else size}"
+    return keys
+
+
+def _meaning(word: str) -> str | None:
+    return TYPE_WORDS.get(word) or type_named(word) or words().types.get(word)
+
+
+def _text_size(
+    length: int, cell: str, options: ListOptions, registers: int | None, size: int | None
+) -> int:
+    """Return the bytes of a text of a length, which counts bytes or registers."""
+    lengths = options.lengths or options.of_origin.lengths
+    if registers is not None and length in (registers, 2 * registers):
+        return 2 * registers
+    if size is not None and length == size:
+        return size
+    if lengths is None:
+        hint = "say --list lengths=bytes or =registers"
+        raise WrongValue((), f"{cell} may count bytes or registers: {hint}")
+    return length if lengths == "bytes" else 2 * length
+
+
+def _unknown(cell: str, word: str) -> WrongValue:
+    if meanings := words().ambiguous_types.get(word):
+        example = f"--list 'types={cell}={re.split('[, ]', meanings)[0]}'"
+        return WrongValue((), f"{cell} may be {meanings}: say which, as in {example}")
+    names = ", ".join(dict.fromkeys([*TYPE_WORDS.values(), "string:N"]))
+    hint = close_to(word, [*TYPE_WORDS, *words().types])
+    text = f"{reprlib.repr(cell)} (--list 'types={cell}=TYPE' says it)"
+    return WrongValue((), f"must be one of {names}, not {text}{hint}")
 
 
 # --- configurations of modpoll in Python, whose rows are of three kinds ---------------------------

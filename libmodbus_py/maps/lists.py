@@ -19,19 +19,27 @@ from ..files.texts import FileError, FilePlace
 from ..protocol.mistakes import Path, WrongValue, inside
 from ..protocol.values import value_type
 from ..protocol.words import plain
-from .list_cells import RAW, READERS, address_in, type_keys
-from .list_columns import (
+from .list_cells import (
     HEADINGS_OF_KINDS,
     KEYS,
-    MOST_NAMED,
+    RAW,
+    READERS,
     SaidColumns,
+    address_in,
     find_columns,
     without_base,
 )
-from .list_words import MODPOLL, REFERENCE, ListOptions, flat_rows, word_of, words
-from .meaning import Scaling
-
-__all__ = ["MapEntry", "MapError", "RegisterList"]
+from .list_words import (
+    MODPOLL,
+    MOST_NAMED,
+    REFERENCE,
+    ListOptions,
+    flat_rows,
+    type_keys,
+    word_of,
+    words,
+)
+from .scaling import Scaling
 
 LAST_OF_BYTE = {"int8": -128, "uint8": 255}
 """Type that SunSpec lacks -> what it would take for no value."""
@@ -51,18 +59,10 @@ class MapEntry(NamedTuple):
 
 class RegisterList:
     """
-    The text of a list, and what its columns mean.
+    The text of a list, as CSV or Markdown, and what its columns mean.
 
-    Args:
-        text: the text, as CSV or Markdown.
-        options: how it is read.
-
-    Attributes:
-        notes: how it was read, and what is ignored.
-
-    Raises:
-        MapError: the headings have no meaning, or two.
-        ValueError: an option names a column or a row that a list cannot have.
+    A MapError says that the headings have no meaning, or two; a ValueError, that an option names a
+    column or a row that a list cannot have. `notes` say how it was read, and what is ignored.
     """
 
     def __init__(self, text: str, options: ListOptions) -> None:
@@ -71,13 +71,8 @@ class RegisterList:
         self._origin = options.of_origin
         self.notes: list[str] = []
         self._said = SaidColumns.of(options.columns)
-        headings = (
-            HEADINGS_OF_KINDS.keys()
-            | words().headings.keys()
-            | words().ambiguous.keys()
-            | self._origin.columns.keys()
-            | {word_of(heading) for heading in self._said.headings.values()}
-        )
+        headings = {*HEADINGS_OF_KINDS, *words().headings, *words().ambiguous}
+        headings |= {*self._origin.columns, *map(word_of, self._said.headings.values())}
         is_modpoll = options.origin == "modpoll"
         self._text = CsvText(
             text, lambda cell: word_of(cell) in headings, MapError, headings=MODPOLL * is_modpoll
@@ -99,7 +94,11 @@ class RegisterList:
             self.notes.append(f"columns that mean nothing here: {', '.join(ignored)}")
         rows = [*(flat_rows(self._text.rows()) if is_modpoll else self._text.rows())]
         self._rows = list(self._selected(rows))
+        self._table = self._options.table or self._origin.table
         self._tells_table = {"table", "function"} & self._columns.keys() or self._table
+        self._first_address = self._options.first_address  # address 0 as the list calls it
+        if self._first_address is None and self._tells_table:
+            self._first_address = self._origin.first_address
         self._check_addresses()
         self._check_offsets()
         self._names = self._read_names()
@@ -126,12 +125,9 @@ class RegisterList:
 
     def _error(self, reason: str) -> MapError:
         if self._options.origin is None:
-            origins = words().origins.items()
-            reason += "".join(
-                f"; --from {name} reads such lists"
-                for name, origin in origins
-                if any(sign in self._content for sign in origin.signs)
-            )
+            for name, origin in words().origins.items():
+                if any(sign in self._content for sign in origin.signs):
+                    reason += f"; --from {name} reads such lists"
         return MapError((), reason, place=FilePlace(line=self._text.head.line or None))
 
     # --- rows ------------------------------------------------------------------------------
@@ -170,18 +166,6 @@ class RegisterList:
         if filters and not count:
             raise self._error(f"no row has {dict(self._options.only)}")
 
-    @property
-    def _table(self) -> str | None:
-        return self._options.table or self._origin.table
-
-    @property
-    def _first_address(self) -> int | str | None:
-        """The address 0 as the list calls it; None if nothing says it."""
-        options, origin = self._options, self._origin
-        if options.first_address is not None:
-            return options.first_address
-        return origin.first_address if self._tells_table else None
-
     def _check_addresses(self) -> None:
         """Refuse addresses that may count from 0 or from 1, or be references."""
         column, origin = self._columns["address"], self._options.origin
@@ -189,8 +173,9 @@ class RegisterList:
             if self._first_address is not None or origin == "iobroker":
                 tables = "holding_registers, input_registers, coils or discrete_inputs"
                 reason = f"say --list table= one of {tables}"
-                also = "" if self._first_address is not None else _OR_REFERENCE
-                raise self._error(f"no column has the table: {reason}{also}")
+                if self._first_address is None:  # the first digits of references say the table
+                    reason += ", whose addresses count from 0, or first_address=reference"
+                raise self._error(f"no column has the table: {reason}")
             self.notes.append(f"{column.heading} has references: 40001 is holding register 0")
         word = without_base(word_of(column.heading))[0]
         if self._first_address is not None or not self._tells_table or word in KEYS:
@@ -201,7 +186,7 @@ class RegisterList:
             raise self._error(f"{reason}: say --list first_address=0, =1 or =reference")
         cells = [_cell(row, column.at) for row in self._rows]
         numbers = [int(cell) for cell in cells if re.fullmatch("[0-9]{5}", cell)]
-        if cells and len(numbers) == len(cells) and all(map(_is_reference, numbers)):
+        if cells and len(numbers) == len(cells) and 30001 <= min(numbers) <= max(numbers) <= 49999:
             reason = f"column {column.heading} may have references, such as {numbers[0]}"
             raise self._error(f"{reason}: say --list first_address=0 or =reference")
 
@@ -253,7 +238,6 @@ class RegisterList:
                 keys[kind] = self._read(kind, text)
         texts["name"] = self._names[row.line]
         keys |= {"name": texts["name"]} if texts["name"] else {}
-        _settle_table(keys, texts)
         self._settle_address(keys, texts)
         self._settle_type(keys, texts)
         self._settle_scale(keys)
@@ -270,6 +254,9 @@ class RegisterList:
         return read(self._text.number_cell(text) if is_number else text)
 
     def _settle_address(self, keys: dict[str, Any], texts: Mapping[str, str]) -> None:
+        table = keys.pop("function", None)
+        if table and keys.setdefault("table", table) != table:
+            raise WrongValue("function", f"{texts['function']} is none of {keys['table']}")
         keys.setdefault("table", self._table)
         if "address" not in texts:
             return
@@ -291,19 +278,18 @@ class RegisterList:
 
     def _settle_type(self, keys: dict[str, Any], texts: Mapping[str, str]) -> None:
         registers, size = keys.pop("registers", None), keys.pop("bytes", None)
-        if str(keys["table"]).endswith("registers"):
+        is_of_registers = str(keys["table"]).endswith("registers")
+        if is_of_registers:
             keys.setdefault("order", self._options.order or self._origin.order)
-            if "type" in texts or "" in self._origin.types:
-                with inside("type"):
-                    keys |= type_keys(texts.get("type", ""), self._options, registers, size)
-        elif "type" in texts:
+        if "type" in texts or (is_of_registers and "" in self._origin.types):
             with inside("type"):
-                keys |= type_keys(texts["type"], self._options, registers, size)
-                keys.pop("order", None)
+                keys |= type_keys(texts.get("type", ""), self._options, registers, size)
+        if not is_of_registers and "type" in texts:
+            keys.pop("order", None)
         if "initial" in texts and str(keys.get("type")).startswith(("string", "eui")):
             keys["initial"] = texts["initial"]
         if keys.get("type") == "bool":
-            if str(keys["table"]).endswith("registers"):
+            if is_of_registers:
                 reason = "of registers must not be bool; bits16 gives those of one"
                 raise WrongValue("type", reason)
             del keys["type"]
@@ -311,7 +297,6 @@ class RegisterList:
             keys.setdefault("missing", LAST_OF_BYTE.get(keys["type"], self._origin.missing))
         if keys.get("missing") == "sunspec" and plain(texts.get("type", "")).startswith("acc"):
             keys["missing"] = [0]  # of accumulators, 0 means "not implemented"
-        is_of_registers = str(keys["table"]).endswith("registers")
         if registers is not None and not self._origin.is_sloppy and is_of_registers:
             type_word = keys.get("type", "uint16")
             width = value_type(type_word).registers * keys.get("count", 1)
@@ -355,29 +340,11 @@ class RegisterList:
         if raws.get("raw_initial") == 0:
             del raws["raw_initial"]  # with which devices begin anyway
         for kind, raw in raws.items():
-            keys[RAW[kind]] = scaled(raw, scale, offset)
+            is_scaled = (scale, offset) != (1, 0)
+            keys[RAW[kind]] = Scaling(scale, offset).to_value(raw) if is_scaled else raw
         if scale < 0 and "raw_minimum" in raws and "raw_maximum" in raws:
             keys["minimum"], keys["maximum"] = keys["maximum"], keys["minimum"]
 
 
-def scaled(raw: float, scale: float, offset: float) -> float:
-    """Return the value of a raw number."""
-    return raw if (scale, offset) == (1, 0) else Scaling(scale, offset).to_value(raw)
-
-
-# The first digits of references say the table; otherwise addresses count from 0.
-_OR_REFERENCE = ", whose addresses count from 0, or first_address=reference"
-
-
 def _cell(row: CsvRow, at: int) -> str:
     return row.cells[at] if at < len(row.cells) else ""
-
-
-def _is_reference(number: int) -> bool:
-    return 30001 <= number <= 49999
-
-
-def _settle_table(keys: dict[str, Any], texts: Mapping[str, str]) -> None:
-    table = keys.pop("function", None)
-    if table and keys.setdefault("table", table) != table:
-        raise WrongValue("function", f"{texts['function']} is none of {keys['table']}")

@@ -16,18 +16,10 @@ from typing import Any
 from ..files.schema import Key, Keys, keys_of, table, tables, whole
 from ..files.texts import FilePlace, line_of, read_table, read_text, read_toml
 from ..protocol.mistakes import Path, WrongValue, placed
-from .list_cells import PADDINGS
 from .list_words import ListOptions
 from .lists import MapEntry, MapError, RegisterList
 from .point import Point
 from .point_plan import scale_mistakes
-
-# fmt: off
-__all__ = [
-    "FORMS", "PADDINGS", "POINT", "Contents", "MapError", "contents_of", "contents_of_text",
-    "remarks",
-]
-# fmt: on
 
 FORMS: tuple[str, ...] = (".toml", ".csv", ".tsv", ".txt", ".md", ".xlsx")
 """The suffixes of files that may be maps; all but the first have columns."""
@@ -35,17 +27,12 @@ FORMS: tuple[str, ...] = (".toml", ".csv", ".tsv", ".txt", ".md", ".xlsx")
 POINT = keys_of(Point)
 """The keys of a point, in every file that describes points."""
 
-DEFAULTS = POINT.but("name", "address").optional() | Keys(
-    [Key("first_address", whole(0, 0xFFFF), "what the file calls address 0")]
-)
+_FIRST = Key("first_address", whole(0, 0xFFFF), "what the file calls address 0")
+DEFAULTS = Keys([*POINT.but("name", "address").optional().values(), _FIRST])
 """The keys of ``[defaults]``: those of a point, and how its addresses count."""
 
-FILE = Keys(
-    [
-        Key("point", tables, "a table for each point: [[point]]", ()),
-        Key("defaults", DEFAULTS.read, "keys of all points without their own"),
-    ]
-)
+_POINTS = Key("point", tables, "a table for each point: [[point]]", ())
+FILE = Keys([_POINTS, Key("defaults", DEFAULTS.read, "keys of all points without their own")])
 
 
 @dataclass
@@ -164,12 +151,11 @@ def remarks(contents: Contents) -> Iterator[str]:
     points = list(contents.points.values())
     yield from contents.notes
     for name, span in _REFERENCES.items():
-        addresses = [point.address for point in points if point.table == name]
-        if addresses and all(address in span for address in addresses):
-            yield (
-                f"all addresses of {name} are in {span.start}..{span.stop - 1}: if these are"
-                f" references, {span.start} for address 0, leave out the column with the table"
-            )
+        addresses = {point.address for point in points if point.table == name}
+        if addresses and addresses.issubset(span):
+            reason = f"all addresses of {name} are in {span.start}..{span.stop - 1}"
+            hint = f"{span.start} for address 0, leave out the column with the table"
+            yield f"{reason}: if these are references, {hint}"
     for first, second in pairwise(sorted(points, key=lambda point: (point.table, point.address))):
         are_parts = first.is_part and second.is_part  # which may be different bits
         is_within = first.table == second.table and second.address < first.cells.stop

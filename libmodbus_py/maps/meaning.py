@@ -1,8 +1,4 @@
-"""
-The meaning of the cells of a value: numbers, states, bits, parts of registers, or no value.
-
-Scaling adds no noise of binary fractions: 2305 * 0.1 is 230.5.
-"""
+"""The meaning of the cells of a value: numbers, states, bits, parts of registers, or no value."""
 
 from __future__ import annotations
 
@@ -11,47 +7,17 @@ import re
 import reprlib
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, SupportsFloat, SupportsIndex
+from typing import Any, Literal, NamedTuple
 
-from ..protocol import checks
-from ..protocol.checks import are_registers, integer, shown
+from ..protocol.checks import are_registers, instance, integer, shown
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import Path, WrongType, WrongValue
 from ..protocol.pdu.request import checked_bit
 from ..protocol.plain import SHORT_FLOATS, shortest
 from ..protocol.values import ValueType
-from .states import States
-
-if TYPE_CHECKING:
-    # Imported where needed: it takes as long as a read, and most programs scale nothing.
-    from fractions import Fraction
-
-__all__ = [
-    "CellChange",
-    "Judged",
-    "Meaning",
-    "NoValue",
-    "Part",
-    "Scaling",
-    "exact",
-    "no_value",
-    "number",
-    "part_of",
-    "scaling_by",
-]
+from .scaling import Scaling, States
 
 Reason = Literal["Missing", "Implausible", "InvalidData", "InvalidTime", "BadScale"]
-
-# Far beyond any measured quantity, and small enough for exact arithmetic.
-LARGEST, SMALLEST = 1e30, 1e-30
-
-LARGEST_EXPONENT = round(math.log10(LARGEST))
-"""Powers of ten that a device may name: those of `LARGEST` and `SMALLEST`."""
-
-# A float that has as many digits, and is the quotient of 1 and a whole number, is the result of
-# that division.
-DIGITS_OF_DIVISION = 14
 
 
 class NoValue(ModbusError, ValueError):
@@ -76,7 +42,8 @@ class NoValue(ModbusError, ValueError):
         self.name: str = name
         self.reason: Reason = reason
 
-    __repr__ = Exception.__repr__
+    def __repr__(self) -> str:
+        return Exception.__repr__(self)
 
     def __str__(self) -> str:
         return f"{self.name} {self.args[2]}"
@@ -90,13 +57,8 @@ def no_value(name: str, kind: ValueType, error: ValueError) -> NoValue:
 
 class Judged(NamedTuple):
     """
-    A value of a point, or the reason why there is none.
-
-    Attributes:
-        value: as `Point.decode` returns it; None if there is none.
-        quality: "good", or "bad" if there is no value.
-        reason: that of `NoValue`, and empty with a value; of a list, the reason of the first
-            item that is None.
+    A value, as `Point.decode` returns it, or the reason of `NoValue` why there is none; of a list,
+    the reason of the first item that is None.
     """
 
     value: Any
@@ -226,7 +188,8 @@ class Meaning:
         self.bits: Mapping[str, Part] = bits
         has_names = states is not None or bool(bits)
         self.is_plain: bool = not (part or span or missing or has_names)
-        self.has_numbers: bool = _has_numbers(kind, part) and not has_names
+        is_number = not part.is_flag if part else kind is not None and kind.limits is not None
+        self.has_numbers: bool = is_number and not has_names
         self.from_bytes: Callable[[bytes], Any] = bool if kind is None else self._reader(kind)
 
     def _reader(self, kind: ValueType) -> Callable[[bytes], Any]:
@@ -343,129 +306,11 @@ class Meaning:
 
     def _named_bits(self, value: object) -> tuple[int, int]:
         """Return the bits of a mapping of names to values, and the mask of those bits."""
-        if not isinstance(value, Mapping):
-            raise WrongType("value", f"must be a dict of named bits, not {type(value).__name__}")
         bits = mask = 0
-        for name, bit in value.items():
+        for name, bit in instance("value", value, Mapping, "a dict of named bits").items():
             if name not in self.bits:
                 names = ", ".join(self.bits)
                 raise WrongValue("value", f"must have names of {names}, not {shown(name)}")
             bits |= self.bits[name].put(("value", name), bit)
             mask |= self.bits[name].mask
         return bits, mask
-
-
-def _has_numbers(kind: ValueType | None, part: Part | None) -> bool:
-    if part is not None:
-        return not part.is_flag
-    return kind is not None and kind.limits is not None
-
-
-def number(name: str, value: object) -> int | float:
-    """Check a number of a map: an int or float in -1e30..1e30, not True or False."""
-    amount = checks.number(name, value, -LARGEST, LARGEST)
-    return int(amount) if isinstance(amount, int) else float(amount)
-
-
-class Scaling:
-    """
-    value = raw * scale * factor + offset, computed exactly and rounded once, to the nearest float.
-
-    Scale and offset are taken as they are written: 0.1 is a tenth. Where all are whole, integers
-    give integers. The scale is not nearer to 0 than 1e-30.
-    """
-
-    __slots__ = ("_divisor", "_factor", "_shift")
-
-    def __init__(self, scale: float, offset: float, factor: Fraction | None = None) -> None:
-        if abs(number("scale", scale)) < SMALLEST:
-            raise WrongValue("scale", f"must not be nearer to 0 than {SMALLEST:g}: {shown(scale)}")
-        times, plus = exact_scale(scale), exact(number("offset", offset))
-        if factor is not None:
-            times *= factor
-        self._divisor = math.lcm(times.denominator, plus.denominator)
-        self._factor = int(times * self._divisor)
-        self._shift = int(plus * self._divisor)
-
-    def to_value(self, raw: float) -> int | float:
-        """Return the scaled value of a raw number; infinity and nan stay what they are."""
-        if not isinstance(raw, float):
-            scaled = raw * self._factor + self._shift
-            # Python divides integers exactly, and rounds once.
-            return scaled if self._divisor == 1 else scaled / self._divisor
-        if not math.isfinite(raw):
-            return raw * self._factor
-        above, below = _as_written(raw)
-        scaled = above * self._factor + below * self._shift
-        try:
-            return scaled / (below * self._divisor)
-        except OverflowError:
-            return math.inf if scaled > 0 else -math.inf  # too large for copysign, too
-
-    def to_whole(self, value: object) -> int:
-        """Return the nearest raw number; of two equally near ones, the even one."""
-        return round(self._to_raw(value))
-
-    def to_float(self, value: object) -> float:
-        """Return the raw number as a float; infinity and nan stay what they are."""
-        if isinstance(value, float) and not math.isfinite(value):
-            return value * self._factor
-        try:
-            return float(self._to_raw(value))
-        except OverflowError:
-            raise WrongValue("value", f"is too large: {shown(value)}") from None
-
-    def _to_raw(self, value: object) -> Fraction:
-        return (exact(value) * self._divisor - self._shift) / self._factor
-
-
-@lru_cache(maxsize=1024)
-def scaling_by(scale: float, offset: float, how: str, source: float) -> Scaling:
-    """Return the scaling with a power of ten, or a factor, of a device; or raise ValueError."""
-    from fractions import Fraction
-
-    if how == "exponent":
-        if source != source or abs(source) > LARGEST_EXPONENT or source != int(source):
-            raise ValueError(f"a power of ten in -30..30, not {shown(source)}")
-        return Scaling(scale, offset, Fraction(10) ** int(source))
-    if not SMALLEST <= abs(source) <= LARGEST:
-        raise ValueError(f"a factor in 1e-30..1e30, not {shown(source)}")
-    return Scaling(scale, offset, exact(source))
-
-
-def _as_written(value: float) -> tuple[int, int]:
-    """Return a float as the quotient of two whole numbers, as `exact`, in a tenth of the time."""
-    whole, _, decimals = repr(value).partition(".")
-    if "e" in decimals or "e" in whole:
-        return exact(value).as_integer_ratio()
-    return int(whole + decimals), 10 ** len(decimals)
-
-
-def exact(value: Any) -> Fraction:
-    """Return a number as it is written; a float as the shortest text that Python reads as it."""
-    from fractions import Fraction
-
-    if isinstance(value, bool) or not isinstance(value, SupportsFloat | SupportsIndex):
-        raise WrongType("value", f"must be a number, not {type(value).__name__}")
-    if isinstance(value, SupportsIndex):
-        return Fraction(value.__index__())
-    if not math.isfinite(value):
-        raise WrongValue("value", f"must be a finite number, not {value}")
-    # str() of a Decimal is exact, too; Fractions have a numerator.
-    return Fraction(str(value) if _is_exact(value) else repr(float(value)))
-
-
-def exact_scale(scale: float) -> Fraction:
-    """Return a scale as it is written, and 1/n where a file has the divisor n, such as 3."""
-    from fractions import Fraction
-
-    digits = exact(scale)
-    divisor = round(1 / scale)
-    # No text of a person has as many digits as the nearest float of a third.
-    if divisor and 1 / divisor == scale and len(str(digits.numerator)) >= DIGITS_OF_DIVISION:
-        return Fraction(1, divisor)
-    return digits
-
-
-def _is_exact(value: object) -> bool:
-    return hasattr(value, "as_tuple") or hasattr(value, "numerator")

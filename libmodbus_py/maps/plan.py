@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from heapq import heapify, heappop, heappush
+from itertools import chain
 from typing import Any, NamedTuple
 
 from ..protocol import pdu
@@ -23,8 +23,6 @@ from ..protocol.value_types import cells_of
 from .holes import Block, BlockPiece, Holes, PartialAnswer, Span, Unreadable
 from .items import Borders, Forbidden, Items, NamedValues, PlanOptions, Read, checked_items
 from .meaning import no_value
-
-__all__ = ["Plan", "planned", "unreadable_of"]
 
 
 class _Part(NamedTuple):
@@ -42,14 +40,6 @@ class _Rest(NamedTuple):
     stop: int
     item: int
     step: int
-
-
-@dataclass
-class _Window:
-    """The cells that one request reads."""
-
-    start: int
-    stop: int
 
 
 @named_arguments
@@ -133,24 +123,25 @@ class Plan:
         Raises:
             ValueError: the answers do not fit the requests.
         """
-        given = self._checked_answers(list(answers))
-        values = NamedValues({name: self._values(name, given) for name in self._reads})
+        answers = self._checked_answers(list(answers))
+        values = NamedValues({name: self._values(name, answers) for name in self._reads})
         return values if self._is_named else list(values.values())
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
         """The pieces of each request, in the order of their addresses."""
-        found: list[dict[Span, list[Any]]] = [{} for _ in self.requests]
+        blocks: list[dict[Span, list[Any]]] = [{} for _ in self.requests]
         for name, parts in self._parts.items():
             for at, start, stop in parts:
                 first: int = self.requests[at].address  # type: ignore[attr-defined]
                 span = Span(self._reads[name].table, first + start, first + stop)
-                found[at].setdefault(span, []).append(name)
+                blocks[at].setdefault(span, []).append(name)
         return tuple(
-            [BlockPiece(span, tuple(pieces[span])) for span in sorted(pieces)] for pieces in found
+            [BlockPiece(span, tuple(pieces[span])) for span in sorted(pieces)] for pieces in blocks
         )
 
-    def _values(self, name: Any, answers: list[Any]) -> Any:
+    def _cells(self, name: Any, answers: list[Any]) -> Any:
+        """Return the cells of an item, or the error of a request."""
         cells: list[Any] = []
         for request, start, stop in self._parts[name]:
             answer = answers[request]
@@ -159,11 +150,11 @@ class Plan:
             if isinstance(answer, PartialAnswer) and (error := answer.errors.get((start, stop))):
                 return error
             cells += answer[start:stop]
-        return self._decoded(name, cells)
+        return cells
 
-    def _decoded(self, name: Any, cells: list[Any]) -> Any:
-        kind = self._reads[name].kind
-        if kind is None:
+    def _values(self, name: Any, answers: list[Any]) -> Any:
+        kind, cells = self._reads[name].kind, self._cells(name, answers)
+        if kind is None or isinstance(cells, ModbusError):
             return cells
         values = kind.values_in(cells_of(cells))
         errors = [value for value in values if isinstance(value, ValueError)]
@@ -173,10 +164,8 @@ class Plan:
 
     def _checked_answers(self, answers: list[Any]) -> list[Any]:
         if len(answers) != len(self.requests):
-            raise WrongValue(
-                "answers",
-                f"must hold one for each of {len(self.requests)} requests, not {len(answers)}",
-            )
+            form = f"one for each of {len(self.requests)} requests"
+            raise WrongValue("answers", f"must hold {form}, not {len(answers)}")
         for at, (answer, request) in enumerate(zip(answers, self.requests, strict=True)):
             count: int = request.count  # type: ignore[attr-defined]
             if not isinstance(answer, ModbusError) and len(answer) != count:
@@ -186,10 +175,9 @@ class Plan:
     def _check_reads(self, max_registers: int) -> None:
         for name, read in self._reads.items():
             if read.kind is not None and read.size > max_registers:
-                raise ValueError(
-                    f"items[{name!r}]: {read.type} takes {read.size} registers, which is more"
-                    f" than max_registers, {max_registers}"
-                )
+                reason = f"{read.type} takes {read.size} registers"
+                limit = f"which is more than max_registers, {max_registers}"
+                raise ValueError(f"items[{name!r}]: {reason}, {limit}")
             for closed in self._forbidden[read.table]:
                 if touches([closed], read.address, len(read.cells)):
                     raise ValueError(f"items[{name!r}]: {read} touches the forbidden {closed}")
@@ -201,28 +189,27 @@ class Plan:
         """Cover a table with the fewest requests, each from the lowest cell that is in none yet."""
         items = [(name, read) for name, read in self._reads.items() if read.table == table]
         pieces = [
-            _Rest(each.address, each.cells.stop, at, self._size_together(each, limit))
-            for at, (_, each) in enumerate(items)
+            _Rest(read.address, read.cells.stop, at, self._size_together(read, limit))
+            for at, (_, read) in enumerate(items)
         ]
-        windows: list[_Window] = []
+        windows: list[range] = []  # the cells that each request reads
         heapify(pieces)
         while pieces:
             start, stop, at, step = heappop(pieces)
             if not windows or not self._fits(table, windows[-1], start, start + step, limit):
-                windows.append(_Window(start, start))
-            window = windows[-1]
-            end = min(window.start + limit, self._next_border(table, start))
+                windows.append(range(start, start))
+            first = windows[-1].start
+            end = min(first + limit, self._next_border(table, start))
             reached = min(stop, start + (end - start) // step * step)
-            window.stop = max(window.stop, reached)
+            windows[-1] = range(first, max(windows[-1].stop, reached))
             number = len(self._requests) + len(windows) - 1
-            part = _Part(number, start - window.start, reached - window.start)
-            self._parts[items[at][0]].append(part)
+            self._parts[items[at][0]].append(_Part(number, start - first, reached - first))
             if reached < stop:
                 heappush(pieces, _Rest(reached, stop, at, step))
         make = TABLES[table].read
-        self._requests += [make(window.start, window.stop - window.start) for window in windows]
+        self._requests += [make(window.start, len(window)) for window in windows]
 
-    def _fits(self, table: str, window: _Window, start: int, stop: int, limit: int) -> bool:
+    def _fits(self, table: str, window: range, start: int, stop: int, limit: int) -> bool:
         between = start - window.stop
         return (
             stop <= min(window.start + limit, self._next_border(table, window.start))
@@ -254,15 +241,14 @@ def planned(items: Plan | Items, options: PlanOptions) -> Plan:
 
 def unreadable_of(plan: Plan, holes: Holes, device: str) -> list[Unreadable]:
     """Return the items of a plan that a device is known to refuse."""
-    found: dict[Any, ModbusError] = {}
-    for block in plan.blocks:
-        for span, names in block:
-            if (hole := holes.refused.get(span)) is not None:
-                found |= dict.fromkeys(names, hole.error)
+    errors: dict[Any, ModbusError] = {}
+    for span, names in chain.from_iterable(plan.blocks):
+        if (hole := holes.refused.get(span)) is not None:
+            errors |= dict.fromkeys(names, hole.error)
     return [
-        Unreadable(device, name, read.table, read.cells, found[name])
+        Unreadable(device, name, read.table, read.cells, errors[name])
         for name, read in plan._reads.items()
-        if name in found
+        if name in errors
     ]
 
 

@@ -1,11 +1,13 @@
-"""
-One named value of a device: its location and the meaning of its cells.
-"""
+"""One named value of a device: its location and the meaning of its cells."""
 
 from __future__ import annotations
 
+import keyword
+import re
+import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, count
 from typing import Any, Literal
 
 from ..protocol.checks import shown
@@ -14,10 +16,9 @@ from ..protocol.pdu.request import checked_sequence
 from ..protocol.tables import Table
 from ..protocol.values import Order, TypeName
 from .items import Read
-from .meaning import CellChange, Judged, Meaning, NoValue, Scaling, exact, scaling_by
+from .meaning import CellChange, Judged, Meaning, NoValue
 from .point_checks import check_point
-
-__all__ = ["Point"]
+from .scaling import Scaling, exact, scaling_by
 
 Rights = Literal["read", "write", "read_write"]
 
@@ -214,15 +215,7 @@ class Point:
         return self.judge(cells, source=source).value
 
     def judge(self, cells: Sequence[Any], *, source: float | None = None) -> Judged:
-        """
-        Return the value that the cells of the point hold, or the reason why there is none.
-
-        Args:
-            cells, source: as for `decode`.
-
-        Raises:
-            TypeError, ValueError: as `decode`.
-        """
+        """Return the value that the cells hold, or the reason why there is none; as `decode`."""
         try:
             if len(cells) != len(self.cells):
                 raise WrongValue("cells", f"must have {len(self.cells)} items, not {len(cells)}")
@@ -324,18 +317,55 @@ class Point:
         low, high = self.minimum, self.maximum
         if not _is_within(value, low, high):
             span = f"{'' if low is None else low}..{'' if high is None else high}"
-            text = (
-                shown(value)
-                if written_value is None
-                else f"{shown(written_value)}, written as {shown(value)}"
-            )
-            raise WrongValue("value", f"must be in {span}, not {text}")
+            text = "" if written_value is None else f"{shown(written_value)}, written as "
+            raise WrongValue("value", f"must be in {span}, not {text}{shown(value)}")
 
 
 def _is_within(value: Any, low: Any, high: Any) -> bool:
     """Return True if the bounds hold as they are written: Decimal("0.3") is not above 0.3."""
     if not isinstance(value, int | float):
-        value, low, high = (
-            bound if bound is None else exact(bound) for bound in (value, low, high)
-        )
+        value, low, high = (item if item is None else exact(item) for item in (value, low, high))
     return (low is None or value >= low) and (high is None or value <= high)
+
+
+# --- names of points as attributes ----------------------------------------------------------------
+
+RESERVED = frozenset(
+    {
+        *("bind", "client", "datetime", "map", "read", "self", "write"),
+        *("bool", "dict", "float", "int", "list", "property", "str", "super"),
+    }
+)
+"""Names that no attribute may have, because bound maps and their classes use them."""
+
+
+def attribute_names(names: Iterable[str]) -> dict[str, str]:
+    """Return the attribute for the name of each point, by the rules of `BoundMap`."""
+    names = list(names)
+    attributes = {name: name for name in names if _identifier(name) == name}
+    taken = {*attributes}
+    for name in names:
+        if name not in attributes:
+            attributes[name] = _free(_identifier(name), taken)
+            taken.add(attributes[name])
+    return {name: attributes[name] for name in names}
+
+
+def _identifier(name: str) -> str:
+    text = spelled(name).strip("_") or "point"
+    if not text.isidentifier():
+        text = f"point_{text}"
+    return f"{text}_" if keyword.iskeyword(text) or text in RESERVED else text
+
+
+def spelled(name: str) -> str:
+    """Return a name with one ``_`` for each run of characters that no identifier has."""
+    # As Python itself spells identifiers; twice, because some letters become others and a space.
+    text = unicodedata.normalize("NFKC", name)
+    text = "".join(letter if f"a{letter}".isidentifier() else " " for letter in text)
+    return unicodedata.normalize("NFKC", re.sub(" +", "_", text))
+
+
+def _free(text: str, taken: set[str]) -> str:
+    others = (f"{text}_{number}" for number in count(2))
+    return next(name for name in chain([text], others) if name not in taken)

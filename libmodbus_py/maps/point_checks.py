@@ -1,39 +1,25 @@
-"""
-Checks of the arguments of a point, from which its attributes are made.
-"""
+"""Checks of the arguments of a point, from which its attributes are made."""
 
 from __future__ import annotations
 
+import contextlib
 import math
 import reprlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from ..protocol.checks import integer, seconds, shown
+from ..protocol.checks import choice, instance, integer, seconds, shown, string
 from ..protocol.mistakes import Path, WrongType, WrongValue, placed
 from ..protocol.pdu.request import store
 from ..protocol.plain import shortest
-from ..protocol.tables import TABLES, checked_table, checked_write_function
+from ..protocol.tables import TABLES, checked_table
 from ..protocol.values import ValueType
 from .items import Read
-from .meaning import Meaning, Part, Scaling, number, part_of
-from .states import NumberSpan, States, check_spans, state_key
-
-# fmt: off
-__all__ = [
-    "ACCESSES", "BYTES", "LONGEST_INTERVAL", "MAX_DESCRIPTION", "MAX_NAME", "SCALES",
-    "SHORTEST_INTERVAL", "check_point",
-]
-# fmt: on
+from .meaning import Meaning, Part, part_of
+from .scaling import NumberSpan, Scaling, States, check_spans, number, state_key
 
 # A `Point` whose arguments are not all checked yet; its module imports this one.
 Point = Any
-
-# Seconds; a longer interval is taken to be a mistake.
-SHORTEST_INTERVAL, LONGEST_INTERVAL = 0.01, 86_400.0
-
-# Characters.
-MAX_NAME, MAX_DESCRIPTION = 100, 2000
 
 ACCESSES = ("read", "write", "read_write")
 SCALES = ("exponent", "factor")
@@ -47,12 +33,7 @@ HAVE_NO_VALUE = ("bcd", "sbcd", "mod10k", "umod10k")
 BYTE_TYPES = ("int8", "uint8")
 """Types that are the low byte of a register, if nothing else is said."""
 
-TEXTS = {
-    "name": (1, MAX_NAME),
-    "units": (0, MAX_NAME),
-    "group": (0, MAX_NAME),
-    "description": (0, MAX_DESCRIPTION),
-}
+TEXTS = {"name": (1, 100), "units": (0, 100), "group": (0, 100), "description": (0, 2000)}
 """Argument -> the fewest and the most characters."""
 
 NEED_NUMBERS: dict[str, Any] = {
@@ -85,25 +66,25 @@ def check_point(point: Point) -> None:
     for name, (least, most) in TEXTS.items():
         _check_text(name, getattr(point, name), least, most)
     for name in ("encoding", "padding"):
-        _check_string(name, getattr(point, name))
+        string(name, getattr(point, name))
     table = checked_table(point.table)
     is_bits = TABLES[table].is_bits
     type_: Any = "uint16" if point.type is None and not is_bits else point.type
-    text = {"encoding": point.encoding, "padding": point.padding}
-    read = Read(table, point.address, point.count, type_, point.order, **text)
+    layout = point.order, point.encoding, point.padding
+    read = Read(table, point.address, point.count, type_, *layout)
     order = "ABCD" if read.kind is None else read.kind.order
-    store(point, read=read, table=table, address=read.address, count=read.count, order=order)
-    store(point, type=read.type)
+    place = {"table": table, "address": read.address, "count": read.count}
+    store(point, read=read, type=read.type, order=order, **place)
     if point.time_zone != "UTC":
         store(read, kind=_local(read.kind, point))
-    if point.interval is not None:
-        seconds("interval", point.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
-    if point.rewrite is not None:
-        seconds("rewrite", point.rewrite, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+    for name in ("interval", "rewrite"):
+        if getattr(point, name) is not None:
+            checked_interval(name, getattr(point, name))
     if point.write_function is not None:
-        checked_write_function(point.write_function, ("single", "multiple"))
-    if not isinstance(point.border, bool):
-        raise WrongType("border", f"must be true or false, not {point.border!r}")
+        choice("write_function", point.write_function, ("single", "multiple"))
+    for name in ("border", "never_falls"):
+        if not isinstance(getattr(point, name), bool):
+            raise WrongType(name, f"must be true or false, not {getattr(point, name)!r}")
     store(point, access=_access(point), meaning=_meaning(point, read.kind))
     if point.rewrite is not None and point.access == "read":
         raise WrongValue("rewrite", "must be left out where access is read")
@@ -119,23 +100,19 @@ def check_point(point: Point) -> None:
             raise placed(error, ()).renamed(("initial",)) from None
 
 
-def _check_string(name: str | Path, value: object) -> None:
-    if not isinstance(value, str):
-        raise WrongType(name, f"must be a string, not {type(value).__name__}")
+def checked_interval(name: str, value: object) -> float:
+    """Return the seconds from poll to poll: 0.01 or more, up to a day."""
+    return seconds(name, value, 0.01)
 
 
 def _check_text(name: str | Path, value: Any, least: int, most: int) -> None:
-    _check_string(name, value)
-    if not least <= len(value) <= most:
+    if not least <= len(string(name, value)) <= most:
         raise WrongValue(name, f"must have {least}..{most} characters, not {len(value)}")
     spaces = "\n\t" if name == "description" else ""
-    unfit = [
-        character for character in value if not character.isprintable() and character not in spaces
-    ]
-    if unfit or (name != "description" and value != value.strip()):
-        raise WrongValue(
-            name, f"must be printable characters, without spaces around: {reprlib.repr(value)}"
-        )
+    is_printable = all(letter.isprintable() or letter in spaces for letter in value)
+    if not is_printable or (name != "description" and value != value.strip()):
+        form = "printable characters, without spaces around"
+        raise WrongValue(name, f"must be {form}: {reprlib.repr(value)}")
 
 
 def _local(kind: ValueType | None, point: Point) -> ValueType:
@@ -153,10 +130,7 @@ def _access(point: Point) -> str:
     can_be_written = TABLES[point.table].most_written > 0
     if point.access is None:
         return "read_write" if can_be_written else "read"
-    if point.access not in ACCESSES:
-        text = reprlib.repr(point.access)
-        raise WrongValue("access", f"must be one of {', '.join(ACCESSES)}, not {text}")
-    if point.access != "read" and not can_be_written:
+    if choice("access", point.access, ACCESSES) != "read" and not can_be_written:
         raise WrongValue("access", f"must be read for {point.table}, not {point.access!r}")
     return str(point.access)
 
@@ -194,16 +168,10 @@ def _meaning(point: Point, kind: ValueType | None) -> Meaning:
         bits=bits,
     )
     _check_numbers(point, meaning)
-    store(
-        point,
-        missing=missing,
-        bit=None if point.bit is None or part is None else part.key,
-        states={
-            key.key if isinstance(key, NumberSpan) else key: name for key, name in states.items()
-        }
-        or None,
-        bits={part.key: name for name, part in bits.items()} or None,
-    )
+    bit = None if point.bit is None or part is None else part.key
+    names = {key.key if isinstance(key, NumberSpan) else key: states[key] for key in states}
+    parts = {part.key: name for name, part in bits.items()}
+    store(point, missing=missing, bit=bit, states=names or None, bits=parts or None)
     return meaning
 
 
@@ -224,27 +192,24 @@ def _part(point: Point, kind: ValueType | None) -> Part | None:
         return part_of("bit", point.bit, width, is_signed=is_signed)
     if name == "bits":
         return None
-    if point.byte not in BYTES:
-        raise WrongValue("byte", f"must be one of {', '.join(BYTES)}, not {point.byte!r}")
+    bits = BYTES[choice("byte", point.byte, BYTES)]
     if kind.registers != 1:
         raise WrongValue("byte", f"must be left out for {kind.name}, which has {width} bits")
-    return part_of("byte", BYTES[point.byte], width, is_signed=is_signed)
+    return part_of("byte", bits, width, is_signed=is_signed)
 
 
 def _names(
-    name: str, names: object, key_of: Callable[[Path, Any], Any], *, are_unique: bool = True
+    name: str, names: Any, key_of: Callable[[Path, Any], Any], *, are_unique: bool = True
 ) -> dict[Any, str]:
     """Return the names that an argument gives to numbers or bits; the keys of files are text."""
     if names is None:
         return {}
-    if not isinstance(names, Mapping):
-        raise WrongType(name, f"must be a table of names, not {type(names).__name__}")
-    if not names:
+    if not instance(name, names, Mapping, "a table of names"):
         raise WrongValue(name, "must not be empty")
     result: dict[Any, str] = {}
     for key, text in names.items():
         path = (name, str(key))
-        _check_text(path, text, 1, MAX_NAME)
+        _check_text(path, text, *TEXTS["name"])
         name_key = key_of(path, key)
         if name_key in result:
             raise WrongValue(path, "is given twice")
@@ -262,12 +227,11 @@ def _states(point: Point, kind: ValueType | None, part: Part | None) -> dict[Any
     if limits is None:
         raise WrongValue("states", f"must be left out for {point.type_name}, which has no numbers")
     floats = kind if part is None and isinstance(limits[0], float) else None
-    names = _names(
-        "states",
-        point.states,
-        lambda path, key: state_key(path, key, limits, floats),
-        are_unique=False,
-    )
+
+    def key_of(path: Path, key: object) -> object:
+        return state_key(path, key, limits, floats)
+
+    names = _names("states", point.states, key_of, are_unique=False)
     check_spans(names)
     return names
 
@@ -286,17 +250,11 @@ def _bits(point: Point, kind: ValueType | None) -> dict[str, Part]:
 
 
 def _check_numbers(point: Point, meaning: Meaning) -> None:
-    if point.scale_as not in SCALES:
-        raise WrongValue("scale_as", f"must be one of {', '.join(SCALES)}, not {point.scale_as!r}")
-    if point.scale_from is None and point.scale_as != "exponent":
+    if choice("scale_as", point.scale_as, SCALES) != "exponent" and point.scale_from is None:
         raise WrongValue("scale_as", "must be left out without scale_from")
-    if not isinstance(point.never_falls, bool):
-        raise WrongType("never_falls", f"must be true or false, not {point.never_falls!r}")
-    if point.scale_from is not None:
-        if not isinstance(point.scale_from, str):
-            raise WrongType("scale_from", f"must be a name, not {type(point.scale_from).__name__}")
-        if point.scale_from == point.name:
-            raise WrongValue("scale_from", "must be another point, not the point itself")
+    source = point.scale_from
+    if source is not None and instance("scale_from", source, str, "a name") == point.name:
+        raise WrongValue("scale_from", "must be another point, not the point itself")
     if point.never_falls and point.count > 1:
         raise WrongValue("never_falls", "must be left out where count is more than 1")
     if meaning.has_numbers:
@@ -337,45 +295,38 @@ def _missing(
             reason = f"must be numbers for {kind.name}, which SunSpec does not have"
             raise WrongValue("missing", reason)
         bits = 0 if kind.is_text else SUNSPEC_MISSING[kind.name]
-        return frozenset() if bits is None else frozenset(_raws_of_bits(point, kind, bits))
+        return frozenset() if bits is None else frozenset([_raw_of_bits(point, kind, bits)])
     if isinstance(missing, str):
         raise WrongValue("missing", f'must be numbers or "sunspec", not {reprlib.repr(missing)}')
-    return frozenset(
-        raw
-        for at, value in enumerate(missing)
-        for raw in _raws(("missing", at), point, kind, part, value)
-    )
+    numbers = enumerate(missing)
+    return frozenset(_raw(("missing", at), point, kind, part, number) for at, number in numbers)
 
 
-def _raws(
-    path: Path, point: Point, kind: ValueType, part: Part | None, given: object
-) -> Iterable[Any]:
+def _raw(path: Path, point: Point, kind: ValueType, part: Part | None, value: Any) -> Any:
     # Manuals name the bits of a negative number, such as 0x8000.
     if part is not None:
-        bits = integer(path, given, part.limits[0], (1 << part.width) - 1)
-        return [part.of(bits << part.shift)]
+        bits = integer(path, value, part.limits[0], (1 << part.width) - 1)
+        return part.of(bits << part.shift)
     if kind.is_text:
         raise WrongValue(path, 'must be "sunspec" for strings')
     most = (1 << 16 * kind.registers) - 1
     if kind.limits is None or point.bits is not None:
-        return _raws_of_bits(point, kind, integer(path, given, 0, most))
+        return _raw_of_bits(point, kind, integer(path, value, 0, most))
     low, high = kind.limits
     if kind.name.startswith("int"):
-        value = integer(path, given, int(low), 2 * int(high) + 1)
-        return [value if value <= high else value - 2 * (int(high) + 1)]
-    if kind.name.startswith(HAVE_NO_VALUE) and isinstance(given, int) and given > high:
-        return _raws_of_bits(point, kind, integer(path, given, int(low), most))
+        number = integer(path, value, int(low), 2 * int(high) + 1)
+        return number if number <= high else number - 2 * (int(high) + 1)
+    if kind.name.startswith(HAVE_NO_VALUE) and isinstance(value, int) and value > high:
+        return _raw_of_bits(point, kind, integer(path, value, int(low), most))
     try:
-        raw = kind.decode(kind.encode(given))
-        return [shortest(raw, kind.name) if isinstance(raw, float) else raw]
+        raw = kind.decode(kind.encode(value))
+        return shortest(raw, kind.name) if isinstance(raw, float) else raw
     except (TypeError, ValueError) as error:
         raise placed(error, ()).renamed(path) from None
 
 
-def _raws_of_bits(point: Point, kind: ValueType, bits: int) -> list[Any]:
-    if kind.name.startswith("bits") or point.bits is not None:
-        return [bits]
-    try:
-        return [kind.decode(kind.cells_of_number(bits))]
-    except ValueError:
-        return [bits]  # registers that hold no time, or no digits
+def _raw_of_bits(point: Point, kind: ValueType, bits: int) -> Any:
+    if not (kind.name.startswith("bits") or point.bits is not None):
+        with contextlib.suppress(ValueError):  # of registers that hold no time, or no digits
+            return kind.decode(kind.cells_of_number(bits))
+    return bits

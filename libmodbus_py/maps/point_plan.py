@@ -1,13 +1,11 @@
-"""
-Plans that read points, and the points that scale them: the values of the answers, by name.
-"""
+"""Plans that read points, and the points that scale them: the values of the answers, by name."""
 
 from __future__ import annotations
 
 import contextlib
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Literal, NamedTuple, Unpack
+from typing import Any, NamedTuple, Unpack
 
 from ..protocol.errors import ModbusError
 from ..protocol.mistakes import WrongValue
@@ -15,11 +13,10 @@ from ..protocol.tables import Table
 from ..protocol.values import ValueType
 from .holes import PartialAnswer
 from .items import Borders, PlanOptions
-from .meaning import Meaning, NoValue, scaling_by
+from .meaning import Meaning, NoValue
 from .plan import Plan
 from .point import Point
-
-__all__ = ["PointPlan", "borders_of", "scale_mistakes", "sources_of"]
+from .scaling import scaling_by
 
 
 def scale_mistakes(points: Mapping[str, Point]) -> Iterator[tuple[str, WrongValue]]:
@@ -77,22 +74,6 @@ FORMS = {"uint16": "H", "int16": "h"}
 """Type -> form of `struct`, if a register is the number."""
 
 
-class _Scale(NamedTuple):
-    """The arguments of a scaling that depends on a point; many points have the same."""
-
-    source: str
-    how: Literal["exponent", "factor"]
-    scale: float
-    offset: float
-
-
-class _Scales(NamedTuple):
-    """The values of points that scale others, by name, and the functions that they stand for."""
-
-    values: dict[str, Any]
-    functions: dict[int, Callable[[Any], Any]]
-
-
 class _Quick(NamedTuple):
     """A point with one value in registers of one answer, and how it is decoded without detours."""
 
@@ -123,14 +104,14 @@ class PointPlan(Plan):
         self._sources = dict(sources or {})
         self._all = {**self._points, **self._sources}
         # Each scale has a number: looking up that is faster.
-        self._numbers: dict[_Scale, int] = {}
+        self._numbers: dict[tuple[str, float, float, str], int] = {}
         scale_of: dict[str, int] = {}
         for name, point in self._all.items():
             if (source := point.scale_from) is None:
                 continue
             if source not in self._sources:
                 raise WrongValue.about("sources", f"{source}, which scales {name}, is missing")
-            scale = _Scale(source, point.scale_as, point.scale, point.offset)
+            scale = source, point.scale, point.offset, point.scale_as
             scale_of[name] = self._numbers.setdefault(scale, len(self._numbers))
         reads = {name: point.read for name, point in self._all.items()}
         super().__init__(reads, borders=borders, **options)
@@ -171,15 +152,10 @@ class PointPlan(Plan):
     def results(
         self, answers: Iterable[Sequence[Any] | ModbusError], *, return_exceptions: bool = False
     ) -> dict[str, Any]:
-        """
-        Return the values by name, as `Plan.results` does; None for no value.
-
-        With `return_exceptions` a `NoValue` tells why there is none.
-        """
+        """Return the values by name; None, or with `return_exceptions` a `NoValue`, for none."""
         answer_list = self._checked_answers(list(answers))
         data = self._data(answer_list)
-        scales = self._scales(answer_list)
-        functions = scales.functions
+        sources, functions = self._scales(answer_list)
         results: dict[str, Any] = dict.fromkeys(self._points)
         slow = self._slow.copy()
         for name, at, place, from_bytes, convert, judge, scale in self._quick:
@@ -205,15 +181,15 @@ class PointPlan(Plan):
             if isinstance(answer, PartialAnswer):  # its lost cells count as zeros until here
                 slow += [name for name in answer.lost if name in results]
         for name in slow:
-            value = self._value(name, answer_list, scales)
+            value = self._value(name, answer_list, sources)
             is_none = isinstance(value, NoValue) and not return_exceptions
             results[name] = None if is_none else value
         return results
 
-    def _value(self, name: str, answers: list[Any], scales: _Scales) -> Any:
+    def _value(self, name: str, answers: list[Any], sources: dict[str, Any]) -> Any:
         """Return a value, a `NoValue`, or the error of the request."""
-        point, cells = self._all[name], self._values(name, answers)
-        source = scales.values.get(point.scale_from or "")
+        point, cells = self._all[name], self._cells(name, answers)
+        source = sources.get(point.scale_from or "")
         for part in (cells, source):
             if isinstance(part, ModbusError) and not isinstance(part, NoValue):
                 return part
@@ -225,20 +201,17 @@ class PointPlan(Plan):
             return results[0]
         return [None if isinstance(part, NoValue) else part for part in results]
 
-    def _scales(self, answers: list[Any]) -> _Scales:
-        scales = _Scales({}, {})
+    def _scales(self, answers: list[Any]) -> tuple[dict[str, Any], dict[int, Callable[[Any], Any]]]:
+        """Return the values of the points that scale others, and the function of each scale."""
+        values: dict[str, Any] = {}
+        functions: dict[int, Callable[[Any], Any]] = {}
         for name in self._sources:
-            scales.values[name] = self._value(name, answers, scales)
-            for scale, number in self._numbers.items():
-                value = scales.values[name]
-                if scale.source == name and isinstance(value, int | float):
+            value = values[name] = self._value(name, answers, values)
+            for (source, *scale), number in self._numbers.items():
+                if source == name and isinstance(value, int | float):
                     with contextlib.suppress(ValueError):
-                        scaling = scaling_by(scale.scale, scale.offset, scale.how, value)
-                        scales.functions[number] = scaling.to_value
-        return scales
-
-    def _decoded(self, name: str, cells: list[Any]) -> Any:
-        return cells  # `_value` decodes them
+                        functions[number] = scaling_by(*scale, value).to_value
+        return values, functions
 
 
 def _form_of(kind: ValueType, meaning: Meaning) -> str:

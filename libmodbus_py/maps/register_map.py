@@ -1,41 +1,22 @@
-"""
-The points of a device by name: the requests that read them, and the values of the answers.
-"""
+"""The points of a device by name: the requests that read them, and the values of the answers."""
 
 from __future__ import annotations
 
-import keyword
-import re
 import reprlib
-import unicodedata
-from collections.abc import Coroutine, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, Unpack
 
 from ..protocol import pdu
+from ..protocol.checks import instance
 from ..protocol.mistakes import WrongType, WrongValue, close_to
 from ..protocol.tables import WriteFunction, checked_write_function
 from .items import PlanOptions
-from .point import Point
+from .point import Point, attribute_names
 from .point_plan import PointPlan, borders_of, scale_mistakes, sources_of
 
 if TYPE_CHECKING:
     from .list_words import ListKeys, ListOptions  # most programs read no list
-
-# fmt: off
-__all__ = [
-    "AnyMap", "BoundMap", "MapBinding", "RegisterMap", "attribute_names", "close_to", "load_map",
-    "map_of", "map_with", "spelled",
-]
-# fmt: on
-
-RESERVED = frozenset(
-    {
-        *("bind", "client", "datetime", "map", "read", "self", "write"),
-        *("bool", "dict", "float", "int", "list", "property", "str", "super"),
-    }
-)
-"""Names that no attribute may have, because bound maps and their classes use them."""
 
 
 class RegisterMap(Mapping[str, Point]):
@@ -53,15 +34,13 @@ class RegisterMap(Mapping[str, Point]):
             does not name a readable number of the map, or leads back to its own point.
     """
 
-    __slots__ = ("_kept", "_points")
+    __slots__ = ("_last", "_points")
 
     def __init__(self, points: Iterable[Point]) -> None:
         self._points: dict[str, Point] = {}
-        self._kept: tuple[object, PointPlan] | None = None
+        self._last: tuple[object, PointPlan] | None = None
         for point in points:
-            if not isinstance(point, Point):
-                raise WrongType("points", f"must be Point objects, not {type(point).__name__}")
-            if point.name in self._points:
+            if instance("points", point, Point, "Point objects").name in self._points:
                 raise WrongValue("name", f"{point.name!r} occurs twice")
             self._points[point.name] = point
         for _, mistake in scale_mistakes(self._points):
@@ -82,7 +61,7 @@ class RegisterMap(Mapping[str, Point]):
     @property
     def initial(self) -> dict[str, Any]:
         """The initial values of points that have one, by name."""
-        return {name: each.initial for name, each in self.items() if each.initial is not None}
+        return {name: point.initial for name, point in self.items() if point.initial is not None}
 
     def plan(self, names: Iterable[str] | None = None, **options: Unpack[PlanOptions]) -> PointPlan:
         """
@@ -95,17 +74,16 @@ class RegisterMap(Mapping[str, Point]):
         Raises:
             TypeError, ValueError: there is no such point, or it cannot be read; or as for `Plan`.
         """
-        wanted = None if names is None else tuple(_checked_names(names))
-        asked = (wanted, options)
-        if (kept := self._kept) is not None and kept[0] == asked:
-            return kept[1]
-        points = self._readable(wanted)
+        arguments = None if names is None else tuple(_checked_names(names)), options
+        if self._last is not None and self._last[0] == arguments:
+            return self._last[1]
+        points = self._readable(arguments[0])
         sources = sources_of(points, self._points)
-        made = PointPlan(points, sources, borders_of(self._points.values()), **options)
+        plan = PointPlan(points, sources, borders_of(self._points.values()), **options)
         # The caller may change the list of forbidden ranges later.
         if "forbidden" not in options:
-            self._kept = (asked, made)
-        return made
+            self._last = (arguments, plan)
+        return plan
 
     def writes(
         self,
@@ -146,28 +124,19 @@ class RegisterMap(Mapping[str, Point]):
 
     def scale_sources(self, values: Mapping[str, Any]) -> list[str]:
         """
-        Return the names of the points that must be read before these values can be written.
-
-        Raises:
-            TypeError, ValueError: there is no such point, or it cannot be written; or one of the
-                points that must be read is to be written, too.
+        Return the names of the points that must be read before these values can be written; raise
+        TypeError or ValueError as `writes`, and if one of these points is to be written, too.
         """
-        if not isinstance(values, Mapping):
-            raise WrongType(
-                "values", f"must be a mapping from names to values, not {type(values).__name__}"
-            )
-        for name in values:
-            if not self._known(name).is_writable:
+        sources: dict[str, None] = {}
+        for name in instance("values", values, Mapping, "a mapping from names to values"):
+            point = self._known(name)
+            if not point.is_writable:
                 raise WrongValue(name, "cannot be written: its access is read")
-        for name in values:
-            source = self._points[name].scale_from
-            if source in values:
-                raise WrongValue(
-                    name,
-                    f"is scaled by {source}, which must be written before, in a call of its own",
-                )
-        found = (self._points[name].scale_from for name in values)
-        return list(dict.fromkeys(each for each in found if each is not None))
+            if (source := point.scale_from) in values:
+                hint = "which must be written before, in a call of its own"
+                raise WrongValue(name, f"is scaled by {source}, {hint}")
+            sources |= {} if source is None else {source: None}
+        return list(sources)
 
     def group(self, name: str) -> list[str]:
         """
@@ -176,12 +145,12 @@ class RegisterMap(Mapping[str, Point]):
         Raises:
             ValueError: the group has no readable points.
         """
-        found = [each.name for each in self._readable(None) if each.group == name and name]
-        if not found:
-            groups = sorted({each.group for each in self._readable(None)} - {""})
-            known = f"; its groups are {', '.join(groups[:20])}" if groups else ""
-            raise ValueError(f"the map has no points of a group {reprlib.repr(name)}{known}")
-        return found
+        names = [point.name for point in self._readable(None) if point.group == name and name]
+        if not names:
+            groups = sorted({point.group for point in self._readable(None)} - {""})
+            hint = f"; its groups are {', '.join(groups[:20])}" if groups else ""
+            raise ValueError(f"the map has no points of a group {reprlib.repr(name)}{hint}")
+        return names
 
     def bind(self, client: MapClient, **options: Unpack[PlanOptions]) -> BoundMap:
         """
@@ -221,14 +190,12 @@ AnyMap: TypeAlias = RegisterMap | str | PathLike[str]
 """A register map, or the path of its file."""
 
 
-def map_of(given: AnyMap, name: str = "map") -> RegisterMap:
+def map_of(map: AnyMap, name: str = "map") -> RegisterMap:
     """Return a register map, or load that of a file; `name` is that of the argument, for errors."""
-    if isinstance(given, RegisterMap):
-        return given
-    if not isinstance(given, str | PathLike):
-        wanted = "a RegisterMap or the path of its file"
-        raise WrongType(name, f"must be {wanted}, not {type(given).__name__}")
-    return load_map(given)
+    if isinstance(map, RegisterMap):
+        return map
+    form = "a RegisterMap or the path of its file"
+    return load_map(instance(name, map, (str, PathLike), form))
 
 
 def load_map(
@@ -281,12 +248,10 @@ class MapClient(Protocol):
     @property
     def read_map(self) -> Any:
         """The method that reads points of a map."""
-        ...
 
     @property
     def write_map(self) -> Any:
         """The method that writes points of a map."""
-        ...
 
 
 class MapBinding:
@@ -335,20 +300,19 @@ class MapBinding:
 
     def _read(self, attributes: Iterable[str]) -> Any:
         """Read points, all if no attribute is given; return None, or a coroutine for it."""
-        names = [self._named(each) for each in attributes] or None
-        found = self.client.read_map(self.map, names, **self._options)
-        if hasattr(found, "__await__"):
-            return self._keep_later(found)
-        self._values.update(found)
-        return None
+        names = [self._named(attribute) for attribute in attributes] or None
+        result = self.client.read_map(self.map, names, **self._options)
+        if hasattr(result, "__await__"):
+            return self._update(result)
+        return self._values.update(result)
 
-    async def _keep_later(self, coming: Coroutine[Any, Any, Mapping[str, Any]]) -> None:
-        self._values.update(await coming)
+    async def _update(self, result: Awaitable[Mapping[str, Any]]) -> None:
+        self._values.update(await result)
 
     def _write(self, values: Mapping[str, Any]) -> Any:
         """Write values by attribute; return None, or a coroutine for it."""
-        given = {self._named(attribute): value for attribute, value in values.items()}
-        return self.client.write_map(self.map, given)
+        by_name = {self._named(attribute): value for attribute, value in values.items()}
+        return self.client.write_map(self.map, by_name)
 
     def _value(self, name: str) -> Any:
         """Return the value of a point, None for none; raise AttributeError if it was not read."""
@@ -422,41 +386,3 @@ class BoundMap(MapBinding):
 
     def __dir__(self) -> list[str]:
         return sorted({*super().__dir__(), *self._names})
-
-
-# --- names of points as attributes ----------------------------------------------------------------
-
-
-def attribute_names(names: Iterable[str]) -> dict[str, str]:
-    """Return the attribute for the name of each point, by the rules of `BoundMap`."""
-    given = list(names)
-    found = {name: name for name in given if _identifier(name) == name}
-    taken = set(found)
-    for name in given:
-        if name not in found:
-            found[name] = _free(_identifier(name), taken)
-            taken.add(found[name])
-    return {name: found[name] for name in given}
-
-
-def _identifier(name: str) -> str:
-    text = spelled(name).strip("_") or "point"
-    if not text.isidentifier():
-        text = f"point_{text}"
-    return f"{text}_" if keyword.iskeyword(text) or text in RESERVED else text
-
-
-def spelled(name: str) -> str:
-    """Return a name with one ``_`` for each run of characters that no identifier has."""
-    # As Python itself spells identifiers; twice, because some letters become others and a space.
-    text = unicodedata.normalize("NFKC", name)
-    text = "".join(each if f"a{each}".isidentifier() else " " for each in text)
-    return unicodedata.normalize("NFKC", re.sub(" +", "_", text))
-
-
-def _free(text: str, taken: set[str]) -> str:
-    number, found = 1, text
-    while found in taken:
-        number += 1
-        found = f"{text}_{number}"
-    return found

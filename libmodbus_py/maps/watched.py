@@ -24,13 +24,6 @@ if TYPE_CHECKING:
     from .point_plan import PointPlan
     from .register_map import RegisterMap
 
-# fmt: off
-__all__ = [
-    "Pace", "PartialPlans", "PointIntervals", "PolledValues", "Totals", "WatchedPoints", "polled",
-    "watched",
-]
-# fmt: on
-
 TOLERANCE = 0.001
 """The part of the time between two polls that sums of times may be inexact by."""
 
@@ -51,8 +44,8 @@ class PointIntervals:
 
     def __init__(self, own: Sequence[float | None], usual: float) -> None:
         self._indexes: dict[float, list[int]] = {}
-        for at, each in enumerate(own):
-            self._indexes.setdefault(usual if each is None else each, []).append(at)
+        for at, interval in enumerate(own):
+            self._indexes.setdefault(usual if interval is None else interval, []).append(at)
         self.interval: float = min(self._indexes, default=usual)
         # When the poll was due that read the points of an interval last.
         self._last: dict[float, float] = {}
@@ -66,29 +59,25 @@ class PointIntervals:
         self._at = at
         over = at + self.interval * TOLERANCE
         self._due = [
-            each
-            for each in self._indexes
-            if each == self.interval or self._last.get(each, -math.inf) + each <= over
+            own
+            for own in self._indexes
+            if own == self.interval or self._last.get(own, -math.inf) + own <= over
         ]
         if len(self._due) == len(self._indexes):
             return None
-        return tuple(sorted(at for each in self._due for at in self._indexes[each]))
+        return tuple(sorted(at for own in self._due for at in self._indexes[own]))
 
     def done(self, unanswered: Collection[int] = ()) -> None:
-        """
-        Note that what was due is read, but for the unanswered: these are due once more.
-
-        If there was no answer at all, they are due until there is one.
-        """
+        """Note what was read: the unanswered are due once more, or until anything is answered."""
         missing = set(unanswered)
-        if missing and all(missing.issuperset(self._indexes[each]) for each in self._due):
+        if missing and all(missing.issuperset(self._indexes[own]) for own in self._due):
             return
-        for each in self._due:
-            if each not in self._again and not missing.isdisjoint(self._indexes[each]):
-                self._again.add(each)
+        for own in self._due:
+            if own not in self._again and not missing.isdisjoint(self._indexes[own]):
+                self._again.add(own)
                 continue
-            self._again.discard(each)
-            self._last[each] = self._at
+            self._again.discard(own)
+            self._last[own] = self._at
 
 
 class Totals:
@@ -154,7 +143,7 @@ class PolledValues(NamedValues[str, Any]):
     fell: frozenset[str] = frozenset()
 
 
-class WatchedPoints:
+class WatchedPoints(PartialPlans):
     """
     Decides what is read at each poll of a map, and keeps the values of points that are not due.
 
@@ -168,9 +157,8 @@ class WatchedPoints:
         every: float,
         **options: Unpack[PlanOptions],
     ) -> None:
-        self._plans = PartialPlans(map, names, **options)
-        self._names = self._plans.names
-        points = [map[name] for name in self._names]
+        super().__init__(map, names, **options)
+        points = [map[name] for name in self.names]
         self._pace = PointIntervals([point.interval for point in points], every)
         self._totals = Totals(at for at, point in enumerate(points) if point.never_falls)
         self._values: dict[str, Any] = {}
@@ -178,20 +166,17 @@ class WatchedPoints:
 
     def poll(self, at: float) -> Generator[PointPlan, dict[str, Any], PolledValues]:
         """Yield the plans of a poll that is due now, take their results, and return all values."""
-        found = yield self._plans.plan_of(self._pace.due(at))
-        doubtful, fell = self._totals.take(self._all(found))
+        results = yield self.plan_of(self._pace.due(at))
+        doubtful, fell = self._totals.take([*map(results.get, self.names)])
         if doubtful:
-            again = yield self._plans.plan_of(tuple(sorted(doubtful)))
-            found |= again
-            _, fell = self._totals.take(self._all(again))
-        self._pace.done([at for at, name in enumerate(self._names) if _is_lost(found.get(name))])
-        self._values |= found
-        values = PolledValues({name: self._values[name] for name in self._names})
-        values.fell = frozenset(self._names[at] for at in fell)
+            again = yield self.plan_of(tuple(sorted(doubtful)))
+            results |= again
+            _, fell = self._totals.take([*map(again.get, self.names)])
+        self._pace.done([at for at, name in enumerate(self.names) if _is_lost(results.get(name))])
+        self._values |= results
+        values = PolledValues({name: self._values[name] for name in self.names})
+        values.fell = frozenset(self.names[at] for at in fell)
         return values
-
-    def _all(self, found: dict[str, Any]) -> list[Any]:
-        return [found.get(name) for name in self._names]
 
 
 def _is_lost(value: object) -> bool:

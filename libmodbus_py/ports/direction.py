@@ -19,11 +19,9 @@ from typing import Any
 
 from ..protocol.checks import finished, log_failure
 from ..protocol.errors import ModbusConnectionError
-from ..protocol.extras import what_is_missing
+from ..version import what_is_missing
 from .options import GPIO_LINE, Rs485
 from .waiting import of_system
-
-__all__ = ["Switch", "switch_of"]
 
 RTS = {"rts-up": True, "rts-down": False}
 """Mode -> whether RTS is set while sending."""
@@ -144,6 +142,5 @@ class GpioSwitch(Switch):
 
 
 def failure(error: Exception, which: str = "") -> ModbusConnectionError:
-    """Return the error for a switch that raised another one."""
     number = getattr(error, "errno", None) or errno.EIO
     return ModbusConnectionError(f"rs485{which}: {error!r}", errno=number)

@@ -14,11 +14,9 @@ The schemes are those of `SCHEMES` in `schemes`, among them::
 Without a scheme, a path such as /dev/ttyUSB0 is a serial port in RTU mode, and all else a host for
 tcp: 192.0.2.10, 192.0.2.10:1502, [::1]:1502.
 
-HOST is a name, an IPv4 address or an IPv6 address in brackets; the default port is 502, and 802 for
-tls. With udp, each datagram contains one frame of Modbus/TCP; with rtu+udp, one RTU frame. The
-options of each transport and their meanings stand in `options`.
-
-Every URL may contain options of clients: ``tcp://192.0.2.10?unit=7&timeout=0.5``.
+HOST is a name, an IPv4 address or an IPv6 address in brackets. With udp, each datagram contains one
+frame of Modbus/TCP; with rtu+udp, one RTU frame. Every URL may contain options of clients:
+``tcp://192.0.2.10?unit=7&timeout=0.5``.
 """
 
 from __future__ import annotations
@@ -40,8 +38,6 @@ if TYPE_CHECKING:
     from urllib.parse import SplitResult
 
     from ..protocol.framing import Framing
-
-__all__ = ["Endpoint", "parse", "parse_to_listen", "url_of"]
 
 # A password has no use here, but a URL may contain one, which must not be logged.
 PASSWORD = "(?<=password=)[^&#]+|(?<=:)[^/@:]+(?=@)"
@@ -136,7 +132,6 @@ class Endpoint:
 
     @property
     def url(self) -> str:
-        """The URL with all options."""
         return self._shown({**self.options, **self.client_options})
 
     def __str__(self) -> str:

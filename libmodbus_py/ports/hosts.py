@@ -17,12 +17,6 @@ from typing import Any, NamedTuple
 
 from ..system import call_in_children
 
-__all__ = [
-    "EVERYWHERE", "Make", "Resolve", "ask", "bind_all", "host_and_port",
-    "host_of_peer", "is_loopback", "is_this_machine", "listen_on", "numeric", "own_address",
-    "reason", "split_host_and_port", "start_thread", "tcp_listener",
-]  # fmt: skip
-
 LOCALHOST = ("localhost", "ip6-localhost")
 
 # Hosts at which a server listens on all addresses of its machine.
@@ -55,13 +49,13 @@ def host_and_port(host: str, port: int) -> str:
 
 def split_host_and_port(text: str) -> tuple[str, int | None]:
     """Return the host and the port, if any, of text such as "192.0.2.1:502", "[::1]" or "::1"."""
-    found = HOST_AND_PORT.fullmatch(text)
-    if found is None:
+    match = HOST_AND_PORT.fullmatch(text)
+    if match is None:
         raise ValueError(f"must be HOST or HOST:PORT, not {text!r}")
-    port = found["a"] or found["b"]
+    port = match["a"] or match["b"]
     if port is not None and int(port) > 65535:
         raise ValueError(f"the port must be in 0..65535, not {port}")
-    return found["address"] or found["bare"] or found["name"], None if port is None else int(port)
+    return match["address"] or match["bare"] or match["name"], None if port is None else int(port)
 
 
 def own_address(name: str, text: object) -> tuple[socket.AddressFamily, tuple[str, int]]:
@@ -138,17 +132,17 @@ class Question:
     def __init__(self, wanted: Resolve) -> None:
         self.notes: list[Callable[[], object]] = []  # called in that thread at the end
         self._wanted = wanted
-        self._found: list[Any] | Exception = []
+        self._outcome: list[Any] | Exception = []
         start_thread(threading.Thread(target=self._look_up, name="look-up", daemon=True))
 
     def _look_up(self) -> None:
         host, port, kind, _, flags = self._wanted
         try:
-            self._found = socket.getaddrinfo(host, port, type=kind, flags=flags)
+            self._outcome = socket.getaddrinfo(host, port, type=kind, flags=flags)
         except UnicodeError:
-            self._found = socket.gaierror(socket.EAI_NONAME, NO_NAME)
+            self._outcome = socket.gaierror(socket.EAI_NONAME, NO_NAME)
         except Exception as error:  # whatever it is, it ends the waits
-            self._found = error
+            self._outcome = error
         with _lock:
             _asked.pop(self._wanted, None)
         for note in self.notes:
@@ -156,14 +150,13 @@ class Question:
                 note()
 
     def result(self) -> list[Any]:
-        """Return the result of getaddrinfo."""
-        found = self._found
-        if isinstance(found, OSError):
+        outcome = self._outcome
+        if isinstance(outcome, OSError):
             # A new one for each caller, because a traceback belongs to one.
-            raise type(found)(*found.args) from found
-        if isinstance(found, Exception):
-            raise OSError(None, str(found)) from found
-        return found
+            raise type(outcome)(*outcome.args) from outcome
+        if isinstance(outcome, Exception):
+            raise OSError(None, str(outcome)) from outcome
+        return outcome
 
 
 def ask(wanted: Resolve, note: Callable[[], object]) -> Question:
@@ -212,14 +205,14 @@ _begin()
 call_in_children(_begin)
 
 
-def bind_all(found: list[Any], port: int, make: Make) -> list[socket.socket]:
+def bind_all(addresses: list[Any], port: int, make: Make) -> list[socket.socket]:
     """Return a socket for each address of this machine that getaddrinfo found, or none at all."""
     sockets: list[socket.socket] = []
     missing: OSError | None = None
-    with contextlib.ExitStack() as made:
-        for family, address in dict.fromkeys((each[0], each[4]) for each in found):
+    with contextlib.ExitStack() as stack:
+        for family, address in dict.fromkeys((row[0], row[4]) for row in addresses):
             try:
-                sockets.append(made.enter_context(make(family, address)))
+                sockets.append(stack.enter_context(make(family, address)))
             except OSError as error:
                 if error.errno not in NOT_HERE:
                     raise
@@ -229,7 +222,7 @@ def bind_all(found: list[Any], port: int, make: Make) -> list[socket.socket]:
                     break
         if missing is not None and not sockets:
             raise missing
-        made.pop_all()
+        stack.pop_all()
     return sockets
 
 
@@ -242,12 +235,11 @@ def tcp_listener(family: socket.AddressFamily, address: tuple[Any, ...]) -> sock
 
 
 def listen_on(host: str, port: int) -> list[socket.socket]:
-    """Return a TCP socket that listens on each address of a host."""
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except UnicodeError as error:
         raise socket.gaierror(socket.EAI_NONAME, NO_NAME) from error
-    return bind_all(found, port, tcp_listener)
+    return bind_all(addresses, port, tcp_listener)
 
 
 def reason(error: OSError | UnicodeError) -> str:

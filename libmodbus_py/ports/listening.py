@@ -5,6 +5,12 @@ network has no address that others reach.
 The client listens from its first request on until it is closed, for one device. Waiting for the
 device is connecting to it. A new connection replaces the one before, which is dead then, though the
 network may never tell so.
+
+Such devices send bytes that are no Modbus: a registration packet when one has connected, and
+heartbeats. Makers of modems describe both alike: a fixed text, often the number of the SIM card or
+the modem (ICCID, IMEI), sent once, or before all data; and a fixed text at intervals. Frames are
+passed on whole: a text counts only where a frame may begin or, without a header that tells its end,
+where the received bytes end.
 """
 
 from __future__ import annotations
@@ -15,8 +21,9 @@ import socket
 from typing import TYPE_CHECKING, Any, Self
 
 from ..protocol.errors import ModbusConnectionError
-from .greeting import Greeting, greeting_of
+from ..protocol.frames import UNIT
 from .hosts import own_address, reason, tcp_listener
+from .options import greeting_of
 from .port import Silence
 from .sockets import TcpPort
 from .waiting import READ, Ready, Steps, of_system
@@ -25,7 +32,55 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .options import ConnectionOptions
 
-__all__ = ["ListeningPort"]
+
+class Greeting:
+    """Drops what is no Modbus from the bytes of one device."""
+
+    def __init__(self, count: int, texts: tuple[bytes, ...], *, has_header: bool) -> None:
+        self._texts = texts
+        self._count = count
+        self._has_header = has_header
+        self.begin()
+
+    def begin(self) -> None:
+        self._first = self._count  # how many bytes are still to be dropped
+        self._kept = b""  # what may be the beginning of a text or a header
+        self._frame = 0  # how many bytes of the current frame are still to come
+
+    def expect_frame(self) -> None:
+        """Note that a frame may begin, because what came before was none."""
+        self._frame = 0
+
+    def drop(self, data: bytes) -> bytes:
+        """Return the received bytes that belong to frames."""
+        dropped = min(self._first, len(data))
+        self._first -= dropped
+        data = self._kept + data[dropped:]
+        if not self._texts:
+            return data
+        self._kept = b""
+        frames = b""
+        while data:
+            if self._frame:
+                frames += data[: self._frame]
+                self._frame, data = max(0, self._frame - len(data)), data[self._frame :]
+            elif text := next(filter(data.startswith, self._texts), b""):
+                data = data[len(text) :]
+            elif any(text.startswith(data) for text in self._texts):
+                self._kept, data = data, b""
+            elif not self._has_header:
+                return self._without_end(data)
+            elif len(data) < UNIT:
+                self._kept, data = data, b""
+            else:
+                # The length field, before the unit, counts the bytes from the unit on.
+                self._frame = UNIT + int.from_bytes(data[4:UNIT])
+        return frames
+
+    def _without_end(self, data: bytes) -> bytes:
+        while text := next(filter(data.endswith, self._texts), b""):
+            data = data[: -len(text)]
+        return data
 
 
 class ListeningPort(TcpPort):
@@ -36,7 +91,6 @@ class ListeningPort(TcpPort):
 
     @classmethod
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         count, texts = greeting_of("greeting", settings["greeting"] or "0 bytes")
         greeting = Greeting(count, texts, has_header=endpoint.framing == "tcp")
         port = cls(endpoint.host, endpoint.port, settings["keepalive"], greeting)
@@ -86,10 +140,10 @@ class ListeningPort(TcpPort):
             newest = connection
         return newest
 
-    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
+    def _preparing(self, connection: socket.socket, deadline: float) -> Steps[None]:
         self._greeting.begin()
         self._is_asked = False  # what comes before the first request answers none
-        return super()._preparing(made, deadline)
+        return super()._preparing(connection, deadline)
 
     def _watch(self, descriptor: int) -> None:
         super()._watch(descriptor)
@@ -123,6 +177,6 @@ class ListeningPort(TcpPort):
     def _stop_listening(self) -> None:
         sockets: list[Any] = [self._listener, self._next]
         self._listener = self._next = None
-        for each in sockets:
-            if each is not None:
-                each.close()
+        for connection in sockets:
+            if connection is not None:
+                connection.close()

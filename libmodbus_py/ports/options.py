@@ -2,7 +2,8 @@
 The options of clients, each in one row. What clients take, check and list in help(), the options of
 URLs, those of the command line and docs/defaults.md are made of these rows.
 
-A row is the annotation of a key: its type, which editors and type checkers see, and an `Option`.
+A row is the annotation of a key: its type, which editors and type checkers see, its text, and an
+`Option`.
 The rows of what only clients know are in `client.options`.
 """
 
@@ -10,18 +11,16 @@ The rows of what only clients know are in `client.options`.
 import re
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeAlias, TypedDict
 
 from ..protocol.checks import DURATION, checked_callback, duration_of, integer, seconds
 
 if TYPE_CHECKING:
     from ..security.security import GivenContext, Security
 
-__all__ = [
-    "ASCII_DEFAULTS", "CLIENT_OPTIONS", "PARITIES", "SECURITY_OPTIONS", "SERIAL_DEFAULTS",
-    "SERIAL_OPTIONS", "ConnectionOptions", "Form", "Option", "SerialSettings", "character_bits",
-    "one_of", "optional", "parity_of", "rows_of",
-]  # fmt: skip
+
+# A check of a name and a value: TypeError or ValueError.
+Check: TypeAlias = Callable[[str, Any], object]
 
 
 class Form(NamedTuple):
@@ -30,6 +29,10 @@ class Form(NamedTuple):
     convert: Callable[[str], Any]  # or ValueError
     wanted: str  # what the text must be, for errors
     placeholder: str  # for the value in --help; empty for a switch
+
+    def option(self, default: Any = None, check: Check = lambda name, value: None) -> "Option":
+        """Return an option of this form, whose text stands beside it in its row."""
+        return Option("", self, default, check)
 
 
 OBJECT = Form(str, "an object", "")
@@ -42,7 +45,7 @@ class Option(NamedTuple):
     text: str
     form: Form = OBJECT
     default: Any = None
-    check: Callable[[str, Any], object] = lambda name, value: None  # TypeError or ValueError
+    check: Check = lambda name, value: None
 
     @property
     def summary(self) -> str:
@@ -51,8 +54,11 @@ class Option(NamedTuple):
 
 
 def rows_of(options: type) -> dict[str, Option]:
-    """Return the rows of a TypedDict by name."""
-    return {name: kind.__metadata__[0] for name, kind in options.__annotations__.items()}
+    rows: dict[str, Option] = {}
+    for name, kind in options.__annotations__.items():
+        *texts, option = kind.__metadata__
+        rows[name] = option._replace(text=texts[0]) if texts else option
+    return rows
 
 
 # --- forms in URLs --------------------------------------------------------------------------
@@ -91,23 +97,19 @@ FILE, NAME = _text("FILE"), _text("NAME")
 # --- checks ---------------------------------------------------------------------------------
 
 
-def integers(low: int, high: int) -> Callable[[str, Any], object]:
-    """Return the check of an integer in a range."""
+def integers(low: int, high: int) -> Check:
     return partial(integer, low=low, high=high)
 
 
-def durations(low: float = 0, high: float = 86_400) -> Callable[[str, Any], object]:
-    """Return the check of seconds in a range."""
+def durations(low: float = 0, high: float = 86_400) -> Check:
     return partial(seconds, low=low, high=high)
 
 
-def optional(check: Callable[[str, Any], object]) -> Callable[[str, Any], object]:
-    """Return a check that accepts None, too."""
+def optional(check: Check) -> Check:
     return lambda name, value: None if value is None else check(name, value)
 
 
-def one_of(*words: str) -> Callable[[str, Any], object]:
-    """Return the check of a word."""
+def one_of(*words: str) -> Check:
 
     def check(name: str, value: object) -> None:
         if value not in words:
@@ -115,10 +117,6 @@ def one_of(*words: str) -> Callable[[str, Any], object]:
             raise ValueError(f"{name} must be {', '.join(others)} or {last}, not {value!r}")
 
     return check
-
-
-def _parity(_name: str, value: object) -> None:
-    parity_of(value)
 
 
 def _flag(name: str, value: object) -> None:
@@ -160,10 +158,34 @@ def _source(name: str, value: object) -> None:
     own_address(name, value)
 
 
-def _greeting(name: str, value: object) -> None:
-    from .greeting import greeting_of
+COUNT = re.compile("([0-9]{1,4}) ?bytes?")
 
-    greeting_of(name, value)
+
+def greeting_of(name: str, value: object) -> tuple[int, tuple[bytes, ...]]:
+    """
+    Return how many bytes a device sends when it has connected, and which texts it sends then or
+    between frames. An error names the option.
+    """
+    if not isinstance(value, str):
+        raise TypeError(f"{name} must be a string, not {type(value).__name__}")
+    count, texts = 0, []
+    for item in value.split(","):
+        if number := COUNT.fullmatch(item):
+            count += int(number[1])
+        elif item.startswith("0x"):
+            try:
+                texts.append(bytes.fromhex(item[2:]))
+            except ValueError:
+                raise ValueError(
+                    f"{name} must have pairs of hex digits after 0x, not {item!r}"
+                ) from None
+        else:
+            texts.append(item.encode())
+    if b"" in texts:
+        raise ValueError(
+            f'{name} must be such as "20 bytes", "www.example" or "0x0d0a", not {value!r}'
+        )
+    return count, tuple(texts)
 
 
 def _security(name: str, value: object) -> None:
@@ -175,12 +197,8 @@ def _security(name: str, value: object) -> None:
 
 # --- rows -----------------------------------------------------------------------------------
 
-# The buffers of two sockets hold this many requests and answers of full length. With more, each
-# side might wait for the other one to read before it goes on.
-MAX_IN_FLIGHT = 256
-
 Parity = Literal["N", "E", "O", "none", "even", "odd"]
-Rs485 = str | Callable[[bool], object]
+Rs485: TypeAlias = str | Callable[[bool], object]
 
 
 class ConnectionOptions(TypedDict, total=False):
@@ -188,211 +206,137 @@ class ConnectionOptions(TypedDict, total=False):
 
     unit: Annotated[
         int,
-        Option(
-            "the unit to which requests are sent, 0..255. 0 is a broadcast on serial lines: only "
-            "writes can be sent, and they return after the turnaround.",
-            NUMBER,
-            1,
-            integers(0, 255),
-        ),
+        "the unit to which requests are sent, 0..255. 0 is a broadcast on serial lines: only "
+        "writes can be sent, and they return after the turnaround.",
+        NUMBER.option(1, integers(0, 255)),
     ]
     timeout: Annotated[
         float,
-        Option(
-            "seconds that a request may take, connecting included, 0.001..86400. They run from the "
-            "call to the end of the response, without the time in which it waits for others.",
-            SECONDS,
-            1.0,
-            durations(0.001),
-        ),
+        "seconds that a request may take, connecting included, 0.001..86400. They run from the "
+        "call to the end of the response, without the time in which it waits for others.",
+        SECONDS.option(1.0, durations(0.001)),
     ]
     retries: Annotated[
         int,
-        Option(
-            "how often a request is sent again without a good response, 0..100. That is after no "
-            "response, a damaged one or a lost connection, and only if the request may be sent "
-            "twice (`pdu.Request.repeatable`).",
-            NUMBER,
-            0,
-            integers(0, 100),
-        ),
+        "how often a request is sent again without a good response, 0..100. That is after no "
+        "response, a damaged one or a lost connection, and only if the request may be sent "
+        "twice (`pdu.Request.repeatable`).",
+        NUMBER.option(0, integers(0, 100)),
     ]
     busy_retries: Annotated[
         int,
-        Option(
-            "how often a request is sent again that a device refuses as busy, 0..100. That is with "
-            "Acknowledge or ServerDeviceBusy; the pauses are 0.1, 0.2, 0.4, 0.8, 1, 1... s.",
-            NUMBER,
-            0,
-            integers(0, 100),
-        ),
+        "how often a request is sent again that a device refuses as busy, 0..100. That is with "
+        "Acknowledge or ServerDeviceBusy; the pauses are 0.1, 0.2, 0.4, 0.8, 1, 1... s.",
+        NUMBER.option(0, integers(0, 100)),
     ]
+    # The buffers of two sockets hold 256 requests and answers of full length. With more, each side
+    # might wait for the other one to read before it goes on.
     max_in_flight: Annotated[
         int,
-        Option(
-            "the most reads in flight, 1..256. A write is always alone. Only 1 where frames carry "
-            "no transaction id. Many devices lose requests that arrive together; servers need not "
-            "accept more than 16 (TCP guide, 4.3.3).",
-            NUMBER,
-            1,
-            integers(1, MAX_IN_FLIGHT),
-        ),
+        "the most reads in flight, 1..256. A write is always alone. Only 1 where frames carry "
+        "no transaction id. Many devices lose requests that arrive together; servers need not "
+        "accept more than 16 (TCP guide, 4.3.3).",
+        NUMBER.option(1, integers(1, 256)),
     ]
     turnaround: Annotated[
         float,
-        Option(
-            "seconds that a broadcast takes. So does every request that gets no response (serial "
-            "line, 2.4.1).",
-            SECONDS,
-            0.1,
-            durations(),
-        ),
+        "seconds that a broadcast takes. So does every request that gets no response (serial "
+        "line, 2.4.1).",
+        SECONDS.option(0.1, durations()),
     ]
     broadcast: Annotated[
         bool,
-        Option(
-            "unit 0 of a serial line is a broadcast. False if a device answers as unit 0, as some "
-            "do that are alone on the line.",
-            SWITCH,
-            True,
-            _flag,
-        ),
+        "unit 0 of a serial line is a broadcast. False if a device answers as unit 0, as some "
+        "do that are alone on the line.",
+        SWITCH.option(True, _flag),
     ]
     request_spacing: Annotated[
         float,
-        Option(
-            "the least seconds between the starts of two requests. For devices that need a pause; "
-            "it does not count towards `timeout`. A slow answer shortens the pause behind it; on "
-            "lines, `silence` counts from the end of the answer.",
-            SECONDS,
-            0.0,
-            durations(),
-        ),
+        "the least seconds between the starts of two requests. For devices that need a pause; "
+        "it does not count towards `timeout`. A slow answer shortens the pause behind it; on "
+        "lines, `silence` counts from the end of the answer.",
+        SECONDS.option(0.0, durations()),
     ]
     connect_delay: Annotated[
         float,
-        Option(
-            "seconds between connecting and the first request. For devices that need to get ready; "
-            "they do not count towards `timeout`.",
-            SECONDS,
-            0.0,
-            durations(),
-        ),
+        "seconds between connecting and the first request. For devices that need to get ready; "
+        "they do not count towards `timeout`.",
+        SECONDS.option(0.0, durations()),
     ]
     timeouts_before_reconnect: Annotated[
         int,
-        Option(
-            "timeouts in a row before a new network connection, 1..1000000. Cancelled requests "
-            "count; the next request opens it.",
-            NUMBER,
-            3,
-            integers(1, 1_000_000),
-        ),
+        "timeouts in a row before a new network connection, 1..1000000. Cancelled requests "
+        "count; the next request opens it.",
+        NUMBER.option(3, integers(1, 1_000_000)),
     ]
     idle_close: Annotated[
         float | None,
-        Option(
-            "seconds without a response after which the connection is closed, 0.1..86400, or None. "
-            "The next request makes a new one. For devices that close idle connections, or have "
-            "one for all clients. A blocking client closes it in `watch`, else before its next "
-            "request.",
-            SECONDS_OR_NONE,
-            None,
-            optional(durations(0.1)),
-        ),
+        "seconds without a response after which the connection is closed, 0.1..86400, or None. "
+        "The next request makes a new one. For devices that close idle connections, or have "
+        "one for all clients. A blocking client closes it in `watch`, else before its next "
+        "request.",
+        SECONDS_OR_NONE.option(None, optional(durations(0.1))),
     ]
     max_pause: Annotated[
         float,
-        Option(
-            "the most seconds between two attempts to connect. Pauses begin at 0.1 s and double; "
-            "with 0 there are none. 30 by default for `AsyncClient`.",
-            SECONDS,
-            0.0,
-            durations(),
-        ),
+        "the most seconds between two attempts to connect. Pauses begin at 0.1 s and double; "
+        "with 0 there are none. 30 by default for `AsyncClient`.",
+        SECONDS.option(0.0, durations()),
     ]
     keepalive: Annotated[
         float | None,
-        Option(
-            "seconds of silence after which TCP probes the other end, 1..32767, or None. In a URL "
-            "it is none.",
-            SECONDS_OR_NONE,
-            30.0,
-            optional(durations(1, 32_767)),
-        ),
+        "seconds of silence after which TCP probes the other end, 1..32767, or None. In a URL "
+        "it is none.",
+        SECONDS_OR_NONE.option(30.0, optional(durations(1, 32_767))),
     ]
     source: Annotated[
         str | None,
-        Option(
-            "the address of this machine to connect from, maybe with a port, as 192.0.2.5:40000. "
-            "For TCP, TLS and UDP. A TCP connection from a port of its own ends with a reset, so "
-            "that the port is free for the next one.",
-            _text("ADDRESS"),
-            check=optional(_source),
-        ),
+        "the address of this machine to connect from, maybe with a port, as 192.0.2.5:40000. "
+        "For TCP, TLS and UDP. A TCP connection from a port of its own ends with a reset, so "
+        "that the port is free for the next one.",
+        _text("ADDRESS").option(check=optional(_source)),
     ]
     greeting: Annotated[
         str | None,
-        Option(
-            "what a device that connects to the client sends besides frames, such as 20 bytes. "
-            "Several items have commas between them: the number of bytes that it sends first, "
-            "texts, and bytes such as 0x0d0a. For listen+tcp:// and listen+rtu+tcp://.",
-            _text("ITEMS"),
-            check=optional(_greeting),
-        ),
+        "what a device that connects to the client sends besides frames, such as 20 bytes. "
+        "Several items have commas between them: the number of bytes that it sends first, "
+        "texts, and bytes such as 0x0d0a. For listen+tcp:// and listen+rtu+tcp://.",
+        _text("ITEMS").option(check=optional(greeting_of)),
     ]
     accept_unit: Annotated[
         Literal["same", "any"],
-        Option(
-            'the units whose responses are accepted: "same", the one addressed, or "any". Some '
-            "TCP devices answer every request as unit 255. On a line only with one device.",
-            _text("WHICH"),
-            "same",
-            one_of("same", "any"),
-        ),
+        'the units whose responses are accepted: "same", the one addressed, or "any". Some '
+        "TCP devices answer every request as unit 255. On a line only with one device.",
+        _text("WHICH").option("same", one_of("same", "any")),
     ]
     ids: Annotated[
         Literal["check", "ignore"],
-        Option(
-            'the transaction ids of responses: "check", or "ignore" to accept any. For devices '
-            "that answer with wrong ones. Only with one request in flight; after a request without "
-            "an answer a new connection is made, so that a late answer is not taken for another.",
-            _text("WHICH"),
-            "check",
-            one_of("check", "ignore"),
-        ),
+        'the transaction ids of responses: "check", or "ignore" to accept any. For devices '
+        "that answer with wrong ones. Only with one request in flight; after a request without "
+        "an answer a new connection is made, so that a late answer is not taken for another.",
+        _text("WHICH").option("check", one_of("check", "ignore")),
     ]
     write_function: Annotated[
         Literal["auto", "single", "multiple"],
-        Option(
-            'the functions that write values: "single" for 5 and 6, "multiple" for 15 and 16, or '
-            '"auto". Of `write_map` and `write_value`, for devices that lack functions. With '
-            '"single", each coil and register has a request of its own, so that the device sees a '
-            'value of two registers in two halves. "auto" writes single coils and registers of '
-            "maps with 5 and 6, and several with 15 and 16.",
-            _text("WHICH"),
-            "auto",
-            one_of("auto", "single", "multiple"),
-        ),
+        'the functions that write values: "single" for 5 and 6, "multiple" for 15 and 16, or '
+        '"auto". Of `write_map` and `write_value`, for devices that lack functions. With '
+        '"single", each coil and register has a request of its own, so that the device sees a '
+        'value of two registers in two halves. "auto" writes single coils and registers of '
+        "maps with 5 and 6, and several with 15 and 16.",
+        _text("WHICH").option("auto", one_of("auto", "single", "multiple")),
     ]
     delimiter: Annotated[
         int,
-        Option(
-            "the byte after CR in ASCII frames, 10 for LF. The client uses a new one once it has "
-            "set it with `diagnostics(3, ...)`.",
-            ANY_NUMBER,
-            0x0A,
-            _delimiter,
-        ),
+        "the byte after CR in ASCII frames, 10 for LF. The client uses a new one once it has "
+        "set it with `diagnostics(3, ...)`.",
+        ANY_NUMBER.option(0x0A, _delimiter),
     ]
     security: Annotated[
         "Security | GivenContext | None",
-        Option(
-            "the client's certificate and those it trusts, a `Security`. For tls:// only; the URL "
-            "may name the files instead. `GivenContext` is for programs that must use an SSL "
-            "context of their own.",
-            check=optional(_security),
-        ),
+        "the client's certificate and those it trusts, a `Security`. For tls:// only; the URL "
+        "may name the files instead. `GivenContext` is for programs that must use an SSL "
+        "context of their own.",
+        OBJECT.option(check=optional(_security)),
     ]
 
 
@@ -400,49 +344,32 @@ class SerialSettings(TypedDict, total=False):
     """The settings of a `SerialPort`."""
 
     baudrate: Annotated[int, Option("bits per second", NUMBER, 19200, integers(1, 4_000_000))]
-    parity: Annotated[Parity, Option("parity: none, even or odd", PARITY, "E", _parity)]
+    parity: Annotated[
+        Parity, Option("parity: none, even or odd", PARITY, "E", lambda _, word: parity_of(word))
+    ]
     data_bits: Annotated[int, Option("data bits of a character, 7 or 8", NUMBER, 8, integers(5, 8))]
     stop_bits: Annotated[int, Option("stop bits, 1 or 2", NUMBER, 1, integers(1, 2))]
     rs485: Annotated[
         Rs485 | None,
-        Option(
-            "what switches an RS-485 transceiver: kernel, rts-up, rts-down, gpio:CHIP/LINE",
-            _text("MODE"),
-            check=optional(_rs485),
-        ),
+        "what switches an RS-485 transceiver: kernel, rts-up, rts-down, gpio:CHIP/LINE",
+        _text("MODE").option(check=optional(_rs485)),
     ]
     rts_delay: Annotated[
         float | None,
-        Option(
-            "seconds between RTS and the data; unless given, one character",
-            SECONDS,
-            check=optional(durations(0, 1)),
-        ),
+        "seconds between RTS and the data; unless given, one character",
+        SECONDS.option(check=optional(durations(0, 1))),
     ]
     echo: Annotated[
         bool | None,
-        Option("all that is sent comes back; unless given, found out", SWITCH, check=_echo),
+        "all that is sent comes back; unless given, found out",
+        SWITCH.option(check=_echo),
     ]
     silence: Annotated[
         float | None,
-        Option(
-            "seconds of silence before a request; unless given, 3.5 characters on serial lines",
-            SECONDS,
-            check=optional(durations(0, 1)),
-        ),
+        "seconds of silence before a request; unless given, 3.5 characters on serial lines",
+        SECONDS.option(check=optional(durations(0, 1))),
     ]
 
-
-SECURITY_OPTIONS: Mapping[str, Option] = {
-    "cert": Option("own certificate, a PEM file", FILE),
-    "key": Option("private key of the certificate; unless given, in the same file", FILE),
-    "ca": Option("certificates of the trusted authorities, a PEM file", FILE),
-    "crl": Option("revocation lists of these authorities, a PEM file", FILE),
-    "pin": Option("trust only this certificate: a PEM file, or its SHA-256", FILE),
-    "server_name": Option("name in the server's certificate; unless given, the host", NAME),
-    "password_env": Option("environment variable that contains the key's password", NAME),
-}
-"""The options of tls:// URLs."""
 
 CLIENT_OPTIONS: Mapping[str, Option] = {
     name: row for name, row in rows_of(ConnectionOptions).items() if row.form is not OBJECT

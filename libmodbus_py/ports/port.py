@@ -10,24 +10,26 @@ import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..protocol.errors import ModbusConnectionError, ModbusError
 from ..system import call_in_children
+from .schemes import TRANSPORTS, Transport
 from .waiting import Steps, Waker, of_system
 
 if TYPE_CHECKING:
     import logging
 
     from ..protocol.logs import HarmlessLogger
-
-__all__ = [
-    "RECEIVED_BYTES", "REOPEN_AFTER", "Outage", "Port", "Silence",
-    "abandoned_in_children", "lost",
-]  # fmt: skip
+    from .endpoint import Endpoint
+    from .options import ConnectionOptions
 
 RECEIVED_BYTES = 16_384
 """Bytes received at once: the answers to all requests usually in flight, in one turn of a loop."""
+
+MAX_UNASKED_BYTES = 1 << 16
+"""Bytes without an answer after which a connection counts as flooded."""
 
 # Seconds between two attempts to open a port that is gone.
 REOPEN_AFTER = 1.0
@@ -44,7 +46,6 @@ class Silence:
         self._turned_at = 0.0
 
     def heard(self, now: float) -> None:
-        """Note that a byte came."""
         self.over_at = max(now + self.seconds, self._turned_at)
 
     def sent(self, size: int, now: float) -> None:
@@ -69,7 +70,6 @@ class Port(ABC):
         """Open the port, or raise ModbusConnectionError with errno, as all methods do."""
 
     def waker(self) -> Waker:
-        """Return the waker of a blocking client."""
         return Waker()
 
     @property
@@ -113,11 +113,43 @@ class Port(ABC):
         """Close the descriptor without an effect on the line, which belongs to a parent process."""
 
 
+def port_class(transport: Transport) -> Any:
+    """
+    Return the class of the ports of a transport.
+
+    Each is imported when it is first needed: ssl alone, which TLS needs, takes longer than the rest
+    of a client, and a serial port needs libmodbus.
+    """
+    module, _, name = TRANSPORTS[transport].port_class.partition(".")
+    return getattr(import_module(f".{module}", __package__), name)
+
+
+def make_port(endpoint: Endpoint, settings: ConnectionOptions) -> Port:
+    """
+    Return the port of a client, closed.
+
+    Args:
+        endpoint: the endpoint to connect to, with the options of its URL.
+        settings: the checked options of the client; a port reads `keepalive` and `security`.
+
+    Raises:
+        TypeError, ValueError: a setting of the endpoint is wrong, or not for its transport.
+    """
+    if settings["security"] is not None and not endpoint.is_secure:
+        raise ValueError(f"security is for tls:// only, not for {endpoint.scheme}://")
+    if settings["source"] is not None and (endpoint.has_path or endpoint.is_listening):
+        raise ValueError(f"source is for hosts, not for {endpoint.scheme}://")
+    if settings["greeting"] is not None and not endpoint.is_listening:
+        raise ValueError(f"greeting is for listen+tcp://, not for {endpoint.scheme}://")
+    port: Port = port_class(endpoint.transport).of(endpoint, settings)
+    return port
+
+
 def lost(error: OSError) -> ModbusConnectionError:
     """Return the error for a port that is gone, with the words of the system."""
-    made = ModbusConnectionError(of_system(error).strerror or str(error), errno=error.errno)
-    made.__cause__ = error
-    return made
+    failure = ModbusConnectionError(of_system(error).strerror or str(error), errno=error.errno)
+    failure.__cause__ = error
+    return failure
 
 
 class Outage:

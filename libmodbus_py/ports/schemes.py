@@ -1,6 +1,4 @@
-"""
-The schemes of URLs of endpoints, and what sets their transports apart.
-"""
+"""The schemes of URLs of endpoints, and what sets their transports apart."""
 
 from __future__ import annotations
 
@@ -8,15 +6,10 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from .options import SECURITY_OPTIONS, SERIAL_OPTIONS, Option
+from .options import FILE, NAME, SERIAL_OPTIONS, Option
 
 if TYPE_CHECKING:
     from ..protocol.framing import Framing
-
-__all__ = [
-    "DEFAULT_PORT", "SCHEMES", "TRANSPORTS", "Scheme", "Transport", "TransportRules", "framing_of",
-    "options_of", "shape_of",
-]  # fmt: skip
 
 DEFAULT_PORT = 502
 """The port of Modbus/TCP."""
@@ -49,9 +42,22 @@ def framing_of(url: str) -> Framing:
     return SCHEMES[url.partition("://")[0]][0]  # type: ignore[index]
 
 
+SECURITY_OPTIONS: Mapping[str, Option] = {
+    "cert": Option("own certificate, a PEM file", FILE),
+    "key": Option("private key of the certificate; unless given, in the same file", FILE),
+    "ca": Option("certificates of the trusted authorities, a PEM file", FILE),
+    "crl": Option("revocation lists of these authorities, a PEM file", FILE),
+    "pin": Option("trust only this certificate: a PEM file, or its SHA-256", FILE),
+    "server_name": Option("name in the server's certificate; unless given, the host", NAME),
+    "password_env": Option("environment variable that contains the key's password", NAME),
+}
+"""The options of tls:// URLs."""
+
+
 class TransportRules(NamedTuple):
     """The properties of a transport."""
 
+    port_class: str  # its file and its name
     options: Mapping[str, Option] = MappingProxyType({})  # of URLs, besides those of clients
     port: int = DEFAULT_PORT  # the one that a URL means without a port; 0 if there are none
     example: str = ""  # of a path, if endpoints are paths of this machine
@@ -67,12 +73,14 @@ class TransportRules(NamedTuple):
 
 
 TRANSPORTS: dict[Transport, TransportRules] = {
-    "tcp": TransportRules(),
-    "udp": TransportRules(is_datagram=True),
-    "tls": TransportRules(SECURITY_OPTIONS, 802, is_secure=True),
-    "unix": TransportRules(port=0, example="/run/modbus.sock"),
-    "serial": TransportRules(SERIAL_OPTIONS, 0, "/dev/ttyUSB0", is_serial=True),
-    "listen": TransportRules(is_listening=True),
+    "tcp": TransportRules("sockets.TcpPort"),
+    "udp": TransportRules("sockets.UdpPort", is_datagram=True),
+    "tls": TransportRules("tls.TlsPort", SECURITY_OPTIONS, 802, is_secure=True),
+    "unix": TransportRules("unix.UnixPort", port=0, example="/run/modbus.sock"),
+    "serial": TransportRules(
+        "serial.SerialPort", SERIAL_OPTIONS, 0, "/dev/ttyUSB0", is_serial=True
+    ),
+    "listen": TransportRules("listening.ListeningPort", is_listening=True),
 }
 
 

@@ -1,6 +1,4 @@
-"""
-Serial ports for clients and servers, opened and configured by libmodbus.
-"""
+"""Serial ports for clients and servers, opened and configured by libmodbus."""
 
 from __future__ import annotations
 
@@ -9,34 +7,27 @@ import errno
 import fcntl
 import os
 import select
+import struct
 import termios
 from collections.abc import Iterator
 from operator import index
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, Unpack
 
 from ..binding.library import check, ffi, lib, make
+from ..protocol.checks import log_warning
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.mistakes import unknown_option
 from ..protocol.scan import pause_between_frames
 from .direction import Switch, switch_of
-from .options import (
-    SERIAL_DEFAULTS,
-    SERIAL_OPTIONS,
-    Rs485,
-    SerialSettings,
-    character_bits,
-    parity_of,
-)
+from .options import SERIAL_OPTIONS, Rs485, SerialSettings, character_bits, parity_of
 from .port import RECEIVED_BYTES, Port, Silence, lost
-from .serial_settings import check_settings, set_odd_baudrate
 from .waiting import Steps, of_system
 
 if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .options import ConnectionOptions
-    from .serial_devices import OpenDevice
 
-__all__ = ["SerialPort", "users_of"]
+REFUSED = "the port refuses these settings"
 
 # st_rdev of the ports that this process has open: the lock does not show which process has it.
 _open_here: set[int] = set()
@@ -51,17 +42,14 @@ class SerialPort(Port):
     """
 
     # libmodbus 3.1.6..3.1.12 know these; any other they silently take for 9600.
-    # fmt: off
     baudrates: ClassVar[frozenset[int]] = frozenset((
         110, 300, 600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400,
         460800, 500000, 576000, 921600, 1000000, 1152000, 1500000, 2500000, 3000000,
         3500000, 4000000,
-    ))
-    # fmt: on
+    ))  # fmt: skip
 
     @classmethod
     def of(cls, endpoint: Endpoint, _settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         return cls(endpoint.path, **endpoint.serial_settings)
 
     def __init__(self, device: str, **settings: Unpack[SerialSettings]) -> None:
@@ -81,30 +69,20 @@ class SerialPort(Port):
         self.baudrate: int = index(usual["baudrate"])
         self.data_bits: int = index(usual["data_bits"])
         self.stop_bits: int = index(usual["stop_bits"])
-        self.echo: bool | None = usual["echo"]
         bits = character_bits({**usual, "parity": self.parity})
         wait, silence = usual["rts_delay"], usual["silence"]
         self.character: float = bits / self.baudrate
         self.rts_delay: float = self.character if wait is None else float(wait)
-        specified = pause_between_frames(self.baudrate, bits)
-        self.silence: Silence = Silence(
-            specified if silence is None else float(silence),
-            self.character,
-            self.rts_delay if self._switch is not None else 0.0,
-        )
+        quiet = pause_between_frames(self.baudrate, bits) if silence is None else float(silence)
+        turn = 0.0 if self._switch is None else self.rts_delay
+        self.silence: Silence = Silence(quiet, self.character, turn)
         self._sending: Iterator[float] = iter(())
         self._guards: list[int] = []
         self._number = 0
         self._process = 0
-        self.context: Any = make(
-            lib.modbus_new_rtu(
-                os.fsencode(device),
-                self.baudrate if self.baudrate in self.baudrates else 9600,
-                self.parity.encode(),
-                self.data_bits,
-                self.stop_bits,
-            )
-        )
+        rate = self.baudrate if self.baudrate in self.baudrates else 9600
+        line = rate, self.parity.encode(), self.data_bits, self.stop_bits
+        self.context: Any = make(lib.modbus_new_rtu(os.fsencode(device), *line))
         # Without a unit 3.1.6 aborts the process on the first read or write.
         check(lib.modbus_set_slave(self.context, 1))
 
@@ -120,21 +98,18 @@ class SerialPort(Port):
         try:
             self._take_port()
             self._configure()
-        except (OSError, termios.error) as error:
+        except BaseException as error:
             self.close()
-            if isinstance(error, ModbusConnectionError):
+            is_ours = isinstance(error, ModbusConnectionError)
+            if is_ours or not isinstance(error, OSError | termios.error):
                 raise
             if isinstance(error, OSError):
                 of_system(error)
             number, reason = error.args[:2]
             if isinstance(error, termios.error) and number == errno.EINVAL:
-                reason = "the port refuses these settings"
-            raise ModbusConnectionError(
-                f"cannot open {self.device}: {reason}", errno=number
-            ) from error
-        except BaseException:
-            self.close()
-            raise
+                reason = REFUSED
+            text = f"cannot open {self.device}: {reason}"
+            raise ModbusConnectionError(text, errno=number) from error
 
     def _configure(self) -> None:
         self._process = os.getpid()
@@ -144,7 +119,7 @@ class SerialPort(Port):
             # the rest already where a program died without closing it.
             self._change_something()
             if not self._connect():
-                raise OSError(errno.EINVAL, "the port refuses these settings")
+                raise OSError(errno.EINVAL, REFUSED)
         self._watch(lib.modbus_get_socket(self.context))
         if self.baudrate not in self.baudrates:
             set_odd_baudrate(self.descriptor, self.baudrate)
@@ -157,8 +132,34 @@ class SerialPort(Port):
         self.discard_input()
 
     def _check_settings(self, descriptor: int) -> None:
-        wanted = {name: getattr(self, name) for name in SERIAL_DEFAULTS}
-        check_settings(descriptor, self.device, wanted)
+        """
+        Raise an OSError for a setting that the open port did not take.
+
+        Linux reports no error if a driver cannot make a setting: `tcsetattr` returns 0, and the
+        port has another one, usually that of before. Which rates a port has is not known without
+        trying them: only of a plain UART the highest one is.
+        """
+        control = termios.tcgetattr(descriptor)[2]
+        odd_or_even = "O" if control & termios.PARODD else "E"
+        actual = {
+            "parity": odd_or_even if control & termios.PARENB else "N",
+            "data_bits": DATA_BITS[control & termios.CSIZE],
+            "stop_bits": 2 if control & termios.CSTOPB else 1,
+        }
+        if os.major(os.fstat(descriptor).st_rdev) not in PSEUDO_TERMINALS:
+            for name, value in actual.items():
+                if value != (wanted := getattr(self, name)):
+                    reason = f"{name} {wanted} refused: the port has {value}"
+                    raise OSError(errno.EINVAL, reason)
+        rate = _baudrate_of(descriptor) or self.baudrate
+        # A receiver tolerates 2 % (serial line, 2.4).
+        if abs(rate - self.baudrate) > self.baudrate * 0.02:
+            from .serial_devices import highest_rate  # which clients do not need otherwise
+
+            highest = highest_rate(self.device)
+            limit = f", and at most {highest}" if highest else ""
+            reason = f"baudrate {self.baudrate} refused: the port does {rate}{limit}"
+            raise OSError(errno.EINVAL, reason)
 
     def _connect(self) -> bool:
         ffi.errno = 0
@@ -175,7 +176,10 @@ class SerialPort(Port):
 
     def _take_port(self) -> None:
         """Lock the port, because libmodbus would change the settings of another program."""
-        if self._is_open_here():  # asked first, because opening a port raises its RTS
+        is_open_here = False
+        with contextlib.suppress(OSError):
+            is_open_here = os.stat(self.device).st_rdev in _open_here
+        if is_open_here:  # asked first, because opening a port raises its RTS
             itself = "this program itself; one client (with for_unit) or context reaches all units"
             raise OSError(errno.EBUSY, f"in use by {itself}")
         guard = self._open_guard(os.O_RDWR)
@@ -186,16 +190,10 @@ class SerialPort(Port):
         self._number = os.fstat(guard).st_rdev
         _open_here.add(self._number)
 
-    def _is_open_here(self) -> bool:
-        try:
-            return os.stat(self.device).st_rdev in _open_here
-        except OSError:
-            return False
-
     def _in_use(self) -> OSError:
-        users = [user.program for user in users_of(self.device) if user.process != os.getpid()]
-        names = ", ".join(dict.fromkeys(users)) or "another program"
-        return OSError(errno.EBUSY, f"in use by {names}")
+        from .serial_devices import other_programs  # which clients do not need otherwise
+
+        return OSError(errno.EBUSY, f"in use by {other_programs(self.device)}")
 
     def _open_guard(self, mode: int) -> int:
         """Return a descriptor of the port that the program waits for nothing to get."""
@@ -205,9 +203,8 @@ class SerialPort(Port):
             # In one call, because a Ctrl-C after os.open would leave the port locked for ever.
             self._guards.extend(map(os.open, [self.device], [flags]))
         except PermissionError as error:
-            raise OSError(
-                error.errno, f"{error.strerror}; is this user in the group dialout?"
-            ) from None
+            reason = f"{error.strerror}; is this user in the group dialout?"
+            raise OSError(error.errno, reason) from None
         except OSError as error:
             if error.errno == errno.EBUSY:  # another program has set TIOCEXCL
                 raise self._in_use() from None
@@ -219,16 +216,17 @@ class SerialPort(Port):
             number = error.args[0]
             if number in (errno.ENOTTY, errno.EINVAL):
                 raise OSError(number, "not a serial port") from None
-            if number == errno.EIO and _lacks_hardware(self.device):
+            from .serial_devices import lacks_hardware  # which clients do not need otherwise
+
+            if number == errno.EIO and lacks_hardware(self.device):
                 raise OSError(number, "the system has no hardware for this port") from None
             raise
         return guard
 
     def close(self) -> None:
-        """Close the port. A process that inherited it does not change its parent's settings."""
         self._sending = iter(())
         self.resume_at = None
-        if self._process != os.getpid():
+        if self._process != os.getpid():  # which inherited it: the settings are its parent's
             self.abandon()
             return
         try:
@@ -306,15 +304,96 @@ class SerialPort(Port):
             raise lost(error) from error
 
 
-def _lacks_hardware(device: str) -> bool:
-    from .serial_devices import lacks_hardware  # which clients do not need
+class ReadOnlySerialPort(SerialPort):
+    """A serial port to listen at, with the settings of another program that has it open, if any."""
 
-    return lacks_hardware(device)
+    _restored: list[Any] | None = None
+
+    def _take_port(self) -> None:
+        self._open_guard(os.O_RDONLY)
+
+    def _configure(self) -> None:
+        (descriptor,) = self._guards
+        before = termios.tcgetattr(descriptor)
+        self._process = os.getpid()
+        from .serial_devices import other_user
+
+        if (other := other_user(self.device, descriptor)) is None:
+            self._restored = before
+            self._set(descriptor)
+            termios.tcflush(descriptor, termios.TCIFLUSH)
+        else:
+            text = "%s is open in %s, too: its settings stay, and it loses what is read here"
+            log_warning(__name__, text, self.device, other)
+        self._watch(descriptor)
+        if other is None and self._switch is not None:
+            # Opening a port sets RTS, which may make the transceiver send.
+            self._switch.open(descriptor)
+
+    def _set(self, descriptor: int) -> None:
+        parities = {"N": 0, "E": termios.PARENB, "O": termios.PARENB | termios.PARODD}
+        speed = getattr(termios, f"B{self.baudrate}", None)
+        settings = termios.tcgetattr(descriptor)
+        control = termios.CREAD | termios.CLOCAL | getattr(termios, f"CS{self.data_bits}")
+        control |= parities[self.parity] | (termios.CSTOPB if self.stop_bits == 2 else 0)
+        settings[0] = termios.INPCK if self.parity != "N" else termios.IGNPAR
+        settings[1], settings[2], settings[3] = 0, control, 0
+        settings[4] = settings[5] = termios.B9600 if speed is None else speed
+        settings[6][termios.VMIN], settings[6][termios.VTIME] = 0, 0
+        try:
+            termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+        except termios.error:  # nothing changed, and something is lacking: see SerialPort
+            self._change_something()
+            termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+        if speed is None:
+            set_odd_baudrate(descriptor, self.baudrate)
+        self._check_settings(descriptor)
+
+    def send(self, adus: list[bytes], now: float) -> None:
+        raise RuntimeError("this port is only read")
+
+    def close(self) -> None:
+        if self._guards and self._restored is not None and self._process == os.getpid():
+            with contextlib.suppress(termios.error, OSError):
+                termios.tcsetattr(self._guards[0], termios.TCSANOW, self._restored)
+        self._restored = None
+        self.abandon()
+
+    def abandon(self) -> None:
+        # libmodbus holds nothing here, and its context may be gone during garbage collection.
+        self.descriptor = -1
+        self._release()
 
 
-def users_of(device: str) -> list[OpenDevice]:
-    """Return the programs that have a port open, as far as this user may know."""
-    from .serial_devices import open_devices  # which clients do not need
+# --- settings that neither libmodbus nor termios makes or checks ----------------------------------
 
-    path = os.path.realpath(device)
-    return [user for user in open_devices()[0] if user.path == path]
+# struct termios2, TCGETS2 and TCSETS2 of asm-generic/termbits.h, whose BOTHER is CBAUDEX; where
+# they differ, the ioctl fails.
+TERMIOS2 = struct.Struct("4IB19B2I")
+TCGETS2, TCSETS2 = 0x802C542A, 0x402C542B
+
+# Numbers of pseudo-terminals (Unix98 slaves of Linux's devices.txt), which have one character size,
+# no parity and no line on which it would matter.
+PSEUDO_TERMINALS = range(136, 144)
+
+DATA_BITS = {termios.CS5: 5, termios.CS6: 6, termios.CS7: 7, termios.CS8: 8}
+
+
+def set_odd_baudrate(descriptor: int, baudrate: int) -> None:
+    """Set a rate without a constant; raise OSError if the port, or the system, takes none."""
+    try:
+        fields = list(TERMIOS2.unpack(fcntl.ioctl(descriptor, TCGETS2, bytes(TERMIOS2.size))))
+        fields[2] = fields[2] & ~(termios.CBAUD | termios.CIBAUD) | termios.CBAUDEX
+        fields[-2:] = baudrate, baudrate
+        fcntl.ioctl(descriptor, TCSETS2, TERMIOS2.pack(*fields))
+    except OSError as error:
+        raise OSError(error.errno, f"baudrate {baudrate} refused: {error.strerror}") from None
+
+
+def _baudrate_of(descriptor: int) -> int | None:
+    """Return the baud rate of a port as its driver has it; None if Linux does not tell it."""
+    try:
+        data = fcntl.ioctl(descriptor, TCGETS2, bytes(TERMIOS2.size))
+    except OSError:
+        return None
+    return int(TERMIOS2.unpack(data)[-1])

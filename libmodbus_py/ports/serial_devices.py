@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["SerialDevice", "highest_rate", "lacks_hardware", "open_devices", "serial_devices"]
-
 # Types of linux/serial_core.h: PORT_UNKNOWN, of ports that a kernel lists although no hardware
 # stands behind them; and PORT_16550A, which divides its clock by 16 and a whole number.
 NO_HARDWARE = "0"
@@ -35,16 +33,16 @@ def serial_devices(root: str = "/") -> list[SerialDevice]:
     """Return the serial ports of this machine, sorted by path."""
     base = Path(root)
     opened, sees_all = open_devices(base)
-    users = {each.path: each for each in opened}
+    users = {user.path: user for user in opened}
     links = sorted((base / "dev/serial/by-id").glob("*"))
     stable = {_target(link): f"/dev/serial/by-id/{link.name}" for link in links}
-    found = []
+    devices = []
     for place in sorted((base / "sys/class/tty").glob("*"), key=_in_order):
         if not (place / "device").exists() or lacks_hardware(place.name, root):
             continue
         path = f"/dev/{place.name}"
         node = base / "dev" / place.name
-        found.append(
+        devices.append(
             SerialDevice(
                 path,
                 stable.get(place.name, ""),
@@ -53,7 +51,7 @@ def serial_devices(root: str = "/") -> list[SerialDevice]:
                 state=_state(node, users.get(path), sees_all),
             )
         )
-    return found
+    return devices
 
 
 def lacks_hardware(path: str, root: str = "/") -> bool:
@@ -61,9 +59,9 @@ def lacks_hardware(path: str, root: str = "/") -> bool:
     return _text(_class(path, root) / "type") == NO_HARDWARE
 
 
-def highest_rate(path: str, root: str = "/") -> int:
+def highest_rate(path: str) -> int:
     """Return the highest baud rate of a 16550A; 0 for other hardware, of which it is not known."""
-    place = _class(path, root)
+    place = _class(path, "/")
     clock = _text(place / "uartclk")
     return int(clock) // 16 if clock.isdigit() and _text(place / "type") == PLAIN_UART else 0
 
@@ -79,7 +77,6 @@ def _in_order(place: Path) -> tuple[str, int]:
 
 
 def _target(link: Path) -> str:
-    """Return the name of what a symbolic link leads to."""
     try:
         return Path(os.readlink(link)).name
     except OSError:
@@ -118,7 +115,7 @@ class OpenDevice(NamedTuple):
 
 def open_devices(base: Path = Path("/")) -> tuple[list[OpenDevice], bool]:
     """Return the files in /dev that programs have open, and True if all programs were seen."""
-    found: list[OpenDevice] = []
+    files: list[OpenDevice] = []
     sees_all = True
     for process in base.glob("proc/[0-9]*"):
         program = f"{_text(process / 'comm') or 'a program'} ({process.name})"
@@ -126,12 +123,33 @@ def open_devices(base: Path = Path("/")) -> tuple[list[OpenDevice], bool]:
             for link in (process / "fd").iterdir():
                 with contextlib.suppress(FileNotFoundError):  # it was closed meanwhile
                     if (path := os.readlink(link)).startswith("/dev/"):
-                        found.append(OpenDevice(path, int(process.name), int(link.name), program))
+                        files.append(OpenDevice(path, int(process.name), int(link.name), program))
         except PermissionError:
             sees_all = False
         except OSError:  # it has ended meanwhile
             continue
-    return found, sees_all
+    return files, sees_all
+
+
+def users_of(device: str) -> list[OpenDevice]:
+    """Return the programs that have a port open, as far as this user may know."""
+    path = os.path.realpath(device)
+    return [user for user in open_devices()[0] if user.path == path]
+
+
+def other_programs(device: str) -> str:
+    """Return the names of the other programs that have a port open."""
+    names = [user.program for user in users_of(device) if user.process != os.getpid()]
+    return ", ".join(dict.fromkeys(names)) or "another program"
+
+
+def other_user(device: str, descriptor: int) -> str | None:
+    """Return another program that has a port open, or this one with another descriptor."""
+    own = os.getpid()
+    for user in users_of(device):
+        if (user.process, user.descriptor) != (own, descriptor):
+            return "this program" if user.process == own else user.program
+    return None
 
 
 def _state(node: Path, user: OpenDevice | None, sees_all: bool) -> str:

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .options import ConnectionOptions
 
-__all__ = ["StreamPort", "TcpPort", "UdpPort", "keep_alive", "refuse_own"]
-
 # Value of SO_LINGER: the end of the connection is a reset.
 RESET = struct.pack("ii", 1, 0)
 
@@ -55,20 +53,19 @@ class SocketPort(Port):
         return self._name
 
     def opening(self, deadline: float) -> Steps[None]:
-        made = yield from self._connected(deadline)
+        connection = yield from self._connected(deadline)
         try:
-            yield from self._preparing(made, deadline)
+            yield from self._preparing(connection, deadline)
         except BaseException as error:
-            made.close()
+            connection.close()
             # Of an option, or of the descriptor itself.
             if isinstance(error, OSError) and not isinstance(error, ModbusConnectionError):
                 raise self._cannot_connect(of_system(error)) from error
             raise
-        self._socket, self._connecting = made, None
-        self._watch(made.fileno())
+        self._socket, self._connecting = connection, None
+        self._watch(connection.fileno())
 
-    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
-        """Prepare a connected socket. Raises ModbusConnectionError."""
+    def _preparing(self, connection: socket.socket, deadline: float) -> Steps[None]:
         yield from ()
 
     def _connected(self, deadline: float) -> Steps[socket.socket]:
@@ -89,24 +86,24 @@ class SocketPort(Port):
         self, family: int, kind: int, protocol: int, address: Any, deadline: float
     ) -> Steps[socket.socket]:
         # A system may lack the family of an address, or have no descriptor left.
-        made = self._connecting = socket.socket(family, kind, protocol)
+        connection = self._connecting = socket.socket(family, kind, protocol)
         try:
-            made.setblocking(False)
-            self._bind(made)
-            number = made.connect_ex(address)
+            connection.setblocking(False)
+            self._bind(connection)
+            number = connection.connect_ex(address)
             if number == errno.EINPROGRESS:
-                if not (yield Ready(made.fileno(), WRITE, deadline)):
+                if not (yield Ready(connection.fileno(), WRITE, deadline)):
                     raise timed_out()
-                number = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+                number = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
             if number:
                 raise OSError(number, os.strerror(number))
-            refuse_own(made)
+            refuse_own(connection)
         except BaseException:
-            made.close()
+            connection.close()
             raise
-        return made
+        return connection
 
-    def _bind(self, made: socket.socket) -> None:
+    def _bind(self, connection: socket.socket) -> None:
         """Bind a socket to the address that it is to connect from, if there is one."""
 
     def _cannot_connect(self, error: OSError) -> ModbusConnectionError:
@@ -134,28 +131,30 @@ class SocketPort(Port):
             self._connecting = None
 
 
-def keep_alive(made: socket.socket, seconds: float) -> None:
+def keep_alive(connection: socket.socket, seconds: float) -> None:
     """Make the system probe the other side of a TCP connection after so much silence."""
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for option, value in (
         (socket.TCP_KEEPIDLE, math.ceil(seconds)),
         (socket.TCP_KEEPINTVL, math.ceil(seconds / 3)),
         (socket.TCP_KEEPCNT, 3),
     ):
-        made.setsockopt(socket.IPPROTO_TCP, option, value)
+        connection.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
-def refuse_own(made: socket.socket) -> None:
+def refuse_own(connection: socket.socket) -> None:
     """Raise OSError (ECONNREFUSED) for a socket that is connected to itself (RFC 9293, 3.5)."""
     # Nothing listens on a port of this machine, and the system chose that port for the client.
     try:
-        is_own = made.getsockname()[:2] == made.getpeername()[:2]
+        is_own = connection.getsockname()[:2] == connection.getpeername()[:2]
     except OSError as error:  # the other side has reset the connection already
         of_system(error)
         return
     if is_own:
-        if made.type == socket.SOCK_STREAM:  # reset: an orderly end keeps the port for a minute
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        if (
+            connection.type == socket.SOCK_STREAM
+        ):  # reset: an orderly end keeps the port for a minute
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
         raise OSError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
 
 
@@ -168,7 +167,7 @@ class StreamPort(SocketPort):
         super().__init__(name)
         self._unsent = bytearray()
 
-    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
+    def _preparing(self, connection: socket.socket, deadline: float) -> Steps[None]:
         self._unsent.clear()
         self.has_unsent: bool = False
         yield from ()
@@ -222,15 +221,15 @@ class HostPort(SocketPort):
         super().__init__(host_and_port(host, port))
         self._source = None if source is None else own_address("source", source)
 
-    def _bind(self, made: socket.socket) -> None:
+    def _bind(self, connection: socket.socket) -> None:
         if self._source is None:
             return
         _, address = self._source
         if self.kind == socket.SOCK_STREAM and address[1]:
             # Reset at its end: after an orderly one, its port could not connect for a minute.
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.bind(address)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        connection.bind(address)
 
     def _cannot_connect(self, error: OSError) -> ModbusConnectionError:
         cannot = super()._cannot_connect(error)
@@ -240,7 +239,7 @@ class HostPort(SocketPort):
 
     def _addresses(self, deadline: float) -> Steps[list[Any]]:
         try:
-            found: list[Any] = yield Resolve(self.host, self.port, self.kind, deadline)
+            addresses: list[Any] = yield Resolve(self.host, self.port, self.kind, deadline)
         except OSError as error:
             late = isinstance(error, TimeoutError)
             reason = "it takes too long" if late else error.strerror or error
@@ -249,10 +248,10 @@ class HostPort(SocketPort):
                 errno=errno.ETIMEDOUT if late else error.errno,
             ) from error
         if self._source is not None:
-            found = [address for address in found if address[0] == self._source[0]]
-            if not found:
+            addresses = [address for address in addresses if address[0] == self._source[0]]
+            if not addresses:
                 raise self._cannot_connect(OSError(errno.EAFNOSUPPORT, ""))
-        return found
+        return addresses
 
 
 class TcpPort(HostPort, StreamPort):
@@ -260,7 +259,6 @@ class TcpPort(HostPort, StreamPort):
 
     @classmethod
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         port = cls(endpoint.host, endpoint.port, settings["keepalive"], settings["source"])
         port.silence = Silence(endpoint.options.get("silence") or 0.0)  # of a line behind it
         return port
@@ -271,11 +269,11 @@ class TcpPort(HostPort, StreamPort):
         super().__init__(host, port, source)
         self._keepalive = keepalive
 
-    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
-        yield from super()._preparing(made, deadline)
-        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    def _preparing(self, connection: socket.socket, deadline: float) -> Steps[None]:
+        yield from super()._preparing(connection, deadline)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._keepalive is not None:
-            keep_alive(made, self._keepalive)
+            keep_alive(connection, self._keepalive)
 
     def acknowledge(self) -> None:
         # A server that leaves Nagle's algorithm on, as libmodbus's own does, sends its next
@@ -294,11 +292,10 @@ class UdpPort(HostPort):
 
     @classmethod
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         return cls(endpoint.host, endpoint.port, settings["source"])
 
-    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
-        yield from super()._preparing(made, deadline)
+    def _preparing(self, connection: socket.socket, deadline: float) -> Steps[None]:
+        yield from super()._preparing(connection, deadline)
         self._refusal = 0  # the system's number
 
     def receive(self) -> list[bytes]:

@@ -1,6 +1,4 @@
-"""
-TLS connections: Modbus Security, at the client's end.
-"""
+"""TLS connections: Modbus Security, at the client's end."""
 
 from __future__ import annotations
 
@@ -13,13 +11,13 @@ import time
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeVar
 
 from ..protocol.errors import ModbusConnectionError
-from ..security.describing import describe, in_words
+from ..security.certificates import describe, in_words
 from ..security.files import Acceptance
 from ..security.security import GivenContext, Security
 from ..security.tunnel import Tunnel
 from ..system import KEY_REJECTED
 from .endpoint import Endpoint
-from .port import RECEIVED_BYTES
+from .port import MAX_UNASKED_BYTES, RECEIVED_BYTES
 from .sockets import TcpPort
 from .waiting import READ, WRITE, Ready, Steps, of_system, timed_out
 
@@ -29,32 +27,26 @@ Given = TypeVar("Given", bound=ClientSecurity)
 if TYPE_CHECKING:
     from .options import ConnectionOptions
 
-__all__ = ["TlsPort", "security_of"]
-
 # The ends of OpenSSL's reasons for alerts by which the other side refuses our certificate.
 OF_OUR_CERTIFICATE = (
     "UNKNOWN_CA", "BAD_CERTIFICATE", "UNSUPPORTED_CERTIFICATE", "CERTIFICATE_REVOKED",
     "CERTIFICATE_EXPIRED", "CERTIFICATE_UNKNOWN", "CERTIFICATE_REQUIRED", "ACCESS_DENIED",
 )  # fmt: skip
 
-# The number of bytes behind the last answer that counts as a flood: tickets and changes of
-# keys are rare.
-MAX_CHAFF = 1 << 16
-
 # Seconds between two checks of the certificate of an open connection.
 CERTIFICATE_INTERVAL = 60.0
 
 
-def security_of(endpoint: Endpoint, given: Given | None) -> Security | Given:
+def security_of(endpoint: Endpoint, security: Given | None) -> Security | Given:
     """Return the security of a `tls://` endpoint, from its URL or the argument."""
     if not endpoint.options:
-        if given is None:
+        if security is None:
             raise ValueError(
                 f"{endpoint} needs security: Security(...), or ?cert=...&key=... and ca or pin,"
                 " which are options of commands, too"
             )
-        return given
-    if given is not None:
+        return security
+    if security is not None:
         raise ValueError(f"{endpoint}: security is given as such and in the URL")
     named: dict[str, Any] = dict(endpoint.options)
     if "cert" not in named:
@@ -80,7 +72,6 @@ class TlsPort(TcpPort):
 
     @classmethod
     def of(cls, endpoint: Endpoint, settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         security = security_of(endpoint, settings["security"])
         keepalive, source = settings["keepalive"], settings["source"]
         return cls(endpoint.host, endpoint.port, keepalive, source, security=security)
@@ -108,18 +99,18 @@ class TlsPort(TcpPort):
         self._received: list[bytes] = []  # decrypted
         self._plain = bytearray()  # not encrypted yet
         self._failure: ModbusConnectionError | None = None  # raised behind what was received
-        self._chaff = 0
+        self._unasked = 0  # bytes behind the last answer: tickets and changes of keys are rare
         self._flights = 0  # how often this side has sent during the handshake
         self._has_answered = False
 
-    def _preparing(self, made: socket.socket, deadline: float) -> Steps[None]:
-        yield from super()._preparing(made, deadline)
+    def _preparing(self, connection: socket.socket, deadline: float) -> Steps[None]:
+        yield from super()._preparing(connection, deadline)
         session, self._session = self._session, None  # after a failure none is resumed (R-11)
         self._acceptance = self._security.acceptance()
         tunnel = self._security.to_server(self.host, session)
         self._begin(None)
         try:
-            yield from self._shaking_hands(made, tunnel, deadline)
+            yield from self._shaking_hands(connection, tunnel, deadline)
         except ssl.SSLCertVerificationError as error:
             raise self._distrusting(in_words(error), tunnel.certificate) from error
         except ssl.SSLError as error:
@@ -132,25 +123,27 @@ class TlsPort(TcpPort):
         self._check_at = time.monotonic() + CERTIFICATE_INTERVAL
         self._tunnel, self._owner = tunnel, os.getpid()
 
-    def _shaking_hands(self, made: socket.socket, tunnel: Tunnel, deadline: float) -> Steps[None]:
+    def _shaking_hands(
+        self, connection: socket.socket, tunnel: Tunnel, deadline: float
+    ) -> Steps[None]:
         while True:
             try:
                 is_done = tunnel.handshake()
             except ssl.SSLError:
                 with contextlib.suppress(OSError):  # send the alert, if the peer still receives
-                    made.send(tunnel.outgoing())
+                    connection.send(tunnel.outgoing())
                 raise
             data = tunnel.outgoing()
             self._flights += bool(data)
             while data:
                 try:
-                    data = data[made.send(data) :]
+                    data = data[connection.send(data) :]
                 except BlockingIOError:
-                    yield from _ready(made, WRITE, deadline)
+                    yield from _ready(connection, WRITE, deadline)
             if is_done:
                 return
-            yield from _ready(made, READ, deadline)
-            if not (received := made.recv(RECEIVED_BYTES)):
+            yield from _ready(connection, READ, deadline)
+            if not (received := connection.recv(RECEIVED_BYTES)):
                 raise ConnectionResetError(errno.ECONNRESET, "closed by the other side")
             tunnel.feed(received)
 
@@ -163,21 +156,21 @@ class TlsPort(TcpPort):
         is_ended = error.errno in (errno.ECONNRESET, errno.ETIMEDOUT)
         hint = "; does it speak TLS, or is it tcp://?" if is_ended else ""
         reason = f"no TLS handshake with {self}: {error.strerror or error}{hint}"
-        made = ModbusConnectionError(reason, errno=error.errno)
+        failure = ModbusConnectionError(reason, errno=error.errno)
         # In TLS 1.2 the second flight has our certificate.
         is_hanging = self._flights > 1 and error.errno == errno.ECONNRESET
-        return self._suspecting(made) if is_hanging else made
+        return self._suspecting(failure) if is_hanging else failure
 
     def _because(self, error: ssl.SSLError) -> ModbusConnectionError:
         words = in_words(error, guess=True)
         if (error.reason or "").endswith(OF_OUR_CERTIFICATE):
             own = f": {describe(self._security.own)}" if self._security.own else ""
             text = f"{self} refused our certificate ({words}){own}"
-            made = ModbusConnectionError(text, errno=KEY_REJECTED)
+            failure = ModbusConnectionError(text, errno=KEY_REJECTED)
         else:
-            made = ModbusConnectionError(f"no TLS with {self}: {words}", errno=errno.EPROTO)
-        made.__cause__ = error
-        return made
+            failure = ModbusConnectionError(f"no TLS with {self}: {words}", errno=errno.EPROTO)
+        failure.__cause__ = error
+        return failure
 
     def _suspecting(self, error: ModbusConnectionError) -> ModbusConnectionError:
         """Add a hint to an error: some servers refuse a certificate silently, and late."""
@@ -217,11 +210,11 @@ class TlsPort(TcpPort):
         assert tunnel is not None
         try:
             for data in super().receive():
-                self._chaff += len(data)
+                self._unasked += len(data)
                 tunnel.feed(data)
-            while piece := tunnel.receive():
+            while piece := tunnel.receive(RECEIVED_BYTES):
                 self._received.append(piece)
-                self._chaff = 0
+                self._unasked = 0
         except ModbusConnectionError as error:
             self._failure = self._suspecting(error)
         except ssl.SSLError as error:
@@ -233,7 +226,7 @@ class TlsPort(TcpPort):
             # Delayed requests, and records of OpenSSL itself: a change of keys, an alert.
             self._send(tunnel, b"")
         self._has_answered = self._has_answered or bool(self._received)
-        if self._chaff > MAX_CHAFF and self._failure is None:
+        if self._unasked > MAX_UNASKED_BYTES and self._failure is None:
             self._failure = ModbusConnectionError("flooded with bytes that are not a response")
 
     def send(self, adus: list[bytes], now: float) -> None:
@@ -298,8 +291,8 @@ class TlsPort(TcpPort):
         super()._release()
 
 
-def _ready(made: socket.socket, events: int, deadline: float) -> Steps[None]:
+def _ready(connection: socket.socket, events: int, deadline: float) -> Steps[None]:
     # A flooding peer always has bytes ready.
-    in_time = time.monotonic() < deadline and (yield Ready(made.fileno(), events, deadline))
+    in_time = time.monotonic() < deadline and (yield Ready(connection.fileno(), events, deadline))
     if not in_time:
         raise timed_out()

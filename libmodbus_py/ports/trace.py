@@ -1,6 +1,4 @@
-"""
-Every ADU that a client or a server sends and receives, for callbacks and the log.
-"""
+"""Every ADU that a client or a server sends and receives, for callbacks and the log."""
 
 from __future__ import annotations
 
@@ -14,8 +12,6 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 from ..protocol.checks import finished, log_failure
 from ..protocol.framing import pdu_of, transaction_of
 from .schemes import framing_of
-
-__all__ = ["OnTraced", "Trace", "Traced", "is_traced"]
 
 if TYPE_CHECKING:
     from logging import Logger
@@ -130,7 +126,6 @@ class Trace:
 
 
 def _is_logged() -> bool:
-    """Return True if the logger is at DEBUG."""
     # A program that has not imported logging cannot have set it; the import here would take an
     # eighth of the time of importing the whole client.
     global _wire

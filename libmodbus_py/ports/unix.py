@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from .endpoint import Endpoint
     from .options import ConnectionOptions
 
-__all__ = ["UnixListener", "UnixPort"]
-
 # The bytes of a path in struct sockaddr_un, without the final 0.
 MAX_PATH = 107 if sys.platform == "linux" else 103
 
@@ -43,7 +41,6 @@ class UnixPort(StreamPort):
 
     @classmethod
     def of(cls, endpoint: Endpoint, _settings: ConnectionOptions) -> Self:
-        """Return the port of a client for an endpoint."""
         return cls(endpoint.path)
 
     def __init__(self, path: str) -> None:
@@ -63,25 +60,25 @@ class UnixListener:
 
     async def open(self) -> socket.socket:
         """Return a socket that listens; other tasks of the loop run while its folder is locked."""
-        made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            made.setblocking(False)
+            listener.setblocking(False)
             # Linux makes the file with the mode of the socket. Its owner may connect at once: else
             # a server that is killed before it lets others in would seem to be there for ever.
             with contextlib.suppress(OSError):
-                os.fchmod(made.fileno(), 0o600)
+                os.fchmod(listener.fileno(), 0o600)
             async with _locked(os.path.dirname(self._path) or "."):
                 if os.path.lexists(self._path):
                     self._remove_stale()
-                made.bind(self._path)
+                listener.bind(self._path)
                 self._identity = _identity(self._path)
-                made.listen(BACKLOG)
+                listener.listen(BACKLOG)
                 os.chmod(self._path, 0o660)  # who connects needs the permission to write
         except BaseException:
             self.close()
-            made.close()
+            listener.close()
             raise
-        return made
+        return listener
 
     def _remove_stale(self) -> None:
         if not stat.S_ISSOCK(os.lstat(self._path).st_mode):
@@ -113,8 +110,8 @@ class UnixListener:
 
 def _identity(path: str) -> tuple[int, int, int]:
     """Return what differs from a later file at the path, which may have the same inode."""
-    found = os.lstat(path)
-    return found.st_dev, found.st_ino, found.st_mtime_ns
+    status = os.lstat(path)
+    return status.st_dev, status.st_ino, status.st_mtime_ns
 
 
 @contextlib.asynccontextmanager

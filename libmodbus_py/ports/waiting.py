@@ -1,27 +1,26 @@
 """
 Steps that wait: a generator yields the event to wait for, and its caller decides how.
 
-`run` polls, for blocking clients; `waiting_async` waits in the event loop. So
-connecting, and everything else that alternates with the peer, is written once.
+`run` polls, for blocking clients; `run_async` waits in the event loop. So connecting, and
+everything else that alternates with the peer, is written once.
 """
 
 from __future__ import annotations
 
 import errno
+import math
 import os
 import select
 import threading
 import time
 from collections.abc import Callable, Generator
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from ..system import Flag
 from .hosts import Resolve, ask, numeric
 
-__all__ = [
-    "LONGEST", "READ", "WRITE", "Ready", "Steps", "Waker", "Woken", "milliseconds", "of_system",
-    "run", "timed_out",
-]  # fmt: skip
+if TYPE_CHECKING:
+    import asyncio  # which blocking clients do not need: functions import it
 
 READ, WRITE = select.POLLIN, select.POLLOUT
 
@@ -74,13 +73,11 @@ class Waker:
                 self._flag.set()
 
     def clear(self) -> None:
-        """Reset the descriptor after a call of `wake`."""
         with self._lock:
             if self._flag is not None:
                 self._flag.clear()
 
     def close(self) -> None:
-        """Close the descriptor; may be called any number of times."""
         with self._lock:
             flag, self._flag, self.descriptor = self._flag, None, -1
             if flag is not None:
@@ -139,14 +136,14 @@ def run(steps: Steps[Result], waker: Waker) -> Result:
         while True:
             try:
                 if isinstance(wanted, Resolve):
-                    found: Any = _look_up(wanted, waker)
+                    answer: Any = _look_up(wanted, waker)
                 else:
-                    found = waker.wait(*wanted)
+                    answer = waker.wait(*wanted)
             except OSError as error:
                 of_system(error)
                 wanted = steps.throw(error)
             else:
-                wanted = steps.send(found)
+                wanted = steps.send(answer)
     except StopIteration as done:
         result: Result = done.value
         return result
@@ -155,8 +152,8 @@ def run(steps: Steps[Result], waker: Waker) -> Result:
 
 
 def _look_up(wanted: Resolve, waker: Waker) -> list[Any]:
-    if found := numeric(wanted):
-        return found
+    if answer := numeric(wanted):
+        return answer
     done = Waker()
     try:
         question = ask(wanted, done.wake)
@@ -177,3 +174,110 @@ def of_system(error: OSError) -> OSError:
     if error.errno is None and error.strerror is None:
         raise error
     return error
+
+
+# --- in an event loop -----------------------------------------------------------------------
+
+
+async def run_async(steps: Steps[Result]) -> Result:
+    """Run steps to their end in the event loop; cancelling closes them."""
+    try:
+        wanted = next(steps)
+        while True:
+            try:
+                answer: Any
+                if isinstance(wanted, Resolve):
+                    answer = await look_up(wanted)
+                else:
+                    answer = await _ready(wanted)
+            except OSError as error:
+                of_system(error)
+                wanted = steps.throw(error)
+            else:
+                wanted = steps.send(answer)
+    except StopIteration as done:
+        result: Result = done.value
+        return result
+    finally:
+        steps.close()
+
+
+async def look_up(wanted: Resolve) -> list[Any]:
+    """Return what getaddrinfo finds, or raise its OSError, or TimeoutError."""
+    if answer := numeric(wanted):
+        return answer
+    import asyncio
+
+    loop = asyncio.get_running_loop()
+    ready = loop.create_future()
+    timeout = asyncio.timeout_at(None if wanted.deadline == math.inf else wanted.deadline)
+    question = ask(wanted, lambda: loop.call_soon_threadsafe(resolve, ready))
+    try:
+        async with timeout:
+            await ready
+    except TimeoutError as error:
+        if not timeout.expired():
+            raise
+        raise timed_out() from error
+    return question.result()
+
+
+def resolve(future: asyncio.Future[None]) -> None:
+    """Complete a future, unless it was cancelled."""
+    if not future.done():
+        future.set_result(None)
+
+
+async def _ready(wanted: Ready) -> bool:
+    import asyncio
+
+    loop = asyncio.get_running_loop()
+    ready = loop.create_future()
+    add, remove = loop.add_writer, loop.remove_writer
+    if wanted.events == READ:
+        add, remove = loop.add_reader, loop.remove_reader
+    add(wanted.descriptor, resolve, ready)
+    timeout = asyncio.timeout_at(wanted.deadline)
+    try:
+        async with timeout:
+            await ready
+    except TimeoutError:
+        if not timeout.expired():
+            raise
+        return False
+    finally:
+        remove(wanted.descriptor)
+    return True
+
+
+class Alarm:
+    """
+    A timer that is replaced only when an earlier time is set, because most timers are not needed.
+
+    asyncio ends timers early, by up to the resolution of its clock. So `ring` gets the time: that
+    of the clock, or the one that the alarm was set for, whichever is later. Who asks the clock
+    again would find that nothing is due, and set the alarm for the same time.
+    """
+
+    def __init__(self, ring: Callable[[float], object]) -> None:
+        self.at: float = math.inf
+        self._ring = ring
+        self._timer: asyncio.TimerHandle | None = None
+
+    def set(self, at: float, loop: asyncio.AbstractEventLoop) -> None:
+        """Ring at this time, or earlier if the alarm is set for an earlier time."""
+        if at < self.at:
+            self.cancel()
+            self.at = at
+            self._timer = loop.call_at(at, self._rings, loop)
+
+    def cancel(self) -> None:
+        """Clear the alarm; it can be set again."""
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer, self.at = None, math.inf
+
+    def _rings(self, loop: asyncio.AbstractEventLoop) -> None:
+        now = max(loop.time(), self.at)
+        self._timer, self.at = None, math.inf
+        self._ring(now)

@@ -11,23 +11,13 @@ from __future__ import annotations
 import math
 import re
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from operator import index
 from types import AsyncGeneratorType, CoroutineType, GeneratorType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from .mistakes import Path, WrongType, WrongValue
-
-if TYPE_CHECKING:
-    from .logs import HarmlessLogger
-
-# fmt: off
-__all__ = [
-    "DURATION", "are_registers", "checked_callback", "duration_of", "finished", "integer",
-    "log_failure", "log_warning", "number", "seconds", "shown",
-]
-# fmt: on
 
 Given = TypeVar("Given")
 Result = TypeVar("Result")
@@ -61,6 +51,26 @@ def number(name: str | Path, value: object, low: float, high: float) -> int | fl
     if not low <= value <= high:
         span = f"{low} or more" if high == math.inf else f"in {low}..{high}"
         raise WrongValue(name, f"must be {span}, not {shown(value)}")
+    return value
+
+
+def instance(name: str | Path, value: Any, kind: Any, form: str) -> Any:
+    """Return an object of a class, or of one of several; raise a TypeError for any other."""
+    if not isinstance(value, kind):
+        raise WrongType(name, f"must be {form}, not {type(value).__name__}")
+    return value
+
+
+def string(name: str | Path, value: object) -> str:
+    """Return a text; raise a TypeError for anything else."""
+    text: str = instance(name, value, str, "a string")
+    return text
+
+
+def choice(name: str | Path, value: Any, choices: Collection[str]) -> Any:
+    """Return one of some words; raise a ValueError for anything else."""
+    if value not in choices:
+        raise WrongValue(name, f"must be one of {', '.join(choices)}, not {reprlib.repr(value)}")
     return value
 
 
@@ -131,22 +141,17 @@ def finished(name: str, result: Result) -> Result:
 
 def log_failure(logger: str, text: str, *args: object) -> None:
     """Log the exception that is being handled; one that a log handler raises goes to stderr."""
-    log = _logger(logger)
-    if log is not None:
-        log.exception(text, *args, stacklevel=2)
+    _log(logger, "exception", text, args)
 
 
 def log_warning(logger: str, text: str, *args: object) -> None:
     """Log a warning, as `log_failure` does."""
-    log = _logger(logger)
-    if log is not None:
-        log.warning(text, *args, stacklevel=2)
+    _log(logger, "warning", text, args)
 
 
-def _logger(name: str) -> HarmlessLogger | None:
-    """Return a logger; None if logging cannot be imported, because no descriptor is left."""
+def _log(logger: str, method: str, text: str, args: tuple[object, ...]) -> None:
     try:
         from .logs import HarmlessLogger  # no sooner than needed: most programs log nothing
-    except OSError:
-        return None
-    return HarmlessLogger(name)
+    except OSError:  # logging cannot be imported, because no descriptor is left
+        return
+    getattr(HarmlessLogger(logger), method)(text, *args, stacklevel=3)

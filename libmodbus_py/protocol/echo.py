@@ -25,8 +25,6 @@ from collections import deque
 
 from .scan import MIN_ADU
 
-__all__ = ["Echo"]
-
 # Frames that are remembered, more than are ever on their way. Where nothing is received, such as
 # after broadcasts, the oldest are forgotten.
 MAX_SENT = 64
@@ -59,8 +57,8 @@ class Echo:
         """Expect nothing back of what was sent; return what is held back, which is discarded."""
         self._awaited: deque[bytes] = deque(maxlen=MAX_SENT)
         self._undecided: deque[bytes] = deque(maxlen=MAX_SENT)  # sent before a telling frame
-        held, self._held = self._held, b""
-        return held
+        data, self._held = self._held, b""
+        return data
 
     def confirm(self) -> None:
         """Note that there is an echo, and that of all that was sent has come."""
@@ -106,10 +104,10 @@ class Echo:
 
     def release(self) -> bytes:
         """Return what is held back, because silence shows that it is no echo."""
-        held = self._held
-        if held:
+        data = self._held
+        if data:
             self._miss()
-        return held
+        return data
 
     def _find(self, data: bytes) -> tuple[bytes, int | None]:
         for adu in (self._awaited[0], *(self._undecided if self.is_there is None else ())):

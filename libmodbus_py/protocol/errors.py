@@ -84,12 +84,8 @@ class ModbusError(Exception):
         if not isinstance(reason, str):
             raise TypeError(f"reason must be a string, not {type(reason).__name__}")
         super().__init__(reason)
-        self.unit = transaction.get("unit")
-        self.function = transaction.get("function")
-        self.asked = transaction.get("asked", "")
-        self.endpoint = transaction.get("endpoint", "")
-        self.sent = transaction.get("sent", b"")
-        self.received = transaction.get("received", b"")
+        for name, value in transaction.items():
+            setattr(self, name, value)
 
     @property
     def received(self) -> bytes:
@@ -113,11 +109,11 @@ class ModbusError(Exception):
 
     def __repr__(self) -> str:
         names = ("code", "errno", "unit", "function", "asked", "endpoint", "sent", "received")
-        fields = ((name, getattr(self, name, None)) for name in names)
-        parts = (
-            f"{name}={_shown(value)}" for name, value in fields if value not in (None, "", b"")
-        )
-        return f"{type(self).__name__}({', '.join([repr(super().__str__()), *parts])})"
+        parts = [repr(super().__str__())]
+        for name in names:
+            if (value := getattr(self, name, None)) not in (None, "", b""):
+                parts.append(f"{name}={_shown(value)}")
+        return f"{type(self).__name__}({', '.join(parts)})"
 
 
 def _shown(value: object) -> str:
@@ -142,13 +138,16 @@ class ExceptionResponse(ModbusError):
         self, reason: str = "", *, code: int | None = None, **transaction: Unpack[_Transaction]
     ) -> None:
         if isinstance(reason, int):
-            raise TypeError(
-                f"reason must be a string; code {reason} is ExceptionResponse.of({reason})"
-            )
+            hint = f"code {reason} is ExceptionResponse.of({reason})"
+            raise TypeError(f"reason must be a string; {hint}")
         if code is not None:
             self.code = code
         default = f"{self.meaning} (exception {self.code})"
         super().__init__(default if reason == "" else reason, **transaction)
+
+    def __init_subclass__(cls, code: int | None = None, meaning: str = "") -> None:
+        if code is not None:
+            cls.code, cls.meaning = code, meaning
 
     @staticmethod
     def of(code: int, **transaction: Unpack[_Transaction]) -> ExceptionResponse:
@@ -156,74 +155,46 @@ class ExceptionResponse(ModbusError):
         return _BY_CODE.get(code, ExceptionResponse)(code=code, **transaction)
 
 
-class IllegalFunction(ExceptionResponse):
+class IllegalFunction(ExceptionResponse, code=1, meaning="illegal function"):
     """Exception 1: the function is not supported, or not in the current state of the server."""
 
-    code = 1
-    meaning = "illegal function"
 
-
-class IllegalDataAddress(ExceptionResponse):
+class IllegalDataAddress(ExceptionResponse, code=2, meaning="illegal data address"):
     """Exception 2: some of the addresses do not exist."""
 
-    code = 2
-    meaning = "illegal data address"
 
-
-class IllegalDataValue(ExceptionResponse):
+class IllegalDataValue(ExceptionResponse, code=3, meaning="illegal data value"):
     """Exception 3: a quantity, length or constant of the request is wrong."""
 
-    code = 3
-    meaning = "illegal data value"
 
-
-class ServerDeviceFailure(ExceptionResponse):
+class ServerDeviceFailure(ExceptionResponse, code=4, meaning="server device failure"):
     """Exception 4: the server failed while it executed the request."""
 
-    code = 4
-    meaning = "server device failure"
 
-
-class Acknowledge(ExceptionResponse):
+class Acknowledge(ExceptionResponse, code=5, meaning="acknowledge"):
     """Exception 5: the server has accepted the request, but will need a long time for it."""
 
-    code = 5
-    meaning = "acknowledge"
 
-
-class ServerDeviceBusy(ExceptionResponse):
+class ServerDeviceBusy(ExceptionResponse, code=6, meaning="server device busy"):
     """Exception 6: the server is busy with a long command; the client should retry later."""
 
-    code = 6
-    meaning = "server device busy"
 
-
-class NegativeAcknowledge(ExceptionResponse):
+class NegativeAcknowledge(ExceptionResponse, code=7, meaning="negative acknowledge"):
     """Exception 7: the program function cannot be performed (PI-MBUS-300)."""
 
-    code = 7
-    meaning = "negative acknowledge"
 
-
-class MemoryParityError(ExceptionResponse):
+class MemoryParityError(ExceptionResponse, code=8, meaning="memory parity error"):
     """Exception 8: the file memory failed a consistency check."""
 
-    code = 8
-    meaning = "memory parity error"
 
-
-class GatewayPathUnavailable(ExceptionResponse):
+class GatewayPathUnavailable(ExceptionResponse, code=10, meaning="gateway path unavailable"):
     """Exception 10: the gateway has no path to the unit."""
 
-    code = 10
-    meaning = "gateway path unavailable"
 
-
-class GatewayTargetFailedToRespond(ExceptionResponse):
+class GatewayTargetFailedToRespond(
+    ExceptionResponse, code=11, meaning="gateway target device failed to respond"
+):
     """Exception 11: the unit behind the gateway did not respond."""
-
-    code = 11
-    meaning = "gateway target device failed to respond"
 
 
 NO_UNIT = (GatewayPathUnavailable, GatewayTargetFailedToRespond)

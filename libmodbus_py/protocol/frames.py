@@ -1,16 +1,21 @@
 """
-Frames, and the base of the framers that find them in received bytes.
+Frames, the base of the framers that find them in received bytes, and the framers of TCP and UDP.
 """
 
 from __future__ import annotations
 
+import contextlib
+import struct
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Literal, NamedTuple
 
-from .errors import FrameError
+from .errors import MAX_RECEIVED, FrameError
 from .scan import MAX_PDU
 
-__all__ = ["Frame", "Framer", "Overheard", "add_error", "checked_frame"]
+Role = Literal["client", "server"]
+Framing = Literal["tcp", "rtu", "ascii", "udp"]
+"""The bytes around a PDU."""
 
 # In a row, in one scan: a flood of bytes must not cause a flood of errors.
 MOST_ERRORS = 8
@@ -129,8 +134,8 @@ class Framer(ABC):
     @abstractmethod
     def _scan(self) -> None: ...
 
-    @abstractmethod
-    def _scan_silence(self) -> None: ...
+    def _scan_silence(self) -> None:  # noqa: B027
+        """Take silence for the end of a frame; on TCP it is none."""
 
     def _report(self, why: str, data: bytes | bytearray, *, overrun: bool = False) -> None:
         error = FrameError(why, received=bytes(data))
@@ -157,3 +162,160 @@ def add_error(results: list[Frame | FrameError], error: FrameError) -> None:
     last = results[-MOST_ERRORS:]
     if len(last) < MOST_ERRORS or set(map(type, last)) != {FrameError}:
         results.append(error)
+
+
+# --- MBAP headers: transaction, protocol, length, unit ----------------------------------------
+
+UNIT, FUNCTION = 6, 7
+"""The positions of unit and function code in a frame with an MBAP header."""
+
+_HEADER = struct.Struct(">HHH")
+_MBAP = struct.Struct(">HHHB")  # with the unit
+
+
+def mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
+    """Return a PDU with an MBAP header; nothing is checked."""
+    return _MBAP.pack(transaction, 0, 1 + len(pdu), unit) + pdu
+
+
+def cut(data: bytes | bytearray, start: int, results: list[Frame | FrameError], most: int) -> int:
+    """
+    Cut out up to `most` frames with MBAP headers, of which the first begins at `start`.
+
+    Args:
+        results: takes the frames, and a FrameError for one with a protocol other than 0.
+
+    Returns:
+        The index at which the next frame begins; `start` if not even the first one is complete.
+
+    Raises:
+        FrameError: a length is not in 2..254, so that the start of the next frame is unknown.
+            Frames that `results` has taken before are valid.
+
+    Source: MODBUS Messaging on TCP/IP V1.0b, 3.1.3.
+    """
+    size = len(data)
+    while most and size - start >= 6:
+        transaction, protocol, length = _HEADER.unpack_from(data, start)
+        end = start + 6 + length
+        if not 2 <= length <= 1 + MAX_PDU:
+            received = bytes(data[start : start + MAX_RECEIVED])
+            raise FrameError(f"header with length {length}, not 2..254", received=received)
+        if size < end:
+            break
+        if protocol != 0:
+            received = bytes(data[start:end])
+            error = FrameError(f"header with protocol {protocol}, not 0", received=received)
+            add_error(results, error)
+        else:
+            # As Frame(unit, pdu, transaction), in half the time: bulk reads do little else.
+            unit_and_pdu = data[start + UNIT], bytes(data[start + FUNCTION : end])
+            results.append(tuple.__new__(Frame, (*unit_and_pdu, transaction)))
+        start = end
+        most -= 1
+    return start
+
+
+def is_one_frame(data: bytes) -> bool:
+    """Return True if the bytes are one whole frame with an MBAP header, and nothing else."""
+    size = len(data)
+    return (
+        8 <= size <= TcpFramer.max_size
+        and size == _HEADER.size + (data[4] << 8 | data[5])
+        and not (data[2] or data[3])
+    )
+
+
+def split(data: bytes) -> Iterator[bytes]:
+    """Yield the frames of a chunk in which whole frames with MBAP headers follow each other."""
+    start, size = 0, len(data)
+    while start < size:
+        end = start + _HEADER.size + (data[start + 4] << 8 | data[start + 5])
+        yield data[start:end]
+        start = end
+
+
+class TcpFramer(Framer):
+    """
+    The framer of Modbus/TCP: an MBAP header (transaction, protocol, length, unit) before the PDU.
+
+    A frame with a protocol other than 0 is an error. After a length outside 2..254 the start of
+    the next frame is unknown, so that every later call raises a FrameError.
+
+    Args:
+        role: "client" if it receives responses: an exception is then taken without the byte that
+            some devices count too much in its header, if nothing more has come.
+    """
+
+    has_broadcast = False
+    max_size: int = _MBAP.size + MAX_PDU
+
+    def __init__(self, role: Role = "server") -> None:
+        super().__init__()
+        self._is_client = role == "client"
+
+    def encode(self, frame: Frame) -> bytes:
+        unit, pdu, transaction = checked_frame(frame)
+        return mbap(transaction, unit, pdu)
+
+    def whole(self, data: bytes) -> tuple[int, bytes, int] | None:
+        """
+        Return what a `Frame` holds if a chunk is one whole frame, as most are; None if it is not.
+
+        This takes a quarter of the time of `scan`.
+        """
+        size = len(data)
+        if FUNCTION < size <= self.max_size and not self.rest and self.in_step:
+            transaction, protocol, length, unit = _MBAP.unpack_from(data)
+            if length == size - UNIT and not protocol:
+                return unit, data[FUNCTION:], transaction
+        return None
+
+    def scan(self, data: bytes) -> list[Frame | FrameError]:
+        frame = self.whole(data)
+        return super().scan(data) if frame is None else [tuple.__new__(Frame, frame)]
+
+    def _scan(self) -> None:
+        if not self.in_step:
+            self._reject("stream out of step", len(self.rest))
+            return
+        try:
+            del self.rest[: cut(bytes(self.rest), 0, self._results, len(self.rest))]
+        except FrameError as error:
+            self.in_step = False
+            add_error(self._results, error)
+            self.rest.clear()
+        if self._is_client and _is_short_exception(self.rest):
+            self._results.append(_frame(self.rest))
+            self.rest.clear()
+
+
+class UdpFramer(TcpFramer):
+    """
+    The framer of Modbus over UDP: one frame of Modbus/TCP in each datagram.
+
+    Every call of ``feed`` or ``scan`` takes one datagram. A datagram that is not exactly one frame
+    is an error, and does not affect later ones.
+    """
+
+    def _scan(self) -> None:
+        datagram = bytes(self.rest)
+        self.rest.clear()
+        results: list[Frame | FrameError] = []
+        with contextlib.suppress(FrameError):
+            if cut(datagram, 0, results, 1) == len(datagram):
+                self._results += results
+                return
+        if self._is_client and _is_short_exception(datagram):
+            self._results.append(_frame(datagram))
+            return
+        self._results.append(FrameError("a datagram that is not one frame", received=datagram))
+
+
+def _is_short_exception(data: bytes | bytearray) -> bool:
+    """Return True for an exception, which has 3 bytes behind the length, with a length of 4."""
+    return len(data) == 9 and data[2:6] == b"\0\0\0\4" and data[FUNCTION] >= 0x80
+
+
+def _frame(data: bytes | bytearray) -> Frame:
+    return Frame(data[UNIT], bytes(data[FUNCTION:]), int.from_bytes(data[:2]))

@@ -16,8 +16,6 @@ from typing import Any
 
 from .mistakes import Problem
 
-__all__ = ["HarmlessLogger", "log_reload"]
-
 
 class HarmlessLogger(logging.LoggerAdapter[logging.Logger]):
     """A logger; an exception of one of its handlers goes to stderr, not to the code that logs."""

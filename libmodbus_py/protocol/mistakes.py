@@ -14,14 +14,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import wraps
 from typing import Any, ParamSpec, Self, TypeVar
 
-# fmt: off
-__all__ = [
-    "OTHER_SPELLINGS", "SERIAL_SETTINGS", "Mistake", "Path", "Problem", "WrongType", "WrongValue",
-    "close_option", "close_to", "inside", "item", "named_arguments", "named_parameters",
-    "path_text", "placed", "unknown_option",
-]
-# fmt: on
-
 Path = tuple[str | int, ...]
 Class = TypeVar("Class", bound=type)
 Parameters = ParamSpec("Parameters")
@@ -103,36 +95,38 @@ def inside(*around: Any) -> Iterator[None]:
 # --- close names ---------------------------------------------------------------------------
 
 OTHER_SPELLINGS = {
-    **dict.fromkeys(("baud", "baud_rate", "speed", "bps"), "baudrate"),
-    **dict.fromkeys(("stopbits", "stop"), "stop_bits"),
-    **dict.fromkeys(("bytesize", "databits", "byte_size"), "data_bits"),
-    **dict.fromkeys(
-        ("slave", "slave_id", "device_id", "unit_id", "dev_id", "slaveaddress"), "unit"
-    ),
-    **dict.fromkeys(("timeout_s", "response_timeout", "read_timeout"), "timeout"),
-    **dict.fromkeys(("retry", "retry_count", "tries"), "retries"),
-    **dict.fromkeys(("handle_local_echo", "local_echo"), "echo"),
-    **dict.fromkeys(("sslctx", "ssl", "tls", "ssl_context"), "security"),
-    **dict.fromkeys(("reconnect_delay_max", "reconnect_delay"), "max_pause"),
-    "certificate": "cert",  # in URLs
-    "trust": "ca",
-    **dict.fromkeys(("certfile", "cert", "certificate_file"), "certificate"),
-    **dict.fromkeys(("keyfile", "key_file", "private_key"), "key"),
-    **dict.fromkeys(("cafile", "ca", "ca_file", "ca_certs"), "trust"),
-    **dict.fromkeys(("identity", "device_identification"), "identification"),
-    **dict.fromkeys(("max_clients", "connections"), "max_connections"),
-    **dict.fromkeys(("offset", "register", "start"), "address"),
-    **dict.fromkeys(("data_type", "datatype", "dtype", "format"), "type"),
-    **dict.fromkeys(("byte_order", "byteorder", "word_order", "endian"), "order"),
-    **dict.fromkeys(("multiplier", "factor", "gain"), "scale"),
-    **dict.fromkeys(("poll_interval", "period", "scan_interval"), "interval"),
-    **dict.fromkeys(("host", "uri", "endpoint", "to"), "url"),
-    **dict.fromkeys(("source_address", "local_address", "bind"), "source"),
+    word: name
+    for name, words in {
+        "baudrate": "baud baud_rate speed bps",
+        "stop_bits": "stopbits stop",
+        "data_bits": "bytesize databits byte_size",
+        "unit": "slave slave_id device_id unit_id dev_id slaveaddress",
+        "timeout": "timeout_s response_timeout read_timeout",
+        "retries": "retry retry_count tries",
+        "echo": "handle_local_echo local_echo",
+        "security": "sslctx ssl tls ssl_context",
+        "max_pause": "reconnect_delay_max reconnect_delay",
+        "cert": "certificate",  # in URLs
+        "ca": "trust",
+        "certificate": "certfile cert certificate_file",
+        "key": "keyfile key_file private_key",
+        "trust": "cafile ca ca_file ca_certs",
+        "identification": "identity device_identification",
+        "max_connections": "max_clients connections",
+        "address": "offset register start",
+        "type": "data_type datatype dtype format",
+        "order": "byte_order byteorder word_order endian",
+        "scale": "multiplier factor gain",
+        "interval": "poll_interval period scan_interval",
+        "url": "host uri endpoint to",
+        "source": "source_address local_address bind",
+    }.items()
+    for word in words.split()
 }
 """Names of arguments in other packages -> their names here, for errors."""
 
 SERIAL_SETTINGS = frozenset(
-    ("baudrate", "parity", "data_bits", "stop_bits", "rs485", "rts_delay", "echo", "silence")
+    ["baudrate", "parity", "data_bits", "stop_bits", "rs485", "rts_delay", "echo", "silence"]
 )
 """Settings that are part of the URL of a serial port, for classes that take none of them."""
 
@@ -192,13 +186,11 @@ def named_parameters(function: Callable[Parameters, Result]) -> Callable[Paramet
 def _refused(function: Callable[..., object], keywords: Iterable[str]) -> TypeError | None:
     from inspect import Parameter, signature
 
-    parameters = [*signature(function).parameters.values()]
+    kinds = {name: entry.kind for name, entry in signature(function).parameters.items()}
     several = (Parameter.VAR_POSITIONAL, Parameter.VAR_KEYWORD)
-    names = [
-        entry.name for entry in parameters if entry.name != "self" and entry.kind not in several
-    ]
+    names = [name for name, kind in kinds.items() if name != "self" and kind not in several]
     wrong = [name for name in keywords if name not in names]
-    if any(entry.kind is Parameter.VAR_KEYWORD for entry in parameters):  # which has its own check
+    if Parameter.VAR_KEYWORD in kinds.values():  # which has its own check
         close = ((name, close_option(name, names)) for name in wrong)
         return next((TypeError(f"there is no {name!r}{end}") for name, end in close if end), None)
     return next((unknown_option(name, names) for name in wrong), None)

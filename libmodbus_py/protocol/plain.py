@@ -1,5 +1,5 @@
 """
-Values as text: as people read and type them, as JSON can contain them, and points in time.
+Values as text: as people read and type them, in JSON, and points in time.
 
 Files, JSON, CSV, logs and messages have times of ISO 8601 in UTC, so that they sort, and do not
 depend on the place. Lines that a person watches have the clock of the place.
@@ -8,13 +8,15 @@ depend on the place. Lines that a person watches have the clock of the place.
 from __future__ import annotations
 
 import enum
+import json
 import math
 import re
 import reprlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from struct import Struct
 from typing import TYPE_CHECKING, Any
 
+from .mistakes import WrongValue
 from .pdu import Request
 from .pdu.request import arguments
 
@@ -22,13 +24,6 @@ if TYPE_CHECKING:
     from datetime import datetime
 
     from .value_types import ValueType
-
-# fmt: off
-__all__ = [
-    "BITS", "CONTROL", "SHORT_FLOATS", "bit_of", "clock_text", "decimal_of", "number_of", "plain",
-    "shortest", "text_of", "time_of", "time_text", "units_of", "value_of", "without_controls",
-]
-# fmt: on
 
 CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 """Control characters (Cc of Unicode) beside the line feed: terminals obey them."""
@@ -67,15 +62,46 @@ def without_controls(text: str) -> str:
     return CONTROL.sub(lambda match: f"\\x{ord(match[0]):02x}", text)
 
 
+# --- JSON: all encoders of the package; a nan or an infinity is a ValueError -----------------
+
+JSON = json.JSONEncoder(ensure_ascii=False, allow_nan=False)
+"""Encodes text as it is."""
+
+COMPACT_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
+"""Encodes text in ASCII, without spaces."""
+
+SORTED_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"), sort_keys=True)
+"""Encodes the same for equal values, without spaces."""
+
+json_text: Callable[[Any], str] = json.JSONEncoder(allow_nan=False).encode
+"""Returns a value as JSON, in ASCII."""
+
+
+def json_line(value: Any) -> str:
+    """Return a value as JSON, in which text is as it is, but for characters that print nothing."""
+    text = JSON.encode(value)
+    if text.isprintable():
+        return text
+    return "".join(
+        character if character.isprintable() else json_text(character)[1:-1] for character in text
+    )
+
+
+def each_once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Return names and values, as `object_pairs_hook`, too; json takes the last of two alike."""
+    values: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in values:
+            raise WrongValue.about((name,), "occurs twice")
+        values[name] = value
+    return values
+
+
 # --- times ---------------------------------------------------------------------------
 
 
 def time_text(seconds: float) -> str:
-    """
-    Return seconds since 1970 in ISO 8601, in UTC, such as 2026-07-01T12:00:00.250Z.
-
-    A time that no year of 1..9999 has is shown in seconds, such as 253402300800.000s.
-    """
+    """Return seconds since 1970 as 2026-07-01T12:00:00.250Z; as 253402300800.000s from 10000 on."""
     from datetime import UTC, datetime  # which most commands never load
 
     try:
@@ -108,7 +134,7 @@ def _family(kind: ValueType) -> str:
 
 # Type -> forms with as many digits as every value keeps (IEEE 754), and with more, of which the
 # last tell every two values apart; and what packs it. Python shows the shortest of float64.
-SHORT_FLOATS = {
+SHORT_FLOATS: dict[str, tuple[tuple[str, ...], Callable[[float], bytes]]] = {
     "float16": (("%.3g", "%.4g", "%.5g"), Struct("e").pack),
     "float32": (("%.6g", "%.7g", "%.8g", "%.9g"), Struct("f").pack),
 }

@@ -33,7 +33,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, Literal, NamedTuple
 
 from . import pdu
-from .pdu.request import IN_C, told, unknown_length
+from .pdu.request import IN_C, length_by, unknown_length
 from .scan import (
     AT_END,
     GOES_ON,
@@ -48,8 +48,6 @@ from .scan import (
     is_one_adu,
     lib,
 )
-
-__all__ = ["Piece", "RtuCutter", "has_own_length", "may_be"]
 
 Kind = Literal["request", "response", "damage"]
 
@@ -73,10 +71,7 @@ def has_own_length(request: pdu.Request[Any]) -> bool:
 
 
 def _scanner(*, is_client: bool, own: pdu.Request[Any] | None = None) -> FrameScanner:
-    """
-    Return a scanner for responses if `is_client`, else for requests, by the rules of `pdu`; `own`
-    is a request whose class has another rule for its response.
-    """
+    """Return a scanner by the rules of `pdu`, and by that of the response of an `own` request."""
     classes = dict(pdu.REQUESTS)
     if own is not None:
         classes[own.function] = type(own)
@@ -87,7 +82,7 @@ def _scanner(*, is_client: bool, own: pdu.Request[Any] | None = None) -> FrameSc
     in_c = {code: IN_C.get(rule, (lib.BY_PYTHON, 0, 0)) for code, rule in rules.items()}
 
     def ask(head: bytes) -> int | None:
-        return told(classes[head[0]], rules[head[0]], head)
+        return length_by(classes[head[0]], rules[head[0]], head)
 
     return FrameScanner(is_client, in_c, ask)
 
@@ -117,7 +112,7 @@ class RtuCutter:
         self._is_server = role == "server"
         self._requests = None if role == "client" else _scanner(is_client=False)
         self._responses = _scanner(is_client=True, own=own)
-        self._scanners = [each for each in (self._requests, self._responses) if each]
+        self._scanners = [scanner for scanner in (self._requests, self._responses) if scanner]
         self._is_fresh = True  # a frame should begin with the first byte
         self._later: list[int] = []  # where frames should begin behind an unfinished one
         self._is_lost = False  # nothing up to the next silence can be cut
@@ -282,38 +277,37 @@ class RtuCutter:
             self._is_lost = end < len(data)
             self._is_fresh = not self._is_lost
             return NO_FRAME if self._is_lost else end
-        return next((each for each in _fits(data, at, end) if self._goes_on(data, each)), end)
+        return next((place for place in _fits(data, at, end) if self._goes_on(data, place)), end)
 
     # --- damage -----------------------------------------------------------------------------
 
     def _next_start(self, data: bytes, at: int) -> int:
         """Return the first byte behind a wrong one with which a frame may begin."""
-        later = [each for each in self._later if each > at][:1]
-        starts = (
-            []
-            if later and self._is_server
-            else [self._search(each, data, at + 1, GOES_ON)[1] for each in self._scanners]
-        )
-        start = min(later + starts)
+        starts = later = [place for place in self._later if place > at][:1]
+        if not (later and self._is_server):
+            frames = [self._search(scanner, data, at + 1, GOES_ON) for scanner in self._scanners]
+            starts = [*later, *(start for _, start in frames)]
+        start = min(starts)
         self._is_fresh = start in later
         return start
 
     def _given_up(self, data: bytes, at: int, is_silent: bool, is_over: bool) -> int:
         """Return where to go on, although a frame is unfinished here; `at` for nowhere."""
-        later = [each for each in self._later if each > at]
+        later = [place for place in self._later if place > at]
         is_kept = self._is_fresh or not self._is_server
         if is_silent and self._is_lost:
             return len(data)
         if is_silent:
             starts = range(at, len(data)) if self._may_end_later(data, at) else later
-            found = next((each for each in starts if self._goes_on(data, each, each in later)), -1)
+            places = (place for place in starts if self._goes_on(data, place, place in later))
         elif self._role == "listener":
-            found = next((each for each in later if self._begins(data, each)), -1)
+            scanners = self._scanners
+            places = (at for at in later if any(one.at(data, at, at) > 0 for one in scanners))
         else:
             return at if is_kept else max(at, len(data) - MAX_ADU)
-        if found >= 0:
+        if (place := next(places, -1)) >= 0:
             self._is_fresh = True
-            return found
+            return place
         if is_over:
             return self._next_start(data, at)
         return at if is_kept else len(data)
@@ -322,22 +316,19 @@ class RtuCutter:
         """Return True if a frame with a length rule, found behind damage, ends with the data."""
         if self._is_fresh and self._may_go_on(data, at):
             return False
-        return max(self._search(each, data, at, AT_END)[0] for each in self._scanners) > 0
+        return max(self._search(scanner, data, at, AT_END)[0] for scanner in self._scanners) > 0
 
     def _may_go_on(self, data: bytes, at: int) -> bool:
         """Return True for a server in an unfinished frame of another unit, with a gap so far."""
         if not self._is_server or self._is_answered_here(data[at]):
             return False
         # Without a length it may as well be noise.
-        return self._is_awaited(data, at) or all(each.fits > 0 for each in self._scanners)
+        return self._is_awaited(data, at) or all(scanner.fits > 0 for scanner in self._scanners)
 
     def _search(self, scanner: FrameScanner, data: bytes, at: int, state: int) -> tuple[int, int]:
         """Return the end of the first frame of a function with a length rule, and its start."""
         scanner.fresh = -1
         return scanner.next(data, at, state), scanner.start
-
-    def _begins(self, data: bytes, at: int) -> bool:
-        return any(each.at(data, at, at) > 0 for each in self._scanners)
 
     def _goes_on(self, data: bytes, start: int, is_fresh: bool = True) -> bool:
         """Return True if frames without a gap go from here to the silence at the end."""
@@ -347,10 +338,10 @@ class RtuCutter:
             if at == len(data):
                 return True
             fresh = at if is_fresh or at > start else -1
-            for each in self._scanners:
-                end = each.at(data, at, fresh, SILENT)
-                ends = _fits(data, at, end + 1) if each.fits > 1 else (end,)
-                new = {each for each in ends if each > at} - seen
+            for scanner in self._scanners:
+                end = scanner.at(data, at, fresh, SILENT)
+                ends = _fits(data, at, end + 1) if scanner.fits > 1 else (end,)
+                new = {place for place in ends if place > at} - seen
                 seen |= new
                 reached += new
         return False

@@ -1,6 +1,4 @@
-"""
-The only import of scan.c: CRCs, the limits of RTU frames, and the silence between them.
-"""
+"""The only import of scan.c: CRCs, the limits of RTU frames, and the silence between them."""
 
 from __future__ import annotations
 
@@ -13,7 +11,8 @@ NOT_BUILT = (
 )
 
 try:
-    from ._scan import ffi, lib
+    from ._scan import ffi
+    from ._scan import lib as lib
 except ImportError as error:
     raise ImportError(f"{NOT_BUILT} ({error})") from error
 
@@ -31,13 +30,6 @@ UNFINISHED: int = lib.UNFINISHED
 
 ALLOWANCE = 0.02
 """Seconds after which a byte that was received is here: USB adapters keep bytes for 16 ms."""
-
-# fmt: off
-__all__ = [
-    "ALLOWANCE", "AT_END", "GOES_ON", "MAX_ADU", "MAX_PDU", "MIN_ADU", "NOT_BUILT", "NO_FRAME",
-    "SILENT", "UNFINISHED", "FrameScanner", "crc16", "is_one_adu", "lib", "pause_between_frames",
-]
-# fmt: on
 
 
 def crc16(data: bytes | bytearray) -> int:
@@ -62,13 +54,11 @@ def pause_between_frames(baudrate: int, bits: int = 11) -> float:
 
 class FrameScanner:
     """
-    Finds the frames of one direction of a line.
+    Finds the frames of one direction of a line; responses for `is_client`.
 
-    Args:
-        is_client: whether responses come in.
-        rules: function code -> length rule of its PDU: a constant of scan.h, `base` and `at`;
-            frames of other codes end with silence, where their CRC fits.
-        ask: the length rule for those BY_PYTHON.
+    `rules` are function code -> length rule of its PDU: a constant of scan.h, `base` and `at`;
+    frames of other codes end with silence, where their CRC fits. `ask` is the rule of those
+    BY_PYTHON.
 
     Attributes:
         fresh: the place in the next data where a frame should begin; negative if it is past.

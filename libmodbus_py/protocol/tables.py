@@ -9,23 +9,16 @@ from __future__ import annotations
 
 import reprlib
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from operator import attrgetter
 from typing import Any, Literal, NamedTuple, get_args
 
 from . import pdu
-from .checks import integer
-from .mistakes import WrongType, WrongValue
-from .pdu.request import MAX_WRITTEN, TABLE_SIZE, checked_span
+from .checks import choice, integer, string
+from .mistakes import WrongValue
+from .pdu.request import MAX_WRITTEN, checked_span
+from .pdu.request import TABLE_SIZE as TABLE_SIZE
 from .words import TABLE_WORDS, close_word, table_named
-
-# fmt: off
-__all__ = [
-    "REGISTER_TABLES", "TABLES", "TABLE_SIZE", "RegisterTable", "Table", "WritableTable",
-    "WriteFunction", "check_writable", "checked_ranges", "checked_table", "checked_values",
-    "checked_write_function", "contains", "joined", "register_table", "touches", "without",
-]
-# fmt: on
 
 WritableTable = Literal["holding_registers"]
 RegisterTable = Literal[WritableTable, "input_registers"]
@@ -62,12 +55,13 @@ REGISTER_TABLES = [name for name, rules in TABLES.items() if not rules.is_bits]
 """The names of `RegisterTable`."""
 
 
-def checked_table(table: object) -> Any:
+def checked_table(table: object, names: Collection[str] = TABLES.keys()) -> Any:
     """Return the name of a table, which may be written as vendors do, such as "hr" or "4x"."""
     name = table_named(table)
-    if name is None:
-        close = close_word(table, TABLES, TABLE_WORDS)
-        raise WrongValue("table", f"must be one of {', '.join(TABLES)}, not {table!r}{close}")
+    if name not in names:
+        words = [word for word, meaning in TABLE_WORDS.items() if meaning in names]
+        close = close_word(table, names, words)
+        raise WrongValue("table", f"must be one of {', '.join(names)}, not {table!r}{close}")
     return name
 
 
@@ -78,40 +72,20 @@ def checked_values(address: int, count: int, size: int) -> tuple[int, int]:
     return checked_span("address", address, name, count * size), count
 
 
-def checked_write_function(value: object, names: tuple[str, ...] = get_args(WriteFunction)) -> Any:
+def checked_write_function(value: object) -> Any:
     """Return a value that is allowed, or raise ValueError."""
-    if value not in names:
-        raise WrongValue("write_function", f"must be one of {', '.join(names)}, not {value!r}")
-    return value
+    return choice("write_function", value, get_args(WriteFunction))
 
 
 def register_table(table: object) -> Any:
-    """
-    Return the name of a table of registers, which may be written as vendors do.
-
-    Raises:
-        TypeError, ValueError: there is no such table, or its cells are bits.
-    """
-    _check_name(table)
-    name = table_named(table)
-    if name not in REGISTER_TABLES:
-        words = [word for word, meaning in TABLE_WORDS.items() if meaning in REGISTER_TABLES]
-        close = close_word(table, REGISTER_TABLES, words)
-        names = ", ".join(REGISTER_TABLES)
-        raise ValueError(f"table must be one of {names}, not {table!r}{close}")
-    return name
-
-
-def _check_name(table: object) -> None:
-    if not isinstance(table, str):
-        raise WrongType("table", f"must be a string, not {type(table).__name__}")
+    """Return the name of a table of registers; a TypeError or ValueError if it is none."""
+    return checked_table(string("table", table), REGISTER_TABLES)
 
 
 def check_writable(table: object) -> None:
     """Raise a TypeError or ValueError for any other table than that of holding registers."""
-    _check_name(table)
-    if table != "holding_registers" and table_named(table) != "holding_registers":
-        raise ValueError(f"table must be holding_registers, not {table!r}")
+    if table != "holding_registers" and table_named(string("table", table)) != "holding_registers":
+        raise WrongValue("table", f"must be holding_registers, not {table!r}")
 
 
 # --- ranges of addresses -------------------------------------------------------------------

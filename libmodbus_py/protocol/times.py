@@ -14,10 +14,9 @@ from datetime import UTC, datetime, timedelta, tzinfo
 from struct import pack, unpack
 from typing import Any, NamedTuple
 
-from .mistakes import Path, WrongType, WrongValue
+from .checks import instance
+from .mistakes import Path, WrongValue
 from .value_types import ValueType
-
-__all__ = ["TIMES", "checked_time_zone", "in_time_zone", "pack_time", "unpack_time"]
 
 CENTURY = 2000
 """The year from which dates in bytes count; CP56Time2a and others have no century."""
@@ -31,12 +30,11 @@ class TimeForm(NamedTuple):
 
 
 def _checked_time(name: str | Path, value: object) -> datetime:
-    if not isinstance(value, datetime):
-        raise WrongType(name, f"must be a datetime, not {type(value).__name__}")
-    if value.utcoffset() is None:
-        raise WrongValue(name, f"must be a datetime with a time zone, not {value.isoformat()}")
+    time: datetime = instance(name, value, datetime, "a datetime")
+    if time.utcoffset() is None:
+        raise WrongValue(name, f"must be a datetime with a time zone, not {time.isoformat()}")
     try:
-        return value.astimezone(UTC)
+        return time.astimezone(UTC)
     except OverflowError:
         raise WrongValue(name, "must be a year in 1..9999") from None
 
@@ -74,22 +72,15 @@ def _iec870_from(data: bytes) -> datetime:
         raise ValueError("the device says that its time is invalid")
     if year & 0x7F > 99:
         raise ValueError("out of range")
-    time = datetime(
-        CENTURY + (year & 0x7F),
-        day >> 8 & 15,
-        day & 31,
-        hour >> 8 & 31,
-        hour & 63,
-        milliseconds // 1000,
-        milliseconds % 1000 * 1000,
-        UTC,
-    )
+    second, rest = divmod(milliseconds, 1000)
+    date = CENTURY + (year & 0x7F), day >> 8 & 15, day & 31
+    time = datetime(*date, hour >> 8 & 31, hour & 63, second, rest * 1000, UTC)
     # Summer time is an hour ahead of the standard time, which is taken as UTC.
     return time - timedelta(hours=1) if hour & 0x8000 else time
 
 
 def _fields(time: datetime) -> tuple[int, ...]:
-    return time.month, time.day, time.hour, time.minute, time.second
+    return time.timetuple()[1:6]
 
 
 def _bytes_from(data: bytes) -> datetime:
@@ -109,8 +100,8 @@ def _digits_from(data: bytes) -> datetime:
 
 def _weekday_to(time: datetime) -> bytes:
     """Return year; month and day of the week, 1 for Monday; day and hour; minute and second."""
-    fields = time.month, time.isoweekday(), time.day, time.hour, time.minute, time.second
-    return pack(">H6B", _short_year(time.year, 99), *fields)
+    month, *others = _fields(time)
+    return pack(">H6B", _short_year(time.year, 99), month, time.isoweekday(), *others)
 
 
 def _weekday_from(data: bytes) -> datetime:
@@ -162,14 +153,12 @@ def unpack_time(form: TimeForm, data: bytes) -> datetime:
 # --- local times --------------------------------------------------------------------------
 
 
-def checked_time_zone(name: str | Path, zone: object) -> tzinfo:
+def checked_time_zone(name: str | Path, zone: Any) -> tzinfo:
     """Return a time zone of the IANA database, such as "Europe/Berlin"."""
-    if not isinstance(zone, str):
-        raise WrongType(name, f"must be the name of a time zone, not {type(zone).__name__}")
     from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
     try:
-        return ZoneInfo(zone)
+        return ZoneInfo(instance(name, zone, str, "the name of a time zone"))
     except (ValueError, OSError, ZoneInfoNotFoundError):  # the last one is a KeyError
         form = "a time zone that this system knows, such as Europe/Berlin"
         raise WrongValue(name, f"must be {form}, not {zone[:100]!r}") from None

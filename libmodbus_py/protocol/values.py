@@ -59,11 +59,10 @@ from encodings import normalize_encoding
 from encodings.aliases import aliases
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .checks import integer
+from .checks import integer, string
 from .mistakes import Path, WrongType, WrongValue
-from .number_types import NUMBERS
 from .plain import text_of
-from .value_types import ORDERS, WIDE_ORDERS, WIDE_REGISTERS, ValueType, cells_of, checked_order
+from .value_types import NUMBERS, ORDERS, WIDE_ORDERS, ValueType, cells_of, checked_order
 from .words import (
     MAX_STRING_BYTES,
     TYPE_WORDS,
@@ -136,10 +135,8 @@ def _text(size: int, encoding: str, padding: str, fill: bytes) -> ValueType:
     registers = (size + 1) // 2
     nul = _fill_of("\0", encoding)
 
-    def pack(name: str | Path, value: object) -> bytes:
-        if not isinstance(value, str):
-            raise WrongType(name, f"must be a string, not {type(value).__name__}")
-        if "\0" in value:
+    def pack(name: str | Path, value: Any) -> bytes:
+        if "\0" in string(name, value):
             raise WrongValue(name, f"must be without NUL, which ends it: {reprlib.repr(value)}")
         data = _encoded(name, value, encoding)
         room = size - len(data)
@@ -186,10 +183,8 @@ def _encoded(name: str | Path, value: str, encoding: str) -> bytes:
 
 def _fill_of(padding: str, encoding: str) -> bytes:
     """Return the bytes of one more padding: without the mark that begins UTF-16 text."""
-    for name, value in (("encoding", encoding), ("padding", padding)):
-        if not isinstance(value, str):
-            raise WrongType(name, f"must be a string, not {type(value).__name__}")
-    if len(padding) != 1:
+    string("encoding", encoding)
+    if len(string("padding", padding)) != 1:
         raise WrongValue("padding", f"must be one character, not {reprlib.repr(padding)}")
     if not _known_encoding(encoding):
         form = "ascii, latin-1, utf-8, cp1252 or another of values.ENCODINGS"
@@ -201,16 +196,10 @@ def _fill_of(padding: str, encoding: str) -> bytes:
 _MAC = r"[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5}"
 
 
-def _pack_mac(name: str | Path, value: object) -> bytes:
-    if not isinstance(value, str):
-        raise WrongType(name, f"must be a string, not {type(value).__name__}")
-    if not re.fullmatch(_MAC, value):
+def _pack_mac(name: str | Path, value: Any) -> bytes:
+    if not re.fullmatch(_MAC, string(name, value)):
         raise WrongValue(name, f"must be like 0D:D7:4C:C6:44:8E, not {reprlib.repr(value)}")
     return bytes.fromhex(f"0000{value.replace(':', '').replace('-', '')}")
-
-
-def _unpack_mac(data: bytes) -> str:
-    return data[2:].hex(":").upper()  # behind two bytes of padding, which may hold anything
 
 
 TIME_REGISTERS = {
@@ -224,7 +213,8 @@ TYPES: dict[str, ValueType] = {
     for kind in (
         *NUMBERS,
         *(_moments(name, registers) for name, registers in TIME_REGISTERS.items()),
-        ValueType("eui48", 4, _pack_mac, _unpack_mac),
+        # Two bytes of padding may hold anything.
+        ValueType("eui48", 4, _pack_mac, lambda data: data[2:].hex(":").upper()),
     )
 }
 """Name -> type, in the order ABCD; strings are made by `value_type`."""
@@ -292,22 +282,18 @@ class Interpretation(NamedTuple):
 
         A number, or a text without control characters, is the more plausible the fewer characters
         it has for its registers. Behind these come what few devices have, and what is mostly
-        chance: numbers with an exponent, short texts, float16 and BCD; then bits.
+        chance: numbers with an exponent, texts of less than four characters, float16 and BCD; then
+        bits.
         """
         kind = value_type(self.type)
         text = self.value if kind.is_text else text_of(self.value, kind)
         if kind.is_text:
-            is_chance = len(text) < LEAST_TEXT or not text.isprintable()
+            # Of two random registers, 1 of 50 are printable.
+            is_chance = len(text) < 4 or not text.isprintable()
         else:
             is_chance = not re.fullmatch("-?[0-9.]+", text) or not self.type.startswith(_LIKELY)
-        return self.type.startswith("bits"), is_chance, len(text) - REGISTER_DIGITS * kind.registers
+        return self.type.startswith("bits"), is_chance, len(text) - 4 * kind.registers
 
-
-LEAST_TEXT = 4
-"""Characters of a text that is hardly chance: of two random registers, 1 of 50 are printable."""
-
-REGISTER_DIGITS = 4
-"""Digits by which a number may be longer for each register, without being less plausible."""
 
 _LIKELY = ("int", "uint", "float32", "float64")
 _USUAL = "(u?int|float|bcd|bits)(16|32|48|64)"
@@ -333,7 +319,7 @@ def readings(registers: Iterable[int]) -> list[Interpretation]:
     count = integer("the number of registers", len(cells), 1, 125)
     fitting = [kind for kind in TYPES.values() if kind.registers == count]
     names = [kind.name for kind in fitting if re.fullmatch(_USUAL, kind.name)]
-    orders = [*ORDERS, *(WIDE_ORDERS if count == WIDE_REGISTERS else ())]
+    orders = [*ORDERS, *(WIDE_ORDERS if 2 * count == len(WIDE_ORDERS[0]) else ())]
     interpretations: dict[tuple[str, str], Interpretation] = {}
     for name in [*names, f"string:{2 * count}"]:
         for order in orders if name in TYPES else ORDERS:

@@ -17,15 +17,6 @@ from typing import Literal, NamedTuple, NewType, TypeAlias, TypedDict, get_args
 from .checks import integer
 from .mistakes import WrongValue, close_to
 
-# fmt: off
-__all__ = [
-    "MAX_STRING_BYTES", "ORDER_WORDS", "REFERENCE_TABLES", "TABLE_WORDS", "TYPE_WORDS", "BitsType",
-    "FloatType", "IntegerType", "Layout", "NumberType", "Order", "PlainIntegerType", "Reference",
-    "StringType", "TextOptions", "TextType", "TimeType", "TypeName", "close_word", "order_named",
-    "parse_reference", "plain", "string_type", "table_named", "type_named",
-]
-# fmt: on
-
 Order = Literal[
     "ABCD", "CDAB", "BADC", "DCBA", "EFGHABCD", "CDABGHEF", "FEHGBADC", "DCBAHGFE",
 ]  # fmt: skip
@@ -184,10 +175,7 @@ def table_named(text: object) -> str | None:
 
 
 def close_word(text: object, names: Iterable[str], words: Iterable[str]) -> str:
-    """
-    Return the end of a message about a word that is not known: the `names` that are close to it,
-    else the `words` of vendors, or the two orders that vendors mean by it.
-    """
+    """Return the end of a message about a word: close `names`, else `words`, or its two orders."""
     if words is ORDER_WORDS and (meanings := _TWO_ORDERS.get(plain(str(text)))):
         return meanings
     return close_to(text, names) or close_to(plain(str(text)), words)

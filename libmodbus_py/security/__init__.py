@@ -3,11 +3,10 @@ Modbus Security: TLS with certificates on both sides. No socket.
 
 ::
 
-    security      Security: the own certificate and the trusted ones; GivenContext: an SSLContext
+    security      Security: the own certificate and the trusted ones; GivenContext: an SSLContext;
+                  Renewed: values read from files, and read again
     files         certificates, keys, pins and revocation lists in PEM files; Loaded: OpenSSL's
                   settings made of them; Acceptance: of open connections
-    renewed       Renewed: values read from files, and read again
     tunnel        Tunnel: one TLS connection, bytes in and bytes out; Records: where they end
-    role          the role in a certificate
-    describing    certificates and errors of OpenSSL as text
+    certificates  what certificates contain, roles among it, and errors of OpenSSL as text
 """

@@ -15,10 +15,8 @@ from functools import cached_property
 from typing import NamedTuple, TypeAlias
 
 from ..system import open_file
-from .describing import digest_of, end_of, in_words, require_cryptography, time_in
+from .certificates import digest_of, end_of, in_words, require_cryptography, time_in
 from .tunnel import EXPIRED, Tunnel, keep_presented
-
-__all__ = ["Acceptance", "File", "Loaded", "PemFile", "Revoked", "SecurityFiles"]
 
 File: TypeAlias = str | os.PathLike[str]
 
@@ -119,7 +117,6 @@ class Revoked:
         self.ends: float | None = min((end.timestamp() for end in ends if end), default=None)
 
     def any_of(self, certificates: Iterable[bytes]) -> bool:
-        """Return True if one of the certificates, in DER, is revoked."""
         from cryptography import x509
 
         return any(
@@ -266,7 +263,6 @@ class Acceptance:
         self._tunnel: Tunnel | None = None
 
     def begin(self, tunnel: Tunnel) -> None:
-        """Note that the handshake was accepted."""
         self._tunnel = tunnel
         # A pinned certificate is trusted even if it has expired.
         has_pins = self._before is not None and self._before.has_pins

@@ -1,24 +1,26 @@
 """
-The own certificate and key, and the certificates that are trusted.
+The own certificate and key, and the certificates that are trusted; certificates, keys and passwords
+that are read from files again.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import math
 import os
 import ssl
+import stat
 import time
-from collections.abc import Iterable
-from typing import Any
+import weakref
+from collections.abc import Callable, Iterable
+from typing import Any, Generic, Protocol, TypeVar
 
 from ..protocol.logs import HarmlessLogger
-from ..protocol.mistakes import named_arguments
+from ..protocol.mistakes import Problem, named_arguments
+from ..system import open_file
 from .files import Acceptance, File, Loaded, PemFile, SecurityFiles
-from .renewed import keep_renewed
 from .tunnel import Tunnel, expiry, name_of
-
-__all__ = ["GivenContext", "Security"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -225,3 +227,70 @@ class GivenContext:
 
     def warn_of_end(self) -> None:
         """Do nothing, because a context does not tell which certificate it shows."""
+
+
+# --- what is read again ---------------------------------------------------------------------
+
+T = TypeVar("T")
+
+# The exceptions for a mistake in a file, and for a file that cannot be read.
+MISTAKES = (ImportError, OSError, TypeError, ValueError)
+
+
+def read_secret(path: str | os.PathLike[str]) -> str:
+    """Return the text of a file with a secret, up to 64 KiB; others must not be able to read it."""
+    with open_file(path) as file:
+        mode = os.fstat(file.fileno()).st_mode
+        if os.name == "posix" and mode & stat.S_IROTH:
+            reason = "all users of this machine can read this secret; chmod o= ends that"
+            raise PermissionError(errno.EACCES, reason, os.fspath(path))
+        return file.read(1 << 16).decode()  # a file that was named by mistake may have more
+
+
+class _Reloadable(Protocol):
+    def reload(self) -> None: ...
+
+
+class Renewed(Generic[T]):
+    """A value that `read` makes of files, as of the last time that all of them were good."""
+
+    def __init__(self, read: Callable[[], T]) -> None:
+        self._read = read
+        self._logged = ""
+        self.value: T = read()
+        keep_renewed(self)
+
+    def reload(self) -> None:
+        """Read the files again; raise what `read` raises, and keep the value then."""
+        self.value = self._read()
+
+    def fresh(self) -> T:
+        """Read the files again and return the value; log a mistake, and return the former value."""
+        try:
+            self.reload()
+            self._logged = ""
+        except MISTAKES as error:
+            if self._logged != str(error):
+                self._logged = str(error)
+                logger.warning("the former content is used: %s", error)
+        return self.value
+
+
+_in_use: weakref.WeakSet[_Reloadable] = weakref.WeakSet()
+
+
+def keep_renewed(reloadable: _Reloadable) -> None:
+    """Let `reload_all` reload an object as long as it exists."""
+    _in_use.add(reloadable)
+
+
+def reload_all() -> list[str]:
+    """Reload all certificates, keys and passwords, as on SIGHUP; return lines for the log."""
+    lines: list[str] = []
+    reloadables = list(_in_use)
+    for reloadable in reloadables:
+        try:
+            reloadable.reload()
+        except MISTAKES as error:
+            lines.append(Problem(f"the former content is used: {error}"))
+    return lines or ["certificates and passwords: read again"] * bool(reloadables)

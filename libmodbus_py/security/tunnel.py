@@ -1,6 +1,4 @@
-"""
-One TLS connection without a socket: received bytes in, bytes to send out.
-"""
+"""One TLS connection without a socket: received bytes in, bytes to send out."""
 
 from __future__ import annotations
 
@@ -10,13 +8,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-__all__ = ["EXPIRED", "Records", "Tunnel", "expiry", "keep_presented", "name_of"]
-
 # The reason for which a connection ends, in the words of OpenSSL.
 EXPIRED = "certificate has expired"
-
-# The most bytes that a record carries (RFC 8446, 5.1).
-RECORD_BYTES = 16_384
 
 # SSL_OP_NO_RX_CERTIFICATE_COMPRESSION of OpenSSL 3.2, which Python's ssl does not name.
 NO_COMPRESSED_CERTIFICATE = 1 << 33
@@ -104,7 +97,7 @@ class Tunnel:
             self._tls.presented = b""  # OpenSSL has it, too
         return True
 
-    def receive(self, most: int = RECORD_BYTES) -> bytes | None:
+    def receive(self, most: int) -> bytes | None:
         """Return received bytes, decrypted; None if there are none, b"" at the end."""
         try:
             return self._tls.read(most)
@@ -112,7 +105,6 @@ class Tunnel:
             return None
 
     def end(self) -> None:
-        """Prepare the close_notify alert."""
         with contextlib.suppress(ssl.SSLError):  # it was refused before
             self._tls.unwrap()
 
@@ -154,7 +146,6 @@ class Tunnel:
 
     @property
     def session(self) -> ssl.SSLSession | None:
-        """The session that a client can resume."""
         return self._tls.session
 
 

@@ -22,17 +22,14 @@ from datetime import UTC, datetime
 from typing import Any, Literal
 
 from ..device.access import Executed, ValueChange
-from ..device.limited_log import INTERVAL_S
+from ..device.authorization import INTERVAL_S
 from ..protocol.checks import checked_callback, finished
 from ..protocol.errors import ExceptionResponse
-from ..protocol.json_text import json_line
 from ..protocol.logs import HarmlessLogger
 from ..protocol.mistakes import named_arguments
-from ..protocol.plain import time_text
-from ..security.describing import CertificateHolder
+from ..protocol.plain import json_line, time_text
+from ..security.certificates import CertificateHolder
 from ..system import open_file
-
-__all__ = ["Audit", "AuditEvent", "AuditFile", "OnAudited", "audit_of"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

@@ -1,37 +1,21 @@
 """
-Faults in the answers of a server: which one is due for a request, when its bytes are sent, and the
-switch of a running server, whose users do not undo each other.
+Faults in the answers of a server: which one is due for a request, and the switch of a running
+server, whose users do not undo each other.
 
 The faults themselves, with their bytes, come from the caller (`ServerFault`).
 """
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import threading
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import count
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from ..ports.trace import Trace
 from ..protocol.checks import integer
-from ..protocol.framing import Frame, Framer, TcpFramer
-from .limits import ServerStatistics
-from .service import Channel
-
-# fmt: off
-__all__ = [
-    "FaultSwitch", "Faults", "FaultsByUnit", "FaultyAnswers",
-    "Fragment", "ServerFault",
-]
-# fmt: on
-
-MAX_WAITING_BYTES = 1 << 17
-"""On a connection, fewer bytes wait: the answers to one read. On a serial line this limits the
-answers to a client that does not wait for them."""
+from ..protocol.framing import Frame, Framer
 
 
 class Fragment(NamedTuple):
@@ -129,113 +113,6 @@ def _counted(fault: object, others: list[CountedFault]) -> CountedFault:
     return CountedFault(fault, fault.counter())
 
 
-def _sent(fault: ServerFault | None, answer: Frame, framer: Framer) -> list[Fragment]:
-    if fault is not None:
-        return fault.fragments(answer, framer)
-    adu = framer.encode(answer)
-    return [Fragment(0, adu, traced=((adu, answer),))]
-
-
-class FaultySession(Protocol):
-    """A session whose answers may have faults."""
-
-    framer: Framer
-    channel: Channel
-    trace: Trace | None
-    statistics: ServerStatistics
-
-    @property
-    def faults(self) -> Faults | None: ...
-
-    def is_answered(self, request: Frame) -> bool:
-        """Return True if a request to this unit and with this function is answered."""
-        ...
-
-    def answer(self, request: Frame, code: int = 0) -> Frame | None:
-        """Execute or refuse a request; the answer is not counted or traced yet."""
-
-    def write(self, data: bytes) -> None:
-        """Send bytes of answers."""
-
-
-class FaultyAnswers:
-    """
-    The answers of one session: in order, late, wrong, in fragments or not at all.
-
-    Attributes:
-        is_waiting: True while answers are to be sent later; nothing is received meanwhile.
-        is_over: True once a fault has closed the connection; nothing is executed any more.
-    """
-
-    def __init__(self, session: FaultySession) -> None:
-        self.is_waiting: bool = False
-        self.is_over: bool = False
-        self._session = session
-        self._queue: deque[Fragment] = deque()
-        self._queued = 0  # bytes
-        self._timer: asyncio.TimerHandle | None = None
-
-    def answer(self, request: Frame) -> None:
-        """Execute a request, and deliver its answer as the fault that is due makes it."""
-        session = self._session
-        fault: ServerFault | None = None
-        faults = session.faults
-        if faults is not None and session.is_answered(request):
-            has_transaction = isinstance(session.framer, TcpFramer)
-            fault = faults.due(request, has_transaction=has_transaction)
-        answer = session.answer(request, 0 if fault is None else fault.code or 0)
-        if answer is not None:
-            session.statistics.refused += answer.pdu[0] >> 7
-            self.send(_sent(fault, answer, session.framer))
-
-    def send(self, answer: list[Fragment]) -> None:
-        """Send an answer after the previous ones; it is dropped if too much waits already."""
-        if self._queued >= MAX_WAITING_BYTES or self.is_over:
-            return
-        self._queue += answer
-        self._queued += sum(len(fragment.data) for fragment in answer)
-        if self._timer is None:
-            self._go_on()
-
-    def close(self) -> None:
-        """Drop all fragments that were not sent."""
-        self._queue.clear()
-        self._queued = 0
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-
-    def _go_on(self) -> None:
-        """Send the fragments that are due, then wait for the next."""
-        while self._queue:
-            if self._queue[0].wait:
-                loop = asyncio.get_running_loop()
-                self._timer = loop.call_later(self._queue[0].wait, self._send_next)
-                break
-            self._send_first()
-        if self.is_waiting != bool(self._queue):
-            self.is_waiting = not self.is_waiting
-            self._session.channel.follow()
-
-    def _send_next(self) -> None:
-        self._timer = None
-        self._send_first()
-        self._go_on()
-
-    def _send_first(self) -> None:
-        fragment, session = self._queue.popleft(), self._session
-        self._queued -= len(fragment.data)
-        if session.trace is not None:
-            for adu, frame in fragment.traced:
-                facts = () if frame is None else (frame.unit, frame.pdu[0])
-                session.trace.tell("sent", adu, *facts)
-        if fragment.data or not fragment.is_last:
-            session.write(fragment.data)
-        if fragment.is_last and session.channel.hang_up():
-            self.is_over = True
-            self.close()
-
-
 # --- faults that are switched on and off ----------------------------------------------------------
 
 FaultsByUnit = dict[int | None, list[ServerFault]]
@@ -316,8 +193,8 @@ class FaultSwitch:
         """Replace the faults given to the server if the block applies all that are on then."""
         with self._changing:
             states = [state for state in self._states if not state.is_given]
-            for unit, given in faults.items():
-                states += [FaultState(unit, fault, is_given=True) for fault in given]
+            for unit, unit_faults in faults.items():
+                states += [FaultState(unit, fault, is_given=True) for fault in unit_faults]
             yield _that_are_on(states)
             self._states = states
 

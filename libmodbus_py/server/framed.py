@@ -1,6 +1,4 @@
-"""
-The base of sessions that answer frame by frame: bytes in, frames out, in turns.
-"""
+"""The base of sessions that answer frame by frame: bytes in, frames out, in turns."""
 
 from __future__ import annotations
 
@@ -17,8 +15,6 @@ from ..protocol.logs import HarmlessLogger
 from ..protocol.rtu import may_be
 from .limits import ServerStatistics
 from .service import Channel, SessionState
-
-__all__ = ["FRAMES_AT_ONCE", "Framed", "SessionSettings"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -138,18 +134,14 @@ class Framed(ABC):
             self._unsearched = b""
             if not requests:  # else the silence counts first
                 raise FrameError("stream out of step")
+        is_unfinished = self.framer.pending or (self._echo is not None and self._echo.is_holding)
         if self._is_behind:
             self.channel.follow()
-        elif self.framer.quiet and self._is_unfinished and not self._is_silence_awaited:
+        elif self.framer.quiet and is_unfinished and not self._is_silence_awaited:
             self._is_silence_awaited = True
             loop = asyncio.get_running_loop()
             self._timer = loop.call_later(self.framer.quiet, self._note_silence)
         return requests
-
-    @property
-    def _is_unfinished(self) -> bool:
-        """True if silence would show the end of what was received."""
-        return bool(self.framer.pending) or (self._echo is not None and self._echo.is_holding)
 
     def take(self, frames: list[Frame | FrameError]) -> int:
         """Answer the frames that were found, and return the number of requests."""
@@ -161,7 +153,9 @@ class Framed(ABC):
             self._pending_answer = None  # its client has given up waiting for it
             if self._may_be_echo(frame):
                 self._frames = [*frames[at + 1 :], *self._frames]
-                self._ask_line(frame)
+                self._suspect = frame
+                # One byte of the answer: it comes back alone only if there is an echo.
+                self.channel.write(self._last_answer[:1])
                 break
             self._last_answer = b""
             if frame is not self._open_request:
@@ -182,14 +176,17 @@ class Framed(ABC):
             if timer is not None:
                 timer.cancel()
         self._release_echo()
-        self.tell_rest(self._unsearched)
+        if self.trace is not None:  # what was received is not answered any more
+            if self.framer.in_step:
+                self.tell_received(self.framer.scan(self._unsearched))
+            if rest := self.framer.end():
+                self.trace.tell("received", rest)
         self._unsearched, self._frames = b"", []
 
     def close(self) -> None:
         self.end()
 
     def note_damage(self, error: FrameError) -> None:
-        """Count bytes that are not a frame."""
         address = self.channel.address
         logger.debug("%s: %s: %s", address, error, error.received.hex(" "))
         self.statistics.bad_frames += 1
@@ -203,22 +200,16 @@ class Framed(ABC):
             self._frames = self.framer.scan(data)
             if self._settings.endpoint.is_datagram:
                 self._frames += self.framer.scan_silence()
-                self._end_datagram()
+                rest = self.framer.end()  # which does not go on in another datagram
+                is_damaged = bool(self._frames) and isinstance(self._frames[-1], FrameError)
+                if rest and not is_damaged:  # else it belongs to that damage
+                    self._frames.append(FrameError("an unfinished frame", received=rest))
         else:
             self._is_quiet = False
             self._frames = self.framer.scan_silence()
-        if self.trace is not None:
-            self.tell_received(self._frames)
-
-    def _end_datagram(self) -> None:
-        """Note what could begin a longer frame: its rest does not come in another datagram."""
-        rest = self.framer.end()
-        is_damaged = bool(self._frames) and isinstance(self._frames[-1], FrameError)
-        if rest and not is_damaged:  # else it belongs to that damage
-            self._frames.append(FrameError("an unfinished frame", received=rest))
+        self.tell_received(self._frames)
 
     def tell_received(self, frames: Iterable[Frame | FrameError]) -> None:
-        """Report the frames and damage that were found to the trace."""
         if self.trace is not None:
             for frame in frames:
                 if isinstance(frame, FrameError):
@@ -226,14 +217,6 @@ class Framed(ABC):
                 else:
                     adu = self.framer.encode(frame)
                     self.trace.tell("received", adu, frame.unit, frame.pdu[0])
-
-    def tell_rest(self, unsearched: bytes) -> None:
-        """Report received bytes that are not answered any more to the trace."""
-        if self.trace is not None:
-            if self.framer.in_step:
-                self.tell_received(self.framer.scan(unsearched))
-            if rest := self.framer.end():
-                self.trace.tell("received", rest)
 
     def _note_silence(self) -> None:
         """Make the channel call `receive` in its turn, so that the requests are counted."""
@@ -269,11 +252,6 @@ class Framed(ABC):
             return False
         is_late = self._heard_at > self._returns_until
         return not is_late and self.framer.encode(frame) == self._last_answer
-
-    def _ask_line(self, request: Frame) -> None:
-        """Send the first byte of the answer: it comes back alone only if there is an echo."""
-        self._suspect = request
-        self.channel.write(self._last_answer[:1])
 
     def _is_echo_heard(self, data: bytes) -> bool:
         """Return True if that byte came back, so that the doubted request was an echo, too."""

@@ -19,20 +19,6 @@ from ..protocol.checks import integer, number, seconds
 from ..protocol.mistakes import WrongType, WrongValue, named_arguments
 from ..system import most_descriptors
 
-__all__ = [
-    "FULL_POLICIES",
-    "REMEMBERED_MAX",
-    "SPARE_DESCRIPTORS",
-    "Address",
-    "Addresses",
-    "Allowance",
-    "Limits",
-    "Paused",
-    "ServerStatistics",
-    "counted_host",
-    "host_of",
-]
-
 # Descriptors that are reserved for the rest of the process, unless max_connections is given.
 SPARE_DESCRIPTORS = 64
 
@@ -227,7 +213,6 @@ class Address(Generic[Each]):
         self._due = -math.inf  # of the last timer that has ended
 
     def is_overspent(self) -> bool:
-        """Return True if the address has sent too many requests for now."""
         now = self._now()
         return self._allowance.until(now) > now
 

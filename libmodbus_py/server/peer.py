@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import select
 import socket
 from abc import ABC, abstractmethod
 from collections import deque
@@ -18,18 +19,15 @@ from collections.abc import Callable
 from select import POLLERR, POLLHUP, POLLIN, POLLOUT
 from typing import TYPE_CHECKING
 
-from ..device.limited_log import LimitedLog
+from ..device.authorization import LimitedLog
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
-from ..system import DescriptorPoller
 from .limits import Address, Limits, ServerStatistics
 from .service import ENDS, TURN_EVENTS, UNREAD, Session, SessionState
 
 if TYPE_CHECKING:
-    from ..security.describing import CertificateHolder
-
-__all__ = ["READ_BYTES", "MakePeerSession", "Peer", "Turns"]
+    from ..security.certificates import CertificateHolder
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -49,7 +47,7 @@ class Turns(ABC):
         self,
         limits: Limits,
         statistics: ServerStatistics,
-        poller: DescriptorPoller,
+        poller: select.epoll,
         log: LimitedLog,
     ) -> None:
         self.limits = limits
@@ -85,7 +83,6 @@ class Turns(ABC):
         """Close all endpoints of the server, because a hook ends the program."""
 
     def stop(self) -> None:
-        """End the turns; may be called any number of times."""
         if self._next_turn is not None:
             self._next_turn.cancel()
         if not self._poller.closed:
@@ -99,7 +96,6 @@ class Turns(ABC):
         self._poller.close()
 
     def watch(self, peer: Peer, descriptor: int, events: int) -> None:
-        """Report these events to a peer from now on."""
         if descriptor in self._by_descriptor:
             self._poller.modify(descriptor, events)
         else:
@@ -115,7 +111,6 @@ class Turns(ABC):
         self._calls.append(call)
 
     def send_soon(self, peer: Peer) -> None:
-        """Make a peer send when all have been read."""
         if not self._sending and not self._in_turn:
             self.loop.call_soon(self._send)
         self._sending.append(peer)
@@ -189,13 +184,11 @@ class Turns(ABC):
 class Peer:
     """One client. It is read only while it takes its answers and is not throttled."""
 
-    # fmt: off
     __slots__ = (
         "_descriptor", "_is_behind", "_is_closing", "_is_full", "_is_reading", "_is_sending",
         "_is_throttled", "_session", "_socket", "_turns", "_unsent", "address", "has_asked",
         "holder", "idle_since", "role", "shared", "trace",
-    )
-    # fmt: on
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -225,7 +218,6 @@ class Peer:
         turns.watch(self, self._descriptor, POLLIN)
 
     def close(self) -> None:
-        """Close the connection at once; may be called any number of times."""
         if self._descriptor < 0:
             return
         self._session.close()
@@ -328,7 +320,11 @@ class Peer:
             self.close()
             return
         if size < len(self._unsent):
-            self._wait_to_send(size)
+            self._unsent = bytearray(self._unsent[size:])
+            if not self._is_sending:
+                self._is_sending = True
+                self._watch()
+            self._pause_if_full()
         else:
             self._unsent = b""
             if self._is_sending:
@@ -337,13 +333,6 @@ class Peer:
                 self.follow()
         if self._is_closing:
             self._close_if_done()
-
-    def _wait_to_send(self, size: int) -> None:
-        self._unsent = bytearray(self._unsent[size:])
-        if not self._is_sending:
-            self._is_sending = True
-            self._watch()
-        self._pause_if_full()
 
     def _pause_if_full(self) -> None:
         if len(self._unsent) > self._turns.limits.max_unsent and not self._is_full:

@@ -15,14 +15,14 @@ from dataclasses import replace
 from select import POLLIN
 from typing import TYPE_CHECKING
 
-from ..device.limited_log import LimitedLog
+from ..device.authorization import LimitedLog
 from ..ports.endpoint import Endpoint
 from ..ports.hosts import Make, Resolve, bind_all, host_and_port, reason, tcp_listener
 from ..ports.port import abandoned_in_children
-from ..ports.waiting_async import look_up
+from ..ports.waiting import look_up
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
-from ..system import DescriptorPoller, reserve_descriptors
+from ..system import reserve_descriptors
 from .limits import SPARE_DESCRIPTORS, Address, Addresses, Limits, ServerStatistics
 from .peer import MakePeerSession, Peer, Turns
 from .service import TURN_EVENTS, MakeSession, Service, SessionState
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from ..security.security import Security
     from .audit import Audit
     from .tls import Handshakes
-
-__all__ = ["Peers", "TcpServer", "bound"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -49,7 +47,7 @@ class Peers(Turns):
         limits: Limits,
         statistics: ServerStatistics,
         end: Callable[[], None] | None = None,
-        make_poller: Callable[[], DescriptorPoller] = select.epoll,
+        make_poller: Callable[[], select.epoll] = select.epoll,
         auditor: Audit | None = None,
         log: LimitedLog | None = None,
     ) -> None:
@@ -104,7 +102,6 @@ class Peers(Turns):
             self._add(client, name, shared, make)
 
     def close(self) -> None:
-        """Close all connections; may be called any number of times."""
         for peer in list(self._connections):
             peer.close()
         if self._sweeping is not None:
@@ -223,17 +220,15 @@ class TcpServer:
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
-        """Open the sockets, and return the endpoint with its port."""
         endpoint = self._endpoint
         if self._listener is None:
             self._listeners, endpoint = await bound(endpoint, socket.SOCK_STREAM, tcp_listener)
         else:
             try:
                 self._listeners = [await self._listener.open()]
-            except OSError as error:
-                raise ModbusConnectionError(
-                    f"cannot listen on {endpoint}: {error.strerror or error}", errno=error.errno
-                ) from error
+            except OSError as error:  # which may have a text of its own
+                text = f"cannot listen on {endpoint}: {error.strerror or error}"
+                raise ModbusConnectionError(text, errno=error.errno) from error
         make = self._service.sessions(endpoint, self._peers.statistics, self._peers.later)
         self._make_session = make if self._handshakes is None else _within(self._handshakes, make)
         for listener in self._listeners:
@@ -243,11 +238,8 @@ class TcpServer:
         return endpoint
 
     def use(self, security: Security) -> None:
-        """
-        Use other certificates for new connections; raise ValueError if they cannot be a server's.
-        """
+        """Use other certificates, which `check_server` has accepted, for new connections."""
         assert self._handshakes is not None
-        security.check_server()
         self._handshakes.security = security
 
     def close(self) -> None:
@@ -278,14 +270,11 @@ class TcpServer:
                 return
             self._is_short = False
             client.setblocking(False)
-            host, name = self._name(client, address)
+            if self._listener is not None:
+                host, name = self._listener.name(client)
+            else:
+                host, name = address[0], host_and_port(*address[:2])
             self._peers.admit(client, host, name, self._make_session)
-
-    def _name(self, client: socket.socket, address: tuple[str, int]) -> tuple[str, str]:
-        """Return the host of a client, and its name."""
-        if self._listener is not None:
-            return self._listener.name(client)
-        return address[0], host_and_port(*address[:2])
 
     def _pause(self, listener: socket.socket, error: OSError) -> None:
         """Stop accepting for a while, because connections not accepted keep waking the loop."""
@@ -310,13 +299,8 @@ async def bound(
     endpoint: Endpoint, kind: socket.SocketKind, make: Make
 ) -> tuple[list[socket.socket], Endpoint]:
     """Return a socket for each address of an endpoint's host, and the endpoint with its port."""
-    try:
-        question = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
-        sockets = bind_all(await look_up(question), endpoint.port, make)
-    except OSError as error:
-        raise ModbusConnectionError(
-            f"cannot listen on {endpoint}: {reason(error)}", errno=error.errno
-        ) from error
+    question = Resolve(endpoint.host, endpoint.port, kind, math.inf, socket.AI_PASSIVE)
+    sockets = bind_all(await look_up(question), endpoint.port, make)
     for listener in sockets:
         listener.setblocking(False)
     return sockets, replace(endpoint, port=sockets[0].getsockname()[1])

@@ -24,8 +24,6 @@ from ..ports.hosts import reason
 from ..protocol.errors import ModbusConnectionError
 from ..protocol.logs import HarmlessLogger
 
-__all__ = ["Background", "Handler", "frozen_garbage", "signal_handlers"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 Running = TypeVar("Running")

@@ -1,6 +1,4 @@
-"""
-A serial port of a server.
-"""
+"""A serial port of a server."""
 
 from __future__ import annotations
 
@@ -20,9 +18,7 @@ from .limits import ServerStatistics
 from .service import ENDS, Service, SessionState
 
 if TYPE_CHECKING:
-    from ..security.describing import CertificateHolder
-
-__all__ = ["SerialServer"]
+    from ..security.certificates import CertificateHolder
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -56,7 +52,6 @@ class SerialServer:
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
-        """Open the port, and return its endpoint."""
         self._open()
         return self._endpoint
 

@@ -1,6 +1,4 @@
-"""
-The server of a program: the devices of many units, and faults in their responses.
-"""
+"""The server of a program: the devices of many units, and faults in their responses."""
 
 from __future__ import annotations
 
@@ -10,8 +8,8 @@ import os
 from collections.abc import AsyncIterator, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from ..binding.library import replier
 from ..device.device import Device
-from ..device.reply import replier
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
 from ..protocol.mistakes import named_arguments
@@ -26,8 +24,6 @@ from .units import SerialUnits, TcpUnits, Units, UnknownUnit
 if TYPE_CHECKING:
     from ..security.security import Security
     from .audit import Audit, OnAudited
-
-__all__ = ["Devices", "Server"]
 
 
 @named_arguments
@@ -135,7 +131,7 @@ class Server(Serving):
         if faults is not None and not isinstance(faults, Mapping):
             given_type = type(faults).__name__
             raise TypeError(f"faults must be {{unit or None: [Fault, ...]}}, not {given_type}")
-        lists = {unit: _listed(unit, each) for unit, each in (faults or {}).items()}
+        lists = {unit: _listed(unit, unit_faults) for unit, unit_faults in (faults or {}).items()}
         with self.fault_switch.giving(lists) as faults_on:
             self._serve(devices, faults_on)
         self._fault_lists = lists

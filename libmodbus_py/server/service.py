@@ -16,20 +16,7 @@ from ..protocol.errors import ModbusConnectionError
 from .limits import ServerStatistics
 
 if TYPE_CHECKING:
-    from ..security.describing import CertificateHolder
-
-__all__ = [
-    "ENDS",
-    "TURN_EVENTS",
-    "UNREAD",
-    "Channel",
-    "Later",
-    "MakeSession",
-    "Service",
-    "Session",
-    "SessionState",
-    "explained",
-]
+    from ..security.certificates import CertificateHolder
 
 # Raised by a hook to end the program; any other exception is an answer, or a defect of ours.
 ENDS = (SystemExit, KeyboardInterrupt)

@@ -19,8 +19,8 @@ from contextlib import AbstractAsyncContextManager, AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NoReturn
 
+from ..device.authorization import LimitedLog, in_time
 from ..device.hooks import timed
-from ..device.limited_log import LimitedLog, in_time
 from ..ports.endpoint import Endpoint, parse_to_listen
 from ..ports.trace import OnTraced, Trace, Traced, is_traced
 from ..protocol.checks import checked_callback
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from ..security.security import Security
     from .audit import Audit, OnAudited
     from .serial import SerialServer
-
-__all__ = ["Running", "Serving"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -81,7 +79,7 @@ class Serving(ABC):
             _check_security(security)
         self._security = security
         self._secured: weakref.WeakSet[TcpServer] = weakref.WeakSet()
-        self._traces = Traces(None if trace is None else _checked(trace))
+        self._traces = Traces(trace)
         self._log = LimitedLog(logger)
         self._auditor: Audit | None = None
         if audit is not None:
@@ -264,7 +262,7 @@ class Serving(ABC):
         Raises:
             TypeError: the callback is not a function.
         """
-        return self._traces.with_another(_checked(callback))
+        return self._traces.with_another(_harmless(callback))
 
     @abstractmethod
     def _answering(self, endpoints: list[Endpoint]) -> AbstractAsyncContextManager[Service]:
@@ -276,10 +274,6 @@ def _check_security(security: object) -> None:
 
     if not isinstance(security, Security):
         raise TypeError(f"security must be Security, not {type(security).__name__}")
-
-
-def _checked(trace: OnTraced) -> OnTraced:
-    return checked_callback("trace", trace)
 
 
 # --- traces: functions that are called with every ADU --------------------------------------------
@@ -300,13 +294,11 @@ class Traces:
 
     @contextlib.contextmanager
     def with_another(self, callback: OnTraced) -> Iterator[None]:
-        """Call another function, too, while the block runs."""
-        another = _harmless(callback)
-        self._all += (another,)
+        self._all += (callback,)
         try:
             yield
         finally:
-            self._all = tuple(other for other in self._all if other is not another)
+            self._all = tuple(other for other in self._all if other is not callback)
 
 
 class TracedService:

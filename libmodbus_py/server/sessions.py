@@ -3,34 +3,38 @@ The sessions of devices: requests of one connection, datagram or port, frame by 
 
 Modbus/TCP is answered by the chunk, in C where possible: the same bytes as those of `ByFrame`,
 several times faster. Requests that come alone are answered together with those of other
-connections.
+connections. Answers that have faults wait in a queue, and all that follow behind them.
 """
 
 from __future__ import annotations
 
+import asyncio
+from collections import deque
 from operator import itemgetter
 
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
-from ..protocol.framing import (
+from ..protocol.frames import (
     FUNCTION,
-    TRANSACTION,
     UNIT,
-    AsciiFramer,
     Frame,
+    Framer,
     Overheard,
     cut,
     is_one_frame,
     mbap,
     split,
 )
-from .faults import Faults, FaultyAnswers
+from ..protocol.framing import AsciiFramer, TcpFramer
+from .faults import Faults, Fragment, ServerFault
 from .framed import FRAMES_AT_ONCE, Framed, SessionSettings
 from .limits import ServerStatistics
 from .service import Channel, Later, SessionState
 from .units import SerialUnits, TcpUnits
 
-__all__ = ["ByChunk", "ByFrame", "Singles"]
+MAX_WAITING_BYTES = 1 << 17
+"""On a connection, fewer bytes wait: the answers to one read. On a serial line this limits the
+answers to a client that does not wait for them."""
 
 _request = itemgetter(1)
 
@@ -89,13 +93,97 @@ class ByFrame(Framed):
         return self._units.answer(request, self.channel, code)
 
     def is_answered(self, request: Frame) -> bool:
-        """See `FaultySession`."""
         return self._units.is_answered(request)
 
     def _follow_delimiter(self) -> None:
         """Use a changed delimiter from the frame after the answer on, in both directions."""
         if isinstance(self.framer, AsciiFramer) and self._units.delimiter is not None:
             self.framer.delimiter = self._units.delimiter
+
+
+def _sent(fault: ServerFault | None, answer: Frame, framer: Framer) -> list[Fragment]:
+    if fault is not None:
+        return fault.fragments(answer, framer)
+    adu = framer.encode(answer)
+    return [Fragment(0, adu, traced=((adu, answer),))]
+
+
+class FaultyAnswers:
+    """
+    The answers of one session: in order, late, wrong, in fragments or not at all.
+
+    Attributes:
+        is_waiting: True while answers are to be sent later; nothing is received meanwhile.
+        is_over: True once a fault has closed the connection; nothing is executed any more.
+    """
+
+    def __init__(self, session: ByFrame) -> None:
+        self.is_waiting: bool = False
+        self.is_over: bool = False
+        self._session = session
+        self._queue: deque[Fragment] = deque()
+        self._queued = 0  # bytes
+        self._timer: asyncio.TimerHandle | None = None
+
+    def answer(self, request: Frame) -> None:
+        """Execute a request, and deliver its answer as the fault that is due makes it."""
+        session = self._session
+        fault: ServerFault | None = None
+        faults = session.faults
+        if faults is not None and session.is_answered(request):
+            has_transaction = isinstance(session.framer, TcpFramer)
+            fault = faults.due(request, has_transaction=has_transaction)
+        answer = session.answer(request, 0 if fault is None else fault.code or 0)
+        if answer is not None:
+            session.statistics.refused += answer.pdu[0] >> 7
+            self.send(_sent(fault, answer, session.framer))
+
+    def send(self, answer: list[Fragment]) -> None:
+        """Send an answer after the previous ones; it is dropped if too much waits already."""
+        if self._queued >= MAX_WAITING_BYTES or self.is_over:
+            return
+        self._queue += answer
+        self._queued += sum(len(fragment.data) for fragment in answer)
+        if self._timer is None:
+            self._go_on()
+
+    def close(self) -> None:
+        """Drop all fragments that were not sent."""
+        self._queue.clear()
+        self._queued = 0
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _go_on(self) -> None:
+        """Send the fragments that are due, then wait for the next."""
+        while self._queue:
+            if self._queue[0].wait:
+                loop = asyncio.get_running_loop()
+                self._timer = loop.call_later(self._queue[0].wait, self._send_next)
+                break
+            self._send_first()
+        if self.is_waiting != bool(self._queue):
+            self.is_waiting = not self.is_waiting
+            self._session.channel.follow()
+
+    def _send_next(self) -> None:
+        self._timer = None
+        self._send_first()
+        self._go_on()
+
+    def _send_first(self) -> None:
+        fragment, session = self._queue.popleft(), self._session
+        self._queued -= len(fragment.data)
+        if session.trace is not None:
+            for adu, frame in fragment.traced:
+                facts = () if frame is None else (frame.unit, frame.pdu[0])
+                session.trace.tell("sent", adu, *facts)
+        if fragment.data or not fragment.is_last:
+            session.write(fragment.data)
+        if fragment.is_last and session.channel.hang_up():
+            self.is_over = True
+            self.close()
 
 
 class ByChunk(ByFrame):
@@ -234,7 +322,7 @@ class Singles:
                         session.channel.write(answer)
             if count == 0:
                 session, request = waiting[first]
-                number = int.from_bytes(request[TRANSACTION], "big")
+                number = int.from_bytes(request[:2], "big")
                 try:
                     session.take_one(Frame(unit, request[FUNCTION:], number))
                 except BaseException as error:  # of a hook; the others are still answered
@@ -247,7 +335,6 @@ class Singles:
 
 
 def _tell(trace: Trace, requests: bytes, answers: bytes) -> None:
-    """Report the requests that C has answered to a trace, one by one."""
     for request, answer in zip(split(requests), split(answers), strict=True):
         trace.tell("received", request, request[UNIT], request[FUNCTION])
         trace.tell("sent", answer, answer[UNIT], answer[FUNCTION])

@@ -12,21 +12,11 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 
+from ..device import state
 from ..device.device import Device
-from ..device.state import (
-    fingerprint,
-    load_state,
-    read_text,
-    remove_leftovers,
-    replace_file,
-    state_text,
-    unit_text,
-)
 from ..ports.port import abandoned_in_children
 from ..protocol.logs import HarmlessLogger
 from ..system import lock_file
-
-__all__ = ["StateFile"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -118,7 +108,7 @@ class StateFile:
                 raise BlockingIOError(error.errno, "in use by another program") from None
             raise
         self._lock = descriptor
-        remove_leftovers(self._path)
+        state.remove_leftovers(self._path)
 
     def _load(self) -> None:
         try:
@@ -128,7 +118,7 @@ class StateFile:
                 raise ValueError(f"{self._path}: {error.strerror}") from None
             self._fail(error)
         try:
-            text = read_text(self._path)
+            text = state.read_text(self._path)
         except FileNotFoundError:
             return
         except OSError as error:
@@ -136,7 +126,7 @@ class StateFile:
         if text == self._text:
             return
         try:
-            load_state(self._path, text, self._served())
+            state.load_state(self._path, text, self._served())
         except ValueError as error:
             advice = "rename the file to start without its values"
             raise ValueError(f"{error}; no value was loaded: {advice}") from None
@@ -147,16 +137,16 @@ class StateFile:
         try:
             units: dict[int | None, tuple[object, str]] = {}
             for unit, device in self._served().items():
-                values = device, fingerprint(device)
+                values = device, state.fingerprint(device)
                 before, text = self._units.get(unit, (None, ""))
-                units[unit] = values, text if values == before else unit_text(unit, device)
+                units[unit] = values, text if values == before else state.unit_text(unit, device)
             if units == self._units and not self._is_failing:
                 return
             self._units = units
-            text = state_text(text for _, text in units.values())
+            text = state.state_text(text for _, text in units.values())
             if text != self._text or self._is_failing:
                 self._take_lock()
-                replace_file(self._path, text)
+                state.replace_file(self._path, text)
                 self._text = text
         except Exception as error:
             self._fail(error)

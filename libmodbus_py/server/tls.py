@@ -9,36 +9,33 @@ from __future__ import annotations
 
 import asyncio
 import ssl
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
-from ..device.limited_log import LimitedLog
+from ..device.authorization import LimitedLog
 from ..ports.trace import Trace
 from ..protocol.errors import FrameError
 from ..protocol.logs import HarmlessLogger
-from ..security.describing import CertificateHolder, describe, holder_of, in_words
+from ..security.certificates import (
+    CertificateHolder,
+    describe,
+    holder_of,
+    in_words,
+    mentions_role,
+    role_of,
+)
 from ..security.files import Acceptance
-from ..security.role import mentions_role, role_of
 from ..security.security import Security
 from ..security.tunnel import Records, Tunnel
 from .audit import Audit
 from .limits import Limits, ServerStatistics, host_of
-from .peer import READ_BYTES
-from .service import UNREAD, Channel, MakeSession, Session, SessionState
-
-__all__ = ["Handshakes", "TlsSession"]
+from .peer import READ_BYTES, Peer
+from .service import UNREAD, MakeSession, Session, SessionState
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # The number of unfinished handshakes; each takes about 50 kB. With one more, the oldest is
 # given up, of the address that has most.
 HALF_OPEN = 1000
-
-
-class Wire(Channel, Protocol):
-    """The channel of a TCP connection, which can be closed."""
-
-    def end(self) -> None:
-        """Close the connection when all requests are answered, and the answers sent."""
 
 
 class Whose(NamedTuple):
@@ -87,7 +84,6 @@ class Handshakes:
         self._check_certificates()
 
     def close(self) -> None:
-        """Stop checking certificates; may be called any number of times."""
         self.statistics.certificate_ends.pop(self._place, None)
         if self._next_check is not None:
             self._next_check.cancel()
@@ -104,7 +100,6 @@ class Handshakes:
         return self.security.to_client()
 
     def end(self, session: TlsSession) -> None:
-        """Remove a handshake that succeeded or failed; may be called any number of times."""
         self._count -= _removed(self._half_open, session)
         _removed(self._line, session)
 
@@ -156,19 +151,14 @@ def _removed(places: dict[str, dict[TlsSession, None]], session: TlsSession) -> 
 
 
 class TlsSession:
-    """
-    A session within TLS: decrypts for the session inside, whose channel it is, and encrypts
-    answers.
-    """
+    """A session within TLS: decrypts for the session inside, whose channel it is, and encrypts."""
 
-    # fmt: off
     __slots__ = (
         "_acceptance", "_handshakes", "_has_more", "_inner", "_make", "_records", "_timer",
         "_tunnel", "_wire", "address", "holder", "host", "role", "trace",
-    )
-    # fmt: on
+    )  # fmt: skip
 
-    def __init__(self, wire: Wire, handshakes: Handshakes, make: MakeSession) -> None:
+    def __init__(self, wire: Peer, handshakes: Handshakes, make: MakeSession) -> None:
         self.address: str = wire.address
         self.host: str = host_of(wire.address)  # what its handshake counts for
         self.trace: Trace | None = None
@@ -333,9 +323,7 @@ class TlsSession:
     # --- requests -------------------------------------------------------------------------------
 
     def _take(self, tunnel: Tunnel, inner: Session, *, is_one: bool) -> int:
-        """
-        Pass a slice of the received bytes on; `is_one`: it is one record, with nothing behind it.
-        """
+        """Pass a slice of the received bytes on; `is_one`: one record, with nothing behind it."""
         requests, room = 0, READ_BYTES
         self._has_more = False
         try:

@@ -18,7 +18,7 @@ from functools import lru_cache
 from ipaddress import IPv6Address, ip_address
 from typing import TYPE_CHECKING, Any
 
-from ..device.limited_log import LimitedLog
+from ..device.authorization import LimitedLog
 from ..ports.endpoint import Endpoint
 from ..ports.hosts import host_and_port, is_loopback
 from ..ports.port import abandoned_in_children
@@ -41,10 +41,8 @@ from .peers import bound
 from .service import ENDS, TURN_EVENTS, Service, Session, SessionState
 
 if TYPE_CHECKING:
-    from ..security.describing import CertificateHolder
+    from ..security.certificates import CertificateHolder
     from .audit import Audit
-
-__all__ = ["Sources", "UdpServer"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -66,19 +64,18 @@ class UdpServer:
         statistics: ServerStatistics,
         end: Callable[[], None],
     ) -> None:
+        self.framing: Framing = endpoint.framing
+        self.sources = sources
+        self.waiting: set[Session] = set()  # of datagrams whose answers are delayed
         self._endpoint = endpoint
         self._service = service
         self._statistics = statistics
-        self._sources = sources
         self._end = end
         self._loop = asyncio.get_running_loop()
         self._sockets: list[socket.socket] = []
-        # Datagrams whose answers are delayed.
-        self._waiting: set[Session] = set()
         abandoned_in_children(self)
 
     async def open(self) -> Endpoint:
-        """Open the sockets, and return the endpoint with its port."""
         self._sockets, endpoint = await bound(self._endpoint, socket.SOCK_DGRAM, bound_datagrams)
         self._make_session = self._service.sessions(endpoint, self._statistics)
         for listener in self._sockets:
@@ -86,9 +83,9 @@ class UdpServer:
         return endpoint
 
     def close(self) -> None:
-        for session in list(self._waiting):
+        for session in list(self.waiting):
             session.close()
-        self._waiting.clear()
+        self.waiting.clear()
         for listener in self._sockets:
             self._loop.remove_reader(listener.fileno())
             listener.close()
@@ -105,12 +102,12 @@ class UdpServer:
                 data, address = local.recvfrom(MAX_RECEIVED)
             except OSError:  # nothing more, or a client that has gone away
                 return
-            if not data or not self._sources.admit(data, address):
+            if not data or not self.sources.admit(data, address):
                 continue
-            if len(self._waiting) >= REMEMBERED_MAX:
+            if len(self.waiting) >= REMEMBERED_MAX:
                 message = "%s: datagrams are dropped: %d requests wait for their answers"
                 name = host_and_port(*address[:2])
-                self._sources.log.warning(message, name, len(self._waiting))
+                self.sources.log.warning(message, name, len(self.waiting))
             else:
                 try:
                     self._answer(data, local, address)
@@ -119,8 +116,7 @@ class UdpServer:
                     raise
 
     def _answer(self, data: bytes, local: socket.socket, address: tuple[str, int]) -> None:
-        framing = self._endpoint.framing
-        channel = _Datagram(self._sources, framing, self._waiting, local, address)
+        channel = _Datagram(self, local, address)
         session = channel.session = self._make_session(channel)
         session.receive(data)
         if session.state is SessionState.READING:
@@ -135,36 +131,28 @@ class _Datagram:
     holder: CertificateHolder | None = None
     trace: Trace | None = None
 
-    def __init__(
-        self,
-        sources: Sources,
-        framing: Framing,
-        waiting: set[Session],
-        local: socket.socket,
-        source: tuple[str, int],
-    ) -> None:
+    session: Session | None = None
+
+    def __init__(self, server: UdpServer, local: socket.socket, source: tuple[str, int]) -> None:
         self.address = host_and_port(*source[:2])
-        self.session: Session | None = None
-        self._sources = sources
-        self._framing: Framing = framing
-        self._waiting = waiting
+        self._server = server
         self._local = local
         self._source = source
 
     def follow(self) -> None:
-        session = self.session
-        if session is None:
+        if (session := self.session) is None:
             return
         if session.state is SessionState.READING:
-            self._waiting.discard(session)
+            self._server.waiting.discard(session)
         else:
-            self._waiting.add(session)
+            self._server.waiting.add(session)
 
     def hang_up(self) -> bool:
         return False
 
     def write(self, data: bytes) -> None:
-        self._sources.note_answer(data, pdu_of(self._framing, data), self._source)
+        server = self._server
+        server.sources.note_answer(data, pdu_of(server.framing, data), self._source)
         # An answer that cannot be sent counts as lost on the way.
         with contextlib.suppress(OSError):
             self._local.sendto(data, self._source)
@@ -192,21 +180,20 @@ class Sources:
 
     def admit(self, datagram: bytes, source: tuple[str, int]) -> bool:
         """Return True if a datagram is to be answered; count it if not."""
-        host = source[0]
+        host, name = source[0], host_and_port(*source[:2])
         if not self._limits.allows(host):
             self._statistics.disallowed += 1
-            name = host_and_port(*source[:2])
             self.log.warning("%s: refused: not in an allowed network", name)
             if self._auditor is not None:
                 self._auditor.note_disallowed(host, name)
         elif self._returns_too_often(datagram, source):
             self._statistics.reflected += 1
             message = "%s: datagrams are dropped: they are answers that came back"
-            self.log.warning(message, host_and_port(*source[:2]))
+            self.log.warning(message, name)
         elif self._is_too_fast(host):
             self._statistics.throttled += 1
             message = "%s: datagrams are dropped: more than %g a second (requests_per_second)"
-            self.log.warning(message, host_and_port(*source[:2]), self._rate)
+            self.log.warning(message, name, self._rate)
         else:
             return True
         return False
@@ -265,14 +252,12 @@ class AllAddresses(socket.socket):
     """A UDP socket that is bound to all addresses of this machine."""
 
     def recvfrom(self, *arguments: int) -> tuple[bytes, DatagramSource]:
-        """Return a datagram, and the address for `sendto`. Raises OSError."""
         data, control, _, address = self.recvmsg(arguments[0], ROOM)
         source = DatagramSource(address)
         source.control = [_choice(*item) for item in control]
         return data, source
 
     def sendto(self, data: Any, *arguments: Any) -> int:
-        """Send an answer to an address of `recvfrom`. Raises OSError."""
         (source,) = arguments
         return self.sendmsg([data], source.control, 0, source)
 

@@ -20,8 +20,6 @@ from ..protocol.pdu import Diagnostics
 from .faults import Faults
 from .service import Channel
 
-__all__ = ["UNKNOWN_UNIT_POLICIES", "SerialUnits", "TcpUnits", "Units", "UnknownUnit"]
-
 # A device, and its notes about a line.
 Station = tuple[Device, EventLog]
 
@@ -75,7 +73,6 @@ class Units:
             self._answer_as(integer("own_unit", own_unit, 0, 255))
 
     def caller(self, unit: int, client: Channel) -> Caller:
-        """Return the origin of a request."""
         note, auditor = self.on_unauthorized, self.auditor
         return Caller(unit, client.address, None, False, client.role, note, client.holder, auditor)
 
@@ -114,15 +111,12 @@ class TcpUnits:
         return has_faults or self._shared.auditor is not None
 
     def device(self, unit: int) -> Device | None:
-        """Return the device of a unit, if there is one."""
         return self._devices.get(unit, self._shared.any)
 
     def has(self, unit: int) -> bool:
-        """Return True if requests to a unit are answered, as all are on a network."""
         return True
 
     def is_answered(self, frame: Frame) -> bool:
-        """Return True if a request is answered."""
         is_known = self._refuses or self.device(frame.unit) is not None
         return is_known and not frame.pdu[0] & 0x80
 
@@ -194,11 +188,9 @@ class SerialUnits:
         return self._line.shared.faults
 
     def has(self, unit: int) -> bool:
-        """Return True if a device of this server answers requests to a unit."""
         return self._line.shared.any is not None or unit in self._line.stations
 
     def is_answered(self, frame: Frame) -> bool:
-        """Return True if a request is answered by a device of this server."""
         station = self._station(frame.unit)
         if station is None or frame.unit == 0:
             return False

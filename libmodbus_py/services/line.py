@@ -34,7 +34,7 @@ from typing import Any, Generic, TypeVar
 
 from ..client.asynchronous import AsyncClient
 from ..client.sender import Sender, Submitted
-from ..ports.waiting_async import Alarm
+from ..ports.waiting import Alarm
 from ..protocol.errors import ExceptionResponse, ModbusTimeoutError
 
 SHORTEST_TRIAL_S = 0.02

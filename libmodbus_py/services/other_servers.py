@@ -20,8 +20,8 @@ from urllib.parse import urlsplit
 from ..files.texts import FileError, FilePlace
 from ..ports.hosts import host_and_port
 from ..protocol.mistakes import WrongType, WrongValue
-from ..security.describing import in_words
-from ..security.renewed import Renewed, read_secret
+from ..security.certificates import in_words
+from ..security.security import Renewed, read_secret
 
 
 class ServerUrl(NamedTuple):

@@ -15,8 +15,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
 
 from ..device.state import replace_file
-from ..security.describing import time_in
-from ..security.role import role_of
+from ..security.certificates import role_of, time_in
 from .certificates import EARLIER, Identity, check_days, load
 
 AUTHORITY = "ca"

@@ -18,8 +18,8 @@ from itertools import chain
 from pathlib import Path
 
 from ..device.state import replace_file
-from ..protocol.extras import what_is_missing
-from ..security.role import ROLE_OID, encode_role
+from ..security.certificates import ROLE_OID, encode_role
+from ..version import what_is_missing
 
 try:
     from cryptography import x509

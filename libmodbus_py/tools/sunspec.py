@@ -18,14 +18,14 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar, overload
 from ..client.functions_async import AsyncFunctions
 from ..client.functions_blocking import BlockingFunctions
 from ..maps.point import Point
-from ..maps.point_checks import MAX_DESCRIPTION
+from ..maps.point_checks import TEXTS
 from ..maps.register_map import RegisterMap
 from ..protocol import pdu
 from ..protocol.checks import integer
 from ..protocol.errors import ExceptionResponse, ModbusError
-from ..protocol.extras import what_is_missing
 from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.tables import TABLE_SIZE, Table
+from ..version import what_is_missing
 
 BASES = (0, 40000, 50000)
 """The addresses at which SunSpec allows a chain to begin."""
@@ -441,7 +441,7 @@ def _keys(point: Mapping[str, Any], scales: Mapping[str, str]) -> dict[str, Any]
     keys = {
         "access": "read_write" if point.get("access") == "RW" else "read",
         "units": point.get("units", "").strip(),
-        "description": "".join(filter(str.isprintable, description))[:MAX_DESCRIPTION],
+        "description": "".join(filter(str.isprintable, description))[: TEXTS["description"][1]],
     }
     if kind == "string" and size <= LONGEST_TEXT:
         return {**keys, "type": f"string:{2 * size}", "encoding": "utf-8", "missing": "sunspec"}

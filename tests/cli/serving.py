@@ -1,6 +1,4 @@
-"""
-Commands that serve, a device, a map and a fleet file, for the tests of commands.
-"""
+"""Commands that serve, a device, a map and a fleet file, for the tests of commands."""
 
 import re
 import signal

@@ -10,7 +10,8 @@ from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.cli.arguments import endpoint_of
 from libmodbus_py.cli.commands import parse_arguments
 from libmodbus_py.cli.foreign import OPTIONS
-from libmodbus_py.ports.options import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
+from libmodbus_py.ports.options import CLIENT_OPTIONS, SERIAL_OPTIONS
+from libmodbus_py.ports.schemes import SECURITY_OPTIONS
 from tests.cli.serving import serving
 from tests.docs.test_other_tools import rows
 from tests.support.cases import each_case
@@ -45,16 +46,11 @@ def test_a_gateway_has_options_for_its_devices_and_prints_frames(device: str) ->
     assert answered.endswith("07 06 00 00 02 2b\n")
 
 
-# --- endpoints -----------------------------------------------------------------------
-
-
 @each_case(
     ("query", "options", "unit"),
     [("?unit=7&timeout=5", [], 7), ("?unit=7", ["--unit", "9"], 9), ("", [], 1)],
 )
-def test_the_unit_is_that_of_the_url_unless_it_is_told(
-    query: str, options: list[str], unit: int
-) -> None:
+def test_the_unit_is_that_of_the_url_unless_it_is_told(query, options, unit) -> None:
     devices = {each: Device(Mapping(coils=each)) for each in (1, 7, 9)}
     with Server(devices).background("tcp://127.0.0.1:0") as running:
         where = [running.urls[0] + query, "coils", str(unit - 1)]
@@ -70,24 +66,15 @@ def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) 
     assert endpoint_of(options).options == {"echo": echo}
 
 
-# --- options of other programs: one line says what is typed in their place --------------
-
-
 @each_case(
     ("words", "said"),
     [
         ("-m enc h", "-m enc: type HOST, udp://HOST, rtu+tcp://HOST:PORT, /dev/ttyUSB0 or"),
         ("h -a 1:3,17", "-a 1:3,17: type -u 1-3,17"),
-        (
-            "h -a 1 -r 11 -c 2",
-            "-a 1: type -u 1; -r 11: type hr 10, because hr counts from 0;",
-        ),
+        ("h -a 1 -r 11 -c 2", "-a 1: type -u 1; -r 11: type hr 10, because hr counts from 0;"),
         ("h -r x", "-r x: type hr N, which"),
         ("h -c 2", "-c 2: type hr N 2"),
-        (
-            "h -t 3",
-            "-t 3: type co, di, ir or hr N for 0, 1, 3 or 4; --hex, or --type,",
-        ),
+        ("h -t 3", "-t 3: type co, di, ir or hr N for 0, 1, 3 or 4; --hex, or --type,"),
         ("h hr 0 -B", "-B: type no --order"),
         ("h hr 0 -1", "-1: type nothing, because a read without --watch polls once"),
         ("h hr 0 -0", "-0: type hr 0, which counts from 0"),
@@ -98,17 +85,12 @@ def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) 
         ("h --port=1502", "--port 1502: type HOST:1502"),
         ("h --slave 3", "--slave 3: type -u 3"),
         ("h --id", "--id: type -u N"),
-        (
-            "h --function 43",
-            "--function 43: type co, di, hr or ir N for 1 to 4, write HOST",
-        ),
+        ("h --function 43", "--function 43: type co, di, hr or ir N for 1 to 4, write HOST"),
         ("--host h hr 0", "--host h: type h without an option"),
     ],
 )
 @each_case("command", ["read", "write", "identify"])
-def test_an_option_of_another_program_has_its_equivalent(
-    command: str, words: str, said: str
-) -> None:
+def test_an_option_of_another_program_has_its_equivalent(command, words, said) -> None:
     if command == "write" and words.endswith(("-1", "-0")):  # there these are values
         return
     done = run(command, *words.split())
@@ -134,9 +116,6 @@ def test_every_option_of_the_page_about_other_programs_has_one(tool: str) -> Non
     theirs = {text.split()[0].strip("`,") for text, _ in rows(tool)}
     ours = {"-b", "-u", "-v", "-m"}  # which mean something here, too
     assert {each for each in theirs if each.startswith("-")} - ours <= set(OPTIONS)
-
-
-# --- a device in place of a command ---------------------------------------------------------
 
 
 def test_a_command_that_is_left_out_reads() -> None:

@@ -1,6 +1,4 @@
-"""
-The command certificates: what lies in the directory afterwards.
-"""
+"""The command certificates: what lies in the directory afterwards."""
 
 import shlex
 import ssl
@@ -9,12 +7,11 @@ import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-import pytest
 from cryptography import x509
 
-from libmodbus_py.protocol.extras import how_to_add
-from libmodbus_py.security.role import role_of
+from libmodbus_py.security.certificates import role_of
 from libmodbus_py.tools.page.page import TOKEN
+from libmodbus_py.version import how_to_add
 from tests.cli.serving import serving
 from tests.support.cases import each_case
 from tests.support.commands import Done, run
@@ -70,9 +67,7 @@ def test_options(tmp_path: Path) -> None:
     assert timedelta(days=6) < left < timedelta(days=7)
 
 
-def test_without_cryptography_it_says_what_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_cryptography_it_says_what_to_install(tmp_path, monkeypatch) -> None:
     missing = [name for name in sys.modules if name.startswith("libmodbus_py.tools.certificates")]
     for name in missing:
         monkeypatch.delitem(sys.modules, name)
@@ -90,8 +85,6 @@ def test_the_commands_it_prints_work(tmp_path: Path) -> None:
         done = run(*read)
     assert (done.out, done.err) == ("    0  0\n", "")
 
-
-# --- of machines ----------------------------------------------------------------------------
 
 LONG = "a-machine-whose-name-is-longer-than-a-common-name-may-be-in-a-plant.example"
 
@@ -148,9 +141,7 @@ def test_an_authority_without_its_key_is_named(left: str | None, tmp_path: Path)
     assert not (tmp_path / "n2").exists()
 
 
-def test_what_cannot_be_written_leaves_no_half(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_written_leaves_no_half(tmp_path, monkeypatch) -> None:
     def full(descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
@@ -158,9 +149,6 @@ def test_what_cannot_be_written_leaves_no_half(
     assert made(tmp_path, "n1").code == 1
     assert made(tmp_path).code == 1
     assert [each for each in tmp_path.rglob("*") if each.is_file()] == []
-
-
-# --- what becomes of them ---------------------------------------------------------------------
 
 
 def names_of(done: Done) -> dict[str, list[str]]:
@@ -280,9 +268,6 @@ def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
     made(tmp_path / "others", "--crl")
     (tmp_path / "crl.pem").write_bytes((tmp_path / "others" / "crl.pem").read_bytes())
     assert "is not signed by" in made(tmp_path, "--list").err
-
-
-# --- tokens -----------------------------------------------------------------------------------
 
 
 def test_a_token_is_new_and_its_file_is_of_its_owner(tmp_path: Path) -> None:

@@ -1,6 +1,4 @@
-"""
-Completion in real shells and whatever the order of the words.
-"""
+"""Completion in real shells and whatever the order of the words."""
 
 import os
 import re
@@ -11,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py.protocol.extras import how_to_add
+from libmodbus_py.version import how_to_add
 from tests.support.cases import each_case
 from tests.support.commands import PROGRAM
 from tests.support.programs import run_to_end

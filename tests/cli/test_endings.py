@@ -1,6 +1,4 @@
-"""
-How commands end: by a signal, by a pipe that is closed, and by an error that nobody expected.
-"""
+"""How commands end: by a signal, by a pipe that is closed, and by an error that nobody expected."""
 
 import re
 import signal
@@ -156,9 +154,6 @@ def test_tls_at_a_server_without(tmp_path: Path) -> None:
         assert done.code == 1
         assert "no TLS handshake" in done.err
         assert "is it tcp://?" in done.err
-
-
-# --- colour on terminals ----------------------------------------------------------
 
 
 def shown_on_terminal(*words: str, **environment: str) -> str:

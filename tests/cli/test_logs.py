@@ -1,6 +1,4 @@
-"""
---log and --log-format: what commands that run for long log, and how.
-"""
+"""--log and --log-format: what commands that run for long log, and how."""
 
 import json
 import logging
@@ -33,9 +31,7 @@ def said(capsys: pytest.CaptureFixture[str], log: str | None, form: str | None) 
 @pytest.mark.parametrize(
     ("level", "count"), [("debug", 3), ("info", 2), ("warning", 1), ("error", 0), (None, 1)]
 )
-def test_messages_of_a_level_and_above_are_objects(
-    level: str | None, count: int, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_messages_of_a_level_and_above_are_objects(level, count, capsys) -> None:
     entries = [json.loads(line) for line in said(capsys, level, "json").splitlines()]
     assert len(entries) == count
     if entries:
@@ -56,9 +52,7 @@ def test_messages_of_a_level_and_above_are_objects(
         ("gateway tcp://127.0.0.1:0", 2),
     ],
 )
-def test_each_line_is_an_object_whoever_prints_it(
-    command: str, code: int, device: str, tmp_path: Path
-) -> None:
+def test_each_line_is_an_object_whoever_prints_it(command, code, device: str, tmp_path) -> None:
     folder = tmp_path / "Kälte"
     folder.mkdir()
     (folder / "fleet.toml").write_text(FLEET_OF_ONE.format(url=device))

@@ -182,10 +182,7 @@ def test_an_output_that_is_full_or_that_nobody_reads(url: str, words: str) -> No
     typed = words.replace("URL", url).split()
     with open("/dev/full", "w") as full:
         done = run(*typed, out=full)
-    assert (done.code, done.err) == (
-        1,
-        "libmodbus-py: standard output: No space left on device\n",
-    )
+    assert (done.code, done.err) == (1, "libmodbus-py: standard output: No space left on device\n")
     reading, writing = os.pipe()
     os.close(reading)
     with open(writing, "w") as pipe:

@@ -92,8 +92,7 @@ def url(tmp_path: Path) -> Iterator[str]:
     }
     for unit in (11, 12, 17):
         devices[unit] = Device(
-            Mapping(holding_registers={0: [unit, 0]}),
-            identification={"VendorName": f"ACME {unit}"},
+            Mapping(holding_registers={0: [unit, 0]}), identification={"VendorName": f"ACME {unit}"}
         )
     devices[12].server_id = pdu.ServerId(b"A", None, b"CME")
     for unit, cells in ((30, IRRADIANCE), (31, IRRADIANCE[:-2])):
@@ -156,9 +155,7 @@ def printed(command: str, url: str, folder: Path) -> list[str]:
         ("gateway", ["tcp://127.0.0.1:0", "--to", "7=URL"]),
     ],
 )
-def test_a_server_announces_itself(
-    name: str, arguments: list[str], url: str, tmp_path: Path, golden: Golden
-) -> None:
+def test_a_server_announces_itself(name, arguments, url: str, tmp_path, golden: Golden) -> None:
     device = tmp_path / "device.toml"
     device.write_text("".join(f"[[unit]]\nid = {unit}\n" for unit in (7, 8)))
     to = url.partition("?")[0]

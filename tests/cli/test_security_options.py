@@ -1,6 +1,4 @@
-"""
-TLS from the command line: what it takes, and what it says when that is wrong.
-"""
+"""TLS from the command line: what it takes, and what it says when that is wrong."""
 
 import hashlib
 import logging

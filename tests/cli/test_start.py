@@ -1,6 +1,4 @@
-"""
-What a command imports before it starts, and the demonstration.
-"""
+"""What a command imports before it starts, and the demonstration."""
 
 import os
 import socket
@@ -108,9 +106,7 @@ def test_ctrl_c_while_it_starts_shows_nothing_of_python() -> None:
 
 
 @pytest.mark.parametrize(("cause", "code"), [(KeyboardInterrupt(), 130), (None, 1)])
-def test_ctrl_c_that_became_another_error_is_still_one(
-    monkeypatch: pytest.MonkeyPatch, cause: BaseException | None, code: int
-) -> None:
+def test_ctrl_c_that_became_another_error_is_still_one(monkeypatch, cause, code) -> None:
     """As in `__set_name__`, while a class is made; a mistake of ours is one line."""
 
     def fail(_: object) -> None:

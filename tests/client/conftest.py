@@ -1,6 +1,4 @@
-"""
-What the tests of clients share.
-"""
+"""What the tests of clients share."""
 
 from collections.abc import Iterator
 from typing import Any

@@ -1,6 +1,4 @@
-"""
-The asyncio client at the edges of its port: sends that fail or take a while, and its clock.
-"""
+"""The asyncio client at the edges of its port: sends that fail or take a while, and its clock."""
 
 import asyncio
 import contextlib
@@ -40,9 +38,7 @@ def test_a_line_that_must_be_turned_round_is_sent_to_after_its_delay(rs485: str)
     run_client(answer_rtu, use, f"rtu:///dev/line?unit=1&rs485={rs485}&rts_delay=0.25")
 
 
-def test_a_send_that_fails_is_told_at_once_and_the_next_goes_over_another_connection(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_send_that_fails_is_told_at_once_and_the_next_goes_over_another_connection(monkeypatch):
     kind = memory_port("tcp")
     send = kind.send
     failing = [True]
@@ -132,9 +128,7 @@ def test_another_event_loop_is_refused_in_words() -> None:
 
 
 @pytest.mark.parametrize("pending", [False, True])
-def test_a_loop_that_was_closed_under_a_client_leaves_a_client_that_can_be_dropped(
-    pending: bool, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_loop_that_was_closed_under_a_client_leaves_a_client_that_can_be_dropped(pending, caplog):
     """All that needs no loop works, and the descriptor is closed with the last handle."""
     loop = asyncio.new_event_loop()
 

@@ -1,6 +1,4 @@
-"""
-Answers that are none: the right error, at the right time, and the next request succeeds.
-"""
+"""Answers that are none: the right error, at the right time, and the next request succeeds."""
 
 from collections.abc import Callable
 from typing import Any
@@ -103,9 +101,7 @@ def test_tcp_error_and_next_request_succeeds(world: World, name: str) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls", "udp", "unix"])
-def test_an_exception_whose_length_counts_a_byte_too_much_is_taken(
-    world: World, scheme: str
-) -> None:
+def test_an_exception_whose_length_counts_a_byte_too_much_is_taken(world: World, scheme) -> None:
     """wlcrs/tmodbus#146: exceptions of 9 bytes whose header says 4 in place of 3."""
     refused = tcp(b"\x83\x02", length=4)
     peer = world.peer(scheme, answering(refused, refused, good_tcp))
@@ -200,8 +196,6 @@ def test_connection_closed_in_mid_answer(world: World) -> None:
         assert peer.connections == 2
 
 
-# --- serial lines --------------------------------------------------------------------
-
 BAD_SERIAL: dict[str, tuple[str, int, type[ModbusError]]] = {
     # unit and PDU, what the check bytes are spoilt with, and the error
     "wrong check": (GOOD_SERIAL, 1, FrameError),
@@ -266,9 +260,6 @@ def test_serial_resynchronises_after_trouble(world: World, trouble: str, scheme:
             assert values(context) == VALUES
 
 
-# --- on lines ------------------------------------------------------------------------------------
-
-
 STRAYS: dict[str, Callable[[bytes], bytes]] = {
     "00": lambda request: b"\x00",
     "FF": lambda request: b"\xff",
@@ -284,9 +275,7 @@ STRAYS: dict[str, Callable[[bytes], bytes]] = {
 
 @pytest.mark.parametrize("pause", [0, 0.03])
 @pytest.mark.parametrize("stray", STRAYS)
-def test_what_stands_before_each_answer_on_a_line_harms_none(
-    stray: str, pause: float, world: World
-) -> None:
+def test_what_stands_before_each_answer_on_a_line_harms_none(stray, pause, world: World) -> None:
     """A transceiver that turns round makes bytes; a pause is longer than the framer's silence."""
 
     def strayed(request: bytes, write: Write) -> None:
@@ -296,9 +285,6 @@ def test_what_stands_before_each_answer_on_a_line_harms_none(
 
     with world.client_of("rtu", strayed) as client:
         assert [read(client, address) for address in range(40)] == list(range(40))
-
-
-# --- over TCP ------------------------------------------------------------------------------------
 
 
 def test_a_late_answer_during_a_request_does_not_fail_it(world: World) -> None:
@@ -341,9 +327,6 @@ def test_a_device_that_is_unit_255_to_everybody_is_reached_with_an_option(world:
     for options, query in (({"accept_unit": "any"}, ""), ({}, "?accept_unit=any")):
         with world.connect(peer.url + query, unit=3, **options) as client:
             assert [read(client, address) for address in range(5)] == list(range(5))
-
-
-# --- before a request goes out -------------------------------------------------------------------
 
 
 def test_what_came_meanwhile_is_no_answer_to_the_next_request(world: World) -> None:

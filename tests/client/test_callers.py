@@ -1,51 +1,18 @@
-"""
-Callers in bytes and times: who is told what, who leaves, who is interrupted.
-"""
-
-from __future__ import annotations
+"""Callers in bytes and times: who is told what, who leaves, who is interrupted."""
 
 import asyncio
 import errno
-import itertools
 import logging
-import math
 from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    IllegalDataAddress,
-    ModbusConnectionError,
-    ModbusTimeoutError,
-    pdu,
-)
-from libmodbus_py.client.call import Batch, Timeouts, raised
+from libmodbus_py import IllegalDataAddress, ModbusConnectionError, pdu
+from libmodbus_py.client.call import Batch, Timeouts
 from libmodbus_py.client.reconnecting import State
 from libmodbus_py.ports.trace import Traced
-from tests.support.cases import each_case
 from tests.support.replies import BOTH, answer, exchange, refusal
 from tests.support.talk import ASCII, LINE, TCP, Talk, ascii_frame, kinds, tcp
-
-
-@BOTH
-def test_all_is_counted(url: str) -> None:
-    talk = Talk(url, timeout=1, retries=1)
-    talk.ask(1)
-    talk.come(answer(talk))
-    talk.wait_until(1)
-    talk.ask(2)
-    talk.come(refusal(talk, 2))
-    talk.ask(3, retries=0)
-    talk.wait(1)
-    talk.come(answer(talk))
-    talk.lose()
-    statistics = talk.statistics
-    assert (statistics.requests, statistics.responses, statistics.exceptions) == (3, 2, 1)
-    assert (statistics.timeouts, statistics.late_answers, statistics.retries) == (1, 1, 0)
-    assert (statistics.connects, statistics.lost, statistics.failed_connects) == (1, 1, 0)
-    assert statistics.last_success == 1
-    talk.fail()
-    assert statistics.failed_connects == 1
 
 
 def test_a_trace_is_told_of_everything() -> None:
@@ -93,9 +60,7 @@ class Failing(pdu.ReadHoldingRegisters):
 @pytest.mark.parametrize(
     "error", [ZeroDivisionError(), ValueError(), KeyboardInterrupt(), asyncio.CancelledError()]
 )
-def test_what_a_request_class_raises_reaches_its_own_caller_only(
-    url: str, error: BaseException
-) -> None:
+def test_what_a_request_class_raises_reaches_its_own_caller_only(url: str, error) -> None:
     kind = type("Kind", (Failing,), {"__slots__": (), "error": error})
     talk = Talk(url)
     for go_on in (True, False):
@@ -135,23 +100,6 @@ def test_an_outcome_that_cannot_be_compared_harms_nobody() -> None:
     assert batch.is_done
 
 
-# --- who leaves ------------------------------------------------------------------------------
-
-
-@BOTH
-def test_they_are_told_nothing_any_more(url: str) -> None:
-    talk = Talk(url, timeout=1)
-    batch = talk.batch(1)
-    told: list[Batch] = []
-    batch.on_done = told.append
-    talk.connection.submit(batch, talk.now)
-    talk.start()
-    talk.cancel(batch)
-    talk.wait(3)
-    assert batch.is_done
-    assert told == []
-
-
 def test_requests_that_were_not_sent_are_no_sign_of_a_dead_device() -> None:
     talk = Talk(timeout=1, max_in_flight=1)
     talk.ask(1)
@@ -186,49 +134,7 @@ def test_a_batch_that_failed_while_it_waited_can_be_left() -> None:
     assert talk.is_at_rest
 
 
-# --- who is interrupted ----------------------------------------------------------------------
-
-LATE = ModbusConnectionError("no connection in time", errno=errno.ETIMEDOUT)
-
-
 INTERRUPTED = ModbusConnectionError("interrupted", errno=errno.EINTR)
-
-
-def test_an_attempt_may_take_as_long_as_the_caller_with_most_time_waits() -> None:
-    talk = Talk(is_open=False)
-    assert talk.connection.begin_connecting(talk.now) is None
-    for timeout in (1, 3, 2):
-        talk.ask(1, timeout=timeout)
-    assert talk.connection.begin_connecting(talk.now) == 3
-
-
-@each_case(("until", "is_done"), [(1.0, False), (2.9, False), (3.0, True), (math.inf, True)])
-def test_who_has_more_time_than_the_attempt_waits_for_the_next(until: float, is_done: bool) -> None:
-    talk = Talk(is_open=False, max_pause=0)
-    short, long = talk.ask(1, timeout=1), talk.ask(2, timeout=3)
-    talk.life.connecting()
-    talk.now = 1.0
-    talk.connection.failed(LATE, talk.now, until)
-    assert kinds(short) == [ModbusConnectionError]
-    assert long.is_done is is_done
-    assert talk.connection.is_wanted is not is_done
-    if not is_done:
-        assert talk.matching.alarm <= 3.0
-        talk.wait_until(2.9)
-        assert not long.is_done
-        talk.wait_until(3.0)
-        assert "no connection" in str(long.outcomes[0])
-    assert talk.is_at_rest
-
-
-def test_a_refused_attempt_fails_all_who_wait() -> None:
-    talk = Talk(is_open=False, max_pause=0)
-    batch = talk.ask(1, timeout=9)
-    talk.life.connecting()
-    refused = ModbusConnectionError("refused", errno=errno.ECONNREFUSED)
-    talk.connection.failed(refused, 0.5, 1.0)
-    assert kinds(batch) == [ModbusConnectionError]
-    assert batch.outcomes[0].errno == errno.ECONNREFUSED
 
 
 @BOTH
@@ -275,58 +181,9 @@ def test_a_connection_that_was_lost_begins_with_nothing_in_flight() -> None:
     assert talk.connection.in_flight == 1
 
 
-# --- batches ----------------------------------------------------------------------------------
-
-
-NO_ANSWER = ModbusTimeoutError("late")
-
-
-def batch(count: int, **options: Any) -> Batch:
-    requests: list[pdu.Request[Any]] = [pdu.ReadCoils(number, 1) for number in range(count)]
-    return Batch(1, requests, Timeouts(1, 0, 0), **options)
-
-
-def settle(made: Batch, *outcomes: tuple[int, Any]) -> None:
-    for index, outcome in outcomes:
-        made.calls[index].settle(outcome)
-
-
-@each_case("order", list(itertools.permutations(range(3))))
-def test_all_results_decide_it_in_any_order(order: tuple[int, ...]) -> None:
-    made = batch(3)
-    for number in order:
-        assert not made.is_done
-        settle(made, (number, number))
-    assert made.is_done
-    assert made.outcomes == [0, 1, 2]
-
-
-@each_case("order", list(itertools.permutations(range(4))))
-def test_the_first_failure_decides_it_when_all_before_it_is_known(order: tuple[int, ...]) -> None:
-    """The third one fails: the fourth does not matter."""
-    made = batch(4)
-    known = set()
-    for number in order:
-        settle(made, (number, NO_ANSWER if number == 2 else number))
-        known.add(number)
-        assert made.is_done == ({0, 1, 2} <= known)
-    assert made.outcomes[:3] == [0, 1, NO_ANSWER]
-    with pytest.raises(ModbusTimeoutError):
-        raised(made.outcomes)
-
-
-def test_the_end_is_told_once() -> None:
-    told: list[Batch] = []
-    made = batch(1)
-    made.on_done = told.append
-    settle(made, (0, "first"), (0, "second"))
-    made.settle(NO_ANSWER)
-    assert (told, made.outcomes) == ([made], ["first"])
-
-
 def test_a_batch_that_fails_keeps_the_outcomes_it_has() -> None:
-    made = batch(3)
-    settle(made, (1, 1))
-    made.settle(NO_ANSWER)
+    made = Batch(1, [pdu.ReadCoils(0, 1), pdu.ReadCoils(1, 1)], Timeouts(1, 0, 0))
+    made.calls[1].settle("first")
+    made.settle(failure := ModbusConnectionError("interrupted", errno=errno.EINTR))
     assert made.is_done
-    assert made.outcomes[0] is NO_ANSWER
+    assert made.outcomes == [failure, "first"]

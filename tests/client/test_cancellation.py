@@ -1,8 +1,4 @@
-"""
-Callers that leave: at any step of the loop, while they wait for anything. Nobody else notices.
-"""
-
-from __future__ import annotations
+"""Callers that leave, at any step of the loop, while they wait. Nobody else notices."""
 
 import asyncio
 import contextlib
@@ -22,9 +18,6 @@ from tests.support.replies import answer
 from tests.support.talk import LINE, TCP, Talk
 
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
-
-
-# --- what it waits for ----------------------------------------------------------------------------
 
 
 def test_an_answer() -> None:
@@ -96,9 +89,7 @@ def test_a_pause(options: dict[str, Any]) -> None:
 
 @each_case("url", [LINE, TCP])
 @each_case("order", ["as given", "reverse", "random"])
-def test_many_that_wait_cost_few_steps_each(
-    url: str, order: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_many_that_wait_cost_few_steps_each(url, order, monkeypatch) -> None:
     """Comparisons of requests are counted: removed one by one from a list, millions."""
     talk, compared = Talk(url, max_in_flight=1), 0
 
@@ -126,9 +117,6 @@ def test_many_that_wait_cost_few_steps_each(
     talk.come(answer(talk))
     assert (present.outcomes, last.outcomes) == ([[1]], [[2]])
     assert talk.is_at_rest
-
-
-# --- at any step of the loop ----------------------------------------------------------------------
 
 
 def test_a_batch_among_others() -> None:

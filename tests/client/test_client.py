@@ -1,6 +1,4 @@
-"""
-AsyncClient: the vocabulary over every transport, and many requests at once.
-"""
+"""AsyncClient: the vocabulary over every transport, and many requests at once."""
 
 import asyncio
 from collections.abc import Callable
@@ -29,8 +27,6 @@ from tests.support.reads import echoes, reads
 from tests.support.scripted import run
 from tests.support.transports import serving
 
-# --- one vocabulary -------------------------------------------------------------------
-
 
 def test_wrong_arguments_are_told_where_the_call_is_awaited() -> None:
     async def main() -> None:
@@ -51,9 +47,6 @@ def test_many_tasks_each_get_their_own_answer(transport: str, mapping: Mapping) 
 
     with serving(transport, Server(Device(mapping))) as url:
         run(main(url))
-
-
-# --- many in flight -------------------------------------------------------------------
 
 
 class Counting:
@@ -107,9 +100,6 @@ def test_a_single_request_need_not_wait_for_a_long_batch() -> None:
     run_client(Counting(4), use, max_in_flight=4)
 
 
-# --- peers ----------------------------------------------------------------------------------
-
-
 Ask = Callable[[Any], object]
 
 
@@ -145,10 +135,7 @@ def agreements(functions: range) -> list[Ask]:
 
 
 @pytest.mark.parametrize("transport", ["tcp", "rtu"])
-def test_against_libmodbus_in_c(
-    compiled: Callable[[str], Any],
-    transport: str,
-) -> None:
+def test_against_libmodbus_in_c(compiled: Callable[[str], Any], transport: str) -> None:
     for what in agreements(range(1, 44)):
         with c_serving(compiled("server"), transport) as url:
             ask(url, what)

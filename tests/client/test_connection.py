@@ -1,18 +1,11 @@
-"""
-Timeouts, pauses, broadcasts, and connections that die, end and are made again, in bytes and times.
-"""
-
-from __future__ import annotations
+"""Timeouts, pauses, broadcasts, and connections that die and are made again, in bytes and times."""
 
 import pytest
 
 from libmodbus_py import ModbusConnectionError, ModbusTimeoutError, pdu
 from libmodbus_py.client.call import NOT_ASKED
-from tests.support.cases import each_case
 from tests.support.replies import BOTH, addresses, answer, refusal, unanswered
-from tests.support.talk import LINE, LOST, TCP, Talk, kinds, tcp, value
-
-# --- timeouts --------------------------------------------------------------------------
+from tests.support.talk import LINE, LOST, TCP, Talk, kinds, tcp
 
 
 @BOTH
@@ -28,19 +21,6 @@ def test_a_request_has_its_time_and_no_more(url: str) -> None:
     assert "no answer within 1 s" in str(error)
     assert talk.statistics.timeouts == 1
     assert talk.is_at_rest
-
-
-@pytest.mark.parametrize("timeout", [0.4, 3.0])
-def test_a_timeout_that_is_changed_meanwhile_holds_at_once(timeout: float) -> None:
-    talk = Talk(timeout=1)
-    batch = talk.ask(1)
-    talk.wait(0.2)
-    talk.timeouts.timeout = timeout
-    talk.matching.wake(talk.now)
-    talk.wait_until(timeout - 0.01)
-    assert not batch.is_done
-    talk.wait_until(timeout)
-    assert batch.is_done
 
 
 def test_waiting_for_others_requests_does_not_count() -> None:
@@ -79,9 +59,6 @@ def test_who_has_waited_for_a_connection_for_too_long_is_told_so() -> None:
     assert joining.is_done
     assert "within 1 s" in str(joining.outcome)
     assert talk.is_at_rest
-
-
-# --- dead connections ------------------------------------------------------------------
 
 
 def test_after_three_timeouts_in_a_row_the_next_request_goes_over_a_new_connection() -> None:
@@ -171,9 +148,6 @@ def test_a_serial_port_never_counts_as_dead() -> None:
     assert len(talk.sent) == 10
 
 
-# --- connections that end --------------------------------------------------------------
-
-
 @BOTH
 def test_what_is_in_flight_fails_and_the_queue_waits_for_the_next_connection(url: str) -> None:
     talk = Talk(url, timeout=1, **({"max_in_flight": 2} if url == TCP else {}))
@@ -249,61 +223,6 @@ def test_all_who_wait_share_one_attempt_and_its_failure() -> None:
     assert len({id(batch.outcomes[0]) for batch in batches}) == 3
 
 
-@BOTH
-def test_closed_is_closed(url: str) -> None:
-    talk = Talk(url, retries=3)
-    asked, waiting, unsent = talk.ask(1), talk.ask(2), talk.ask(3)
-    talk.connection.closed(talk.now)
-    for batch in (asked, waiting, unsent, talk.ask(4)):
-        assert kinds(batch) == [ModbusConnectionError]
-        assert batch.outcomes[0].errno == 9
-    assert talk.is_at_rest
-    joining = talk.join()
-    assert "closed" in str(joining.outcome)
-
-
-def test_who_asks_only_for_the_connection_is_done_when_it_stands() -> None:
-    talk = Talk(is_open=False)
-    joining = talk.join()
-    assert not joining.is_done
-    talk.open()
-    assert joining.is_done
-    assert joining.outcome is None
-    assert talk.join().is_done
-
-
-# --- pacing ----------------------------------------------------------------------------
-
-
-@BOTH
-def test_a_device_gets_its_time_after_connecting_which_is_not_the_requests(url: str) -> None:
-    talk = Talk(url, connect_delay=0.5, timeout=0.3)
-    batch = talk.ask(1)
-    talk.wait(0.49)
-    assert talk.sent == []
-    talk.wait(0.01)
-    talk.wait(0.29)
-    talk.come(answer(talk))
-    assert batch.outcomes == [[1]]
-
-
-# --- requests that nobody answers ------------------------------------------------------
-
-
-def test_a_broadcast_takes_the_turnaround_and_the_whole_line() -> None:
-    talk = Talk(LINE, turnaround=0.2)
-    everyone = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
-    assert talk.sent == [bytes.fromhex("00 06 0001 0002 581A")]
-    batch = talk.ask(5)
-    talk.wait(0.19)
-    assert (everyone.is_done, len(talk.sent)) == (False, 1)
-    talk.wait(0.01)
-    assert everyone.outcomes == [None]
-    talk.come(value(5))
-    assert batch.outcomes == [[5]]
-    assert talk.statistics.timeouts == 0
-
-
 def test_a_broadcast_that_was_cancelled_still_has_the_line() -> None:
     talk = Talk(LINE, turnaround=0.2)
     talk.cancel(talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True))
@@ -324,33 +243,3 @@ def test_a_request_that_nobody_answers_makes_a_batch_go_one_by_one() -> None:
     talk.wait(0.1)
     talk.come(answer(talk))
     assert batch.outcomes == [[1], None, [2]]
-
-
-def test_a_batch_without_requests_is_over_at_once_on_a_connection_that_stands() -> None:
-    talk = Talk()
-    batch = talk.batch()
-    talk.connection.submit(batch, talk.now)
-    assert batch.is_done
-    assert talk.is_at_rest
-
-
-# --- halves -------------------------------------------------------------------------------
-
-
-@each_case(
-    ("most", "batches", "halves"), [(16, 1, [8, 8, 0]), (2, 1, [1, 1, 0]), (16, 20, [8, 8, 0])]
-)
-def test_up_to_half_of_what_may_be_in_flight_is_sent_at_once(
-    most: int, batches: int, halves: list[int]
-) -> None:
-    """The server works on one half while the answers to the other one are decoded."""
-    talk = Talk(max_in_flight=most)
-    for _ in range(batches):
-        batch = talk.batch(*range(20), one_by_one=batches > 1)
-        talk.connection.submit(batch, talk.now)
-    sent = []
-    for _ in halves:
-        talk.forget()
-        talk.connection.start(talk.now, talk.receive)
-        sent.append(len(talk.sent))
-    assert sent == halves

@@ -1,6 +1,4 @@
-"""
-Connections that cannot be made, that die, that end, and those that are made in their place.
-"""
+"""Connections that cannot be made, that die, that end, and those that are made in their place."""
 
 import asyncio
 import contextlib
@@ -29,13 +27,7 @@ from libmodbus_py import (
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.simulation.network import Network
 from tests.simulation.scripted import Scripted
-from tests.support.clients import (
-    ALL,
-    Connect,
-    World,
-    connecting,
-    read,
-)
+from tests.support.clients import ALL, Connect, World, connecting, read
 from tests.support.peers import answer, dead, ignore, peer_at, refusing, until, url_of
 from tests.support.reads import good
 
@@ -44,16 +36,9 @@ REQUEST = pdu.ReadHoldingRegisters(5, 1)
 NOBODY = "tcp://10.0.0.9:502"
 
 
-# --- that cannot be made --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("host", "number"),
-    [
-        ("no-such-host.invalid", None),
-        ("x" * 300, None),
-        ("255.255.255.255", errno.EACCES),
-    ],
+    [("no-such-host.invalid", None), ("x" * 300, None), ("255.255.255.255", errno.EACCES)],
 )
 def test_connection_error_says_why(connect: Connect, host: str, number: int | None) -> None:
     with pytest.raises(ModbusConnectionError) as caught:
@@ -93,9 +78,6 @@ def test_request_waits_for_the_next_attempt_if_it_has_time(world: World, max_pau
     assert 0.08 <= waited <= 0.122 if max_pause else waited <= 0.002
     assert (plc.statistics.failed_connects, plc.statistics.connects) == (1, 1)
     plc.close()
-
-
-# --- that end -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("retries", [0, 3])
@@ -153,9 +135,6 @@ def test_options_of_the_socket_are_set(connect: Connect, keepalive: int | None) 
                 assert idle == keepalive
 
 
-# --- ports ----------------------------------------------------------------------------------------
-
-
 def test_an_unplugged_port_is_a_connection_error_and_is_opened_again(world: World) -> None:
     unit = world.peer("rtu", lambda request, write: write(answer(request, "rtu")))
     line = world.network.line("/dev/line")
@@ -197,9 +176,6 @@ def test_a_port_that_is_unplugged_on_the_real_system(kind: str, tmp_path: Path) 
             assert plc.for_unit(2).execute(REQUEST) == [0]
 
 
-# --- what is told of them -------------------------------------------------------------------------
-
-
 def test_handles_of_several_units_share_the_connection(world: World) -> None:
     """Unit 0 over TCP is a unit like others."""
     peer = world.peer("tcp", good)
@@ -211,9 +187,6 @@ def test_handles_of_several_units_share_the_connection(world: World) -> None:
         assert handles[1].statistics is plc.statistics
         handles[1].close()
         assert plc.closed
-
-
-# --- that are closed for good ----------------------------------------------------------------
 
 
 def test_close_is_idempotent_and_final(world: World) -> None:
@@ -257,9 +230,6 @@ def test_close_ends_what_others_wait_for(somebody_waits: Any) -> None:
         for each in waiting:
             with pytest.raises(ModbusConnectionError):
                 each.result()
-
-
-# --- how long connecting may take -------------------------------------------------------------
 
 
 HOST = "10.0.0.9"

@@ -1,8 +1,4 @@
-"""
-Answers that come twice on lines without transaction ids: no later value is the one before.
-"""
-
-from __future__ import annotations
+"""Answers that come twice on lines without transaction ids: no later value is the one before."""
 
 import random
 from typing import Any
@@ -136,9 +132,6 @@ def test_polls_of_values_that_flip_take_no_longer_than_others() -> None:
                 talk.wait(0.001)
         seconds[name] = talk.now
     assert max(seconds.values()) < 1.02 * min(seconds.values())
-
-
-# --- a unit that stood still -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("pause", [0.02, 0.5])

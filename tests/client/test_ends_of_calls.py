@@ -1,6 +1,4 @@
-"""
-Calls that end early, by an exception at any moment: nothing of them is sent later.
-"""
+"""Calls that end early, by an exception at any moment: nothing of them is sent later."""
 
 from __future__ import annotations
 
@@ -98,11 +96,8 @@ def strike_each_moment(
     step: int = 1,
 ) -> int:
     """
-    Strike a write and a read at each of their moments; return how many there were.
-
-    Args:
-        settle: let what was sent arrive.
-        step: from one moment to the next that is tried.
+    Strike a write and a read at each of their moments; return how many there were. `settle`: let
+    what was sent arrive; `step`: from one moment to the next that is tried.
     """
     number = address = 0
     was_struck = True
@@ -141,9 +136,7 @@ def test_nothing_is_sent_of_a_call_that_a_context_was_thrown_out_of(
         *((scheme, KeyboardInterrupt()) for scheme in ("rtu", "udp")),
     ],
 )
-def test_nothing_is_sent_of_an_interrupted_call_on_a_real_port(
-    scheme: str, error: BaseException
-) -> None:
+def test_nothing_is_sent_of_an_interrupted_call_on_a_real_port(scheme, error) -> None:
     with peer_at(scheme, replying(scheme)) as peer:
         # On a line a unit that owes an answer is left alone for one timeout, in real seconds.
         options, step = ({"timeout": 0.25}, 15) if scheme == "rtu" else ({}, 1)

@@ -1,6 +1,4 @@
-"""
-The usual mistakes, each said in the one line of the error that it leads to.
-"""
+"""The usual mistakes, each said in the one line of the error that it leads to."""
 
 import errno
 import re
@@ -10,10 +8,10 @@ from typing import Any
 import pytest
 
 from libmodbus_py import AsyncClient, ModbusConnectionError, ModbusError
-from libmodbus_py.client.outcomes import explain, explain_end
+from libmodbus_py.client.outcomes import explain
 from tests.support.cases import each_case
 from tests.support.clients import ALL, World, asking, read
-from tests.support.peers import Answer, FakeServer, answering, mbap
+from tests.support.peers import FakeServer, answering, mbap
 from tests.support.talk import Talk, ascii_frame, rtu, tcp
 
 NOISE = bytes(range(0x70, 0xF0))
@@ -78,8 +76,6 @@ def test_a_client_and_its_errors_say_where_they_lead() -> None:
     assert repr(client) == "<AsyncClient tcp://192.0.2.1:502, unit 7, disconnected>"
 
 
-# --- TLS at one end only ---------------------------------------------------------------------
-
 ALERT = bytes.fromhex("15 0303 0002 0246")  # RFC 8446, 5.1 and 6: protocol_version, fatal
 
 
@@ -92,18 +88,13 @@ ALERT = bytes.fromhex("15 0303 0002 0246")  # RFC 8446, 5.1 and 6: protocol_vers
     ],
     ids=["an alert", "an end"],
 )
-def test_a_server_that_wants_tls_is_recognised(
-    kind: str, answer: Answer | None, error: type[ModbusError], said: str
-) -> None:
+def test_a_server_that_wants_tls_is_recognised(kind: str, answer, error, said) -> None:
     with (
         FakeServer(answer) as server,
         asking(kind, server.url, timeout=5) as plc,
         pytest.raises(error, match=said),
     ):
         plc.read_coils(0, 1)
-
-
-# --- hints ------------------------------------------------------------------------------------
 
 
 ANSWER = "03 06 022B 0000 0064"
@@ -141,12 +132,6 @@ def test_another_framing_is_recognised(scheme: str, received: str, hint: str) ->
     assert explain(scheme, sent, RECEIVED[received]) == hint
 
 
-@each_case("scheme", ["rtu", "ascii", "rtu+tcp", "ascii+tcp"])
-def test_the_request_that_came_back_is_recognised(scheme: str) -> None:
-    sent = SENT[scheme.removesuffix("+tcp")]
-    assert explain(scheme, sent, sent) == "the request itself came back; echo=True?"
-
-
 @each_case(
     ("answered", "asks", "by_itself", "is_told"),
     [
@@ -168,82 +153,3 @@ def test_tls_is_named_where_a_request_was_answered_by_the_end_of_a_new_connectio
     error = ModbusConnectionError("closed by the other side", errno=errno.ECONNRESET)
     talk.lose(error, by_itself=by_itself)
     assert ("does it want tls://?" in str(error)) is is_told
-
-
-# --- up to the bounds of each protocol -------------------------------------------------------
-
-PLAIN = ("tcp", "rtu+tcp", "ascii+tcp")
-
-
-def frame(length: int, header: str = "0001 0000") -> bytes:
-    """A header that announces so many bytes, with them."""
-    return bytes.fromhex(header) + length.to_bytes(2, "big") + bytes(length)
-
-
-@each_case(
-    ("received", "is_tls"),
-    [
-        ("14 03 01 00 01", True),
-        ("15 03 03 00 02 02 0A", True),
-        ("17 03 04 00 00", True),
-        ("13 03 03 00 02", False),
-        ("18 03 03 00 02", False),
-        ("15 02 03 00 02", False),
-        ("15 03 05 00 02", False),
-        ("15 03 03 00", False),
-    ],
-)
-def test_a_record_of_tls_has_a_type_and_a_version(received: str, is_tls: bool) -> None:
-    for scheme in PLAIN:
-        found = explain(scheme, SENT["tcp"], bytes.fromhex(received))
-        assert (found == "this looks like tls://") is is_tls
-    for scheme in ("tls", "udp"):
-        assert explain(scheme, SENT["tcp"], bytes.fromhex(received)) == ""
-
-
-@each_case(("length", "is_frame"), [(1, False), (2, True), (254, True), (255, False)])
-def test_a_frame_of_tcp_has_a_unit_and_a_pdu(length: int, is_frame: bool) -> None:
-    found = explain("rtu+tcp", SENT["rtu"], frame(length))
-    assert (found == "this looks like tcp://") is is_frame
-
-
-@each_case("received", [frame(9)[:-1], frame(9) + b"\0", frame(9, "0001 0001"), frame(9)[:5]])
-def test_a_header_that_fits_nothing_is_none_of_tcp(received: bytes) -> None:
-    assert explain("rtu+tcp", SENT["rtu"], received) == ""
-
-
-def test_a_frame_of_rtu_has_check_bytes_that_fit_somewhere() -> None:
-    looks = "this looks like rtu+tcp://"
-    assert explain("tcp", SENT["tcp"], rtu("11 83 02")) == looks
-    assert explain("tcp", SENT["tcp"], rtu("11 83 02") + b"\x55" * 9) == looks
-    assert explain("tcp", SENT["tcp"], rtu("11" + "07" * 253)) == looks  # 256 bytes
-    for received in (rtu("11 03"), rtu("11" + "07" * 254), rtu("11 83 02")[:-1]):
-        assert explain("tcp", SENT["tcp"], received) == ""
-
-
-def test_a_frame_of_ascii_begins_with_a_colon_and_three_bytes() -> None:
-    looks = "this looks like ascii+tcp://"
-    assert explain("tcp", SENT["tcp"], b":1183aF") == looks
-    assert explain("tcp", SENT["tcp"], b"\r\n:1183026A\r\n") == looks
-    for received in (b":11830", b":11830x", b"1103026A\r\n"):
-        assert explain("tcp", SENT["tcp"], received) == ""
-
-
-@each_case("received", ["11 03", "00 11 83", "11 83 02"])
-def test_bytes_with_unit_and_function_of_the_request_are_no_noise(received: str) -> None:
-    assert explain("rtu", SENT["rtu"], bytes.fromhex(received)) == ""
-
-
-@each_case("received", ["11", "03 11", "12 03", "11 04", "91 03"])
-def test_bytes_without_them_are_noise(received: str) -> None:
-    noise = "only noise; baud rate, parity, A and B swapped?"
-    assert explain("rtu", SENT["rtu"], bytes.fromhex(received)) == noise
-    assert explain("rtu+tcp", SENT["rtu"], bytes.fromhex(received)) == ""
-
-
-def test_who_ends_a_plain_connection_before_an_answer_may_want_tls() -> None:
-    told = "nothing was answered yet; does it want tls://?"
-    for number in (errno.ECONNRESET, errno.EPIPE):
-        assert [explain_end(scheme, number) for scheme in PLAIN] == [told] * 3
-        assert [explain_end(scheme, number) for scheme in ("tls", "rtu", "udp")] == [""] * 3
-    assert explain_end("tcp", errno.ETIMEDOUT) == explain_end("tcp", None) == ""

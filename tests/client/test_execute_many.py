@@ -1,6 +1,4 @@
-"""
-Many requests in flight on one connection: order, limits, and all that may go wrong.
-"""
+"""Many requests in flight on one connection: order, limits, and all that may go wrong."""
 
 import errno
 import os
@@ -35,10 +33,8 @@ BY_ID = pytest.mark.parametrize("scheme", ["tcp", "udp"])
 
 class Gathered:
     """
-    Hands over requests together, when none came for a while.
-
-    Args:
-        play: is given what came, and what answers it.
+    Hands over requests together, when none came for a while. `play`: is given what came, and what
+    answers it.
     """
 
     def __init__(
@@ -72,9 +68,6 @@ def refusal(request: bytes, code: int) -> bytes:
 def failed(found: list[Any], kind: type[ModbusError] = ModbusError) -> list[int]:
     """Return where failures stand."""
     return [at for at, each in enumerate(found) if isinstance(each, kind)]
-
-
-# --- what is asked for comes back ----------------------------------------------------------
 
 
 @pytest.mark.parametrize("most", [1, 16])
@@ -128,9 +121,6 @@ def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
     assert context.read_many({}) == {}
 
 
-# --- arguments -----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("requests", "options", "kind", "named"),
     [
@@ -139,9 +129,7 @@ def test_nothing_to_ask_needs_no_connection(connect: Connect) -> None:
         ([pdu.ReadCoils], {}, TypeError, r"requests\[0\] must be a request object of pdu"),
     ],
 )
-def test_nothing_is_sent_for_bad_arguments(
-    world: World, requests: Any, options: Any, kind: type[Exception], named: str
-) -> None:
+def test_nothing_is_sent_for_bad_arguments(world: World, requests, options, kind, named) -> None:
     peer = world.peer("tcp", good)
     with world.connect(peer.url, max_in_flight=16) as context:
         with pytest.raises(kind, match=named):
@@ -156,9 +144,6 @@ def test_broadcast_of_a_read_is_refused_before_the_writes_go_out(world: World) -
         with pytest.raises(ValueError, match=r"requests\[1\]: unit 0 is a broadcast"):
             everyone.execute_many([pdu.WriteRegister(1, 2), pdu.ReadCoils(0, 1)])
         assert unit.requests == []
-
-
-# --- no answer, and answers that come late ---------------------------------------------------
 
 
 def test_request_without_an_answer_times_out_alone(world: World) -> None:
@@ -216,9 +201,6 @@ def test_requests_left_behind_by_a_failure_poison_nothing(world: World, again: s
         assert (context.statistics.late_answers, peer.connections) == (15, 1)
 
 
-# --- bad answers ---------------------------------------------------------------------------
-
-
 def test_first_failure_in_the_order_of_requests_is_raised_at_once(world: World) -> None:
     """As soon as all before it are answered, whatever is not answered behind it."""
 
@@ -270,9 +252,6 @@ def test_wrong_answers_spoil_their_own_requests_only(world: World, scheme: str) 
         assert (context.statistics.late_answers, peer.connections) == (12, 1)
 
 
-# --- connections that end --------------------------------------------------------------------
-
-
 def closing_after(connections: Callable[[], int], *counts: int) -> OnRequest:
     """Answer so many requests on each connection, and close it when no more come."""
     asked: Counter[int] = Counter()
@@ -318,9 +297,6 @@ def test_lost_connection_fails_what_was_in_flight_and_the_rest_goes_on(world: Wo
             assert found[at].asked == f"ReadHoldingRegisters(address={at}, count=1)"
             assert (found[at].errno, found[at].unit) == (errno.ECONNRESET, 1)
         assert peer.connections == 3
-
-
-# --- threads, signals, closing ---------------------------------------------------------------
 
 
 def test_threads_share_a_context_and_batches(connect: Connect) -> None:

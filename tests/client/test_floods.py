@@ -1,6 +1,4 @@
-"""
-Peers that send without end: the wait ends when it must, and little is kept of what they sent.
-"""
+"""Peers that send without end: the wait ends when it must, and little is kept of what they sent."""
 
 import contextlib
 import random
@@ -97,12 +95,7 @@ def pouring(scheme: str, data: bytes) -> Iterator[str]:
 
 @pytest.mark.parametrize("kind", ["blocking", "asyncio"])
 @pytest.mark.parametrize(
-    ("scheme", "data"),
-    [
-        ("tcp", STRANGE * 4096),
-        ("udp", STRANGE),
-        ("rtu+tcp", NOISE * 32),
-    ],
+    ("scheme", "data"), [("tcp", STRANGE * 4096), ("udp", STRANGE), ("rtu+tcp", NOISE * 32)]
 )
 def test_a_flood_that_leaves_no_pause_ends(scheme: str, data: bytes, kind: str) -> None:
     """There is always more to be read: only the clock ends the wait."""
@@ -125,9 +118,6 @@ def test_a_line_that_is_never_quiet_ends_the_wait(pause: float, scheme: str, wor
             assert len(str(error)) < 300
 
 
-# --- while nobody asks ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("scheme", "data", "pause"),
     [
@@ -137,9 +127,7 @@ def test_a_line_that_is_never_quiet_ends_the_wait(pause: float, scheme: str, wor
         ("rtu", bytes(range(0x80, 0x90)) * 16, 0.03),
     ],
 )
-def test_an_idle_client_leaves_a_flood_unread(
-    scheme: str, data: bytes, pause: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_idle_client_leaves_a_flood_unread(scheme, data, pause, monkeypatch) -> None:
     """An event loop that is told of each byte would do nothing else."""
     with (
         making("asyncio") as world,

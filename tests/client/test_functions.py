@@ -1,6 +1,4 @@
-"""
-Every method of both clients, with the server of this package on every transport.
-"""
+"""Every method of both clients, with the server of this package on every transport."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -192,9 +190,6 @@ def test_a_broadcast_reaches_every_unit_and_is_not_answered(transport: str) -> N
         assert line.statistics.late_answers == 0
 
 
-# --- functions of one's own ----------------------------------------------------------------
-
-
 @contextmanager
 def talking_to(device: Device, transport: str, **options: Any) -> Iterator[Client]:
     with serving(transport, Server(device)) as url, Client(url, **options) as made:
@@ -248,9 +243,6 @@ def test_a_function_of_ones_own_works_at_both_ends(transport: str) -> None:
             context.execute(Reverse(b""))
 
 
-# --- hooks -----------------------------------------------------------------------------------
-
-
 REFUSALS = [
     IllegalFunction,
     IllegalDataAddress,
@@ -292,9 +284,6 @@ def test_hooks_are_told_who_asks_for_what(transport: str) -> None:
     assert (read.address, read.count, read.values) == (2, 4, ())
     assert {access.unit for access in seen} == {5}
     assert all(access.peer.startswith(("127.0.0.1:", "/dev/pts/")) for access in seen)
-
-
-# --- pages of identification -------------------------------------------------------------------
 
 
 @each_case(

@@ -1,8 +1,4 @@
-"""
-Which answer is whose where frames carry transaction ids, told in bytes and times.
-"""
-
-from __future__ import annotations
+"""Which answer is whose where frames carry transaction ids, told in bytes and times."""
 
 import random
 
@@ -10,24 +6,13 @@ import pytest
 
 from libmodbus_py import FrameError, ModbusConnectionError, ModbusTimeoutError, Traced, pdu
 from tests.support.replies import exchange
-from tests.support.talk import TCP, Talk, kinds, tcp
-
-UDP = TCP.replace("tcp", "udp")
+from tests.support.talk import Talk, kinds, tcp
 
 
 def test_a_request_has_the_header_of_the_specification() -> None:
     talk = Talk()
     talk.ask(0x6B, unit=0x11)
     assert talk.sent == [bytes.fromhex("0001 0000 0006 11 03 006B 0001")]
-
-
-@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]])
-def test_answers_find_their_requests_in_any_order(order: list[int]) -> None:
-    talk = Talk()
-    batches = [talk.ask(address) for address in range(4)]
-    talk.come(*(tcp(talk.sent[at]) for at in order))
-    assert [batch.outcomes for batch in batches] == [[[0]], [[1]], [[2]], [[3]]]
-    assert talk.is_at_rest
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -68,9 +53,6 @@ def test_callers_take_turns() -> None:
     assert [int.from_bytes(each[8:10], "big") for each in talk.sent] == [0, 1, 2, 100, 200, 3]
 
 
-# --- answers that nobody waits for -----------------------------------------------------
-
-
 def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
     talk = Talk(timeout=1)
     batch = talk.ask(1)
@@ -82,17 +64,6 @@ def test_an_id_that_nobody_had_answers_nobody_and_is_shown_at_the_end() -> None:
     assert "id 999, not 1" in str(batch.outcomes[0])
     assert batch.outcomes[0].received == stranger
     assert talk.statistics.late_answers == 1
-
-
-# --- answers that do not fit -----------------------------------------------------------
-
-
-def test_any_unit_is_taken_where_that_is_wanted() -> None:
-    talk = Talk(accept_unit="any")
-    batch, refused = talk.ask(1), talk.ask(2)
-    talk.come(tcp(talk.sent[0], unit=255), tcp(talk.sent[1], "83 09", unit=255))
-    assert batch.outcomes == [[1]]
-    assert refused.outcomes[0].received == tcp(talk.sent[1], "83 09", unit=255)
 
 
 @pytest.mark.parametrize("length", [0, 1, 255, 0xFFFF])
@@ -110,18 +81,6 @@ def test_a_length_that_cannot_be_fails_all_and_breaks_the_connection(length: int
     assert waiting.outcomes == [[3]]
 
 
-def test_a_datagram_that_is_no_frame_does_not_end_the_wait() -> None:
-    talk = Talk(UDP)
-    batch = talk.ask(1)
-    right = tcp(talk.sent[0])
-    talk.come(b"", b"\0", right[:-1], right + b"\0", right + right, right)
-    assert batch.outcomes == [[1]]
-    assert talk.statistics.invalid == 4
-
-
-# --- floods ----------------------------------------------------------------------------
-
-
 def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
     talk = Talk()
     frame = bytes.fromhex("7777 0000 00FE 01 03 FA") + bytes(251)
@@ -135,9 +94,6 @@ def test_what_nobody_asked_for_breaks_the_connection_after_64_kib() -> None:
     assert not talk.connection.is_flooded
     talk.ask(1)
     assert len(talk.sent) == 1
-
-
-# --- requests that nobody answers ------------------------------------------------------
 
 
 def test_a_request_that_nobody_answers_takes_the_turnaround_before_the_next_one() -> None:
@@ -183,14 +139,3 @@ def test_an_id_in_flight_or_owed_is_skipped() -> None:
     talk.matching._last = 0
     talk.ask(3)
     assert ids(talk) == [1, 2, 3]
-
-
-def test_requests_are_spaced() -> None:
-    talk = Talk(request_spacing=0.25)
-    talk.ask(*range(3), one_by_one=False)
-    talk.ask(9)
-    talk.wait(1)
-    assert talk.times == pytest.approx([0, 0.25, 0.5, 0.75])
-    talk.wait(1)
-    talk.ask(5)
-    assert talk.times[-1] == 2

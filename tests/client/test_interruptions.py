@@ -1,6 +1,4 @@
-"""
-Requests that are interrupted: by signals, finalizers, another thread, whatever a call raises.
-"""
+"""Requests that are interrupted: by signals, finalizers, another thread, whatever a call raises."""
 
 import asyncio
 import contextlib
@@ -23,8 +21,6 @@ from tests.support.peers import TcpPeer, dead, ignore, peer_at, until
 from tests.support.reads import good, good_at
 from tests.support.signals import on_alarm
 
-# --- connections that died, and are being made -----------------------------------------------
-
 
 class Interruption(BaseException):
     """What a signal handler may raise."""
@@ -42,15 +38,9 @@ def connecting_here(kind: str) -> Iterator[Connect]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "error"),
-    [
-        ("blocking", Interruption),
-        ("asyncio", ModbusConnectionError),
-    ],
+    ("kind", "error"), [("blocking", Interruption), ("asyncio", ModbusConnectionError)]
 )
-def test_anything_raised_while_it_connects_leaves_a_client_that_can(
-    kind: str, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_anything_raised_while_it_connects_leaves_a_client_that_can(kind, error, monkeypatch):
     def interrupt(*_: object) -> None:
         raise Interruption
 
@@ -104,9 +94,6 @@ def test_close_does_not_wait_for_the_look_up_of_a_name() -> None:
         context.close()
         with pytest.raises(ModbusConnectionError):
             waiting.result()
-
-
-# --- close and requests from where they hurt --------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -216,10 +203,7 @@ def test_close_and_requests_in_a_finalizer_during_a_request() -> None:
 @pytest.mark.filterwarnings("ignore:.*unclosed <socket.*")
 def test_ctrl_c_at_any_moment_fails_no_later_request(place: str) -> None:
     """Each request that is not interrupted is right; none meets what an interrupted one left."""
-    with (
-        peer_at(place, good_at(place)) as peer,
-        Client(peer.url, timeout=0.3) as context,
-    ):
+    with peer_at(place, good_at(place)) as peer, Client(peer.url, timeout=0.3) as context:
         interrupted = 0
         before = signal.signal(signal.SIGALRM, signal.default_int_handler)
         try:
@@ -239,9 +223,6 @@ def test_ctrl_c_at_any_moment_fails_no_later_request(place: str) -> None:
         assert interrupted > 5
 
 
-# --- ends that are themselves interrupted ----------------------------------------------------
-
-
 class Interrupted:
     """Raises KeyboardInterrupt in place of a method, so many times."""
 
@@ -257,10 +238,7 @@ class Interrupted:
 
 
 def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPatch) -> None:
-    with (
-        TcpPeer(good) as peer,
-        Client(peer.url) as context,
-    ):
+    with TcpPeer(good) as peer, Client(peer.url) as context:
         assert context.read_holding_registers(6, 1) == [6]
         driver = context._driver
         Interrupted(monkeypatch, driver, "_turn")
@@ -272,9 +250,7 @@ def test_the_connection_is_left_by_the_next_request(monkeypatch: pytest.MonkeyPa
         assert context.statistics.connects == 2
 
 
-def test_a_client_that_was_closed_meanwhile_is_closed_by_the_next_request(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_client_that_was_closed_meanwhile_is_closed_by_the_next_request(monkeypatch) -> None:
     with TcpPeer(good) as peer:
         context = Client(peer.url)
         assert context.read_holding_registers(6, 1) == [6]

@@ -1,8 +1,4 @@
-"""
-What is known of a line outlives its client; and a line of which nothing is known.
-"""
-
-from __future__ import annotations
+"""What is known of a line outlives its client; and a line of which nothing is known."""
 
 import gc
 import os
@@ -31,9 +27,6 @@ def asked_twice(url: str = LINE) -> Talk:
     exchange(talk, 1, after=0.01)
     unanswered(talk, 2)
     return closed(talk)
-
-
-# --- a client for each poll --------------------------------------------------------------------
 
 
 def test_a_late_answer_is_no_value_of_the_next_client() -> None:
@@ -97,9 +90,6 @@ def test_a_client_for_each_poll_has_no_value_of_another_request(url: str) -> Non
     assert count > 1900
 
 
-# --- a line of which nothing is known ----------------------------------------------------------
-
-
 def test_the_first_answer_is_held_until_the_line_has_been_open_for_60_ms() -> None:
     talk = Talk(LINE, is_new=True, timeout=1)
     batch = talk.ask(1)
@@ -150,9 +140,6 @@ def test_an_answer_to_another_program_is_no_value(late: float, is_polled: bool) 
         failures += batch.outcomes != [[address]]
         assert kinds(batch) in ([[address]], [InvalidResponse])
     assert failures <= 1
-
-
-# --- which line it is --------------------------------------------------------------------------
 
 
 def test_a_line_is_known_by_its_device_or_converter(tmp_path: Path) -> None:

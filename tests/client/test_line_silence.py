@@ -1,6 +1,4 @@
-"""
-How long a line is left alone after a failure, and what is kept of what comes meanwhile.
-"""
+"""How long a line is left alone after a failure, and what is kept of what comes meanwhile."""
 
 import math
 
@@ -213,9 +211,6 @@ def test_half_a_frame_that_was_left_is_not_put_before_the_next_answer(left: str)
     talk.wait(1)  # what unit 1 owes is another request, so this answer is not believed
     assert kinds(batch) == [ModbusTimeoutError]
     exchange(talk, 2, after=1)
-
-
-# --- floods ----------------------------------------------------------------------------------
 
 
 def test_the_first_600_bytes_of_a_flood_are_kept() -> None:

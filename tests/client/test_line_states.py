@@ -1,8 +1,4 @@
-"""
-Each row of the table at the head of `line.py`, by bytes and times, and where rows meet.
-"""
-
-from __future__ import annotations
+"""Each row of the table at the head of `line.py`, by bytes and times, and where rows meet."""
 
 import pytest
 
@@ -20,9 +16,6 @@ from tests.support.replies import answer, exchange, unanswered
 from tests.support.talk import LINE, TCP, Talk, kinds, rtu, value
 
 WRITE = pdu.WriteRegister(1, 2)
-
-
-# --- the table -------------------------------------------------------------------------
 
 
 # A unit in DOUBT is silent for twice its slowest answer.
@@ -120,9 +113,7 @@ def repeating() -> Talk:
     return talk
 
 
-def test_asked_and_an_answer_equal_to_the_last_one_to_another_is_held_where_one_came_twice() -> (
-    None
-):
+def test_asked_and_an_answer_equal_to_the_last_one_to_another_is_held_where_one_came_twice():
     for talk, is_held in ((used(), False), (repeating(), True)):
         for number in range(20, 60):
             usual(talk, number)
@@ -388,9 +379,6 @@ def test_an_answer_is_held_once_in_ten_timeouts() -> None:
         talk.wait(0 if batch.is_done else 0.02)
         assert batch.outcomes == [[number]]
     assert held == 2
-
-
-# --- where events fall together --------------------------------------------------------
 
 
 @each_case(("frame", "is_first"), [

@@ -1,8 +1,4 @@
-"""
-Lines that return each request (local echo), at a client: an echo is no answer, and never a value.
-"""
-
-from __future__ import annotations
+"""Lines that return each request (local echo), at a client: an echo is never a value."""
 
 import logging
 from typing import Any
@@ -59,14 +55,9 @@ def with_setting(url: str, setting: str) -> str:
     return f"{url}{'&' if '?' in url else '?'}{setting}" if setting else url
 
 
-# --- found out ---------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("stray", STRAYS[:2])
-def test_an_echo_is_told_once_and_harms_no_read(
-    world: World, scheme: str, stray: bytes, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_echo_is_told_once_and_harms_no_read(world: World, scheme, stray, caplog) -> None:
     with world.client_of(scheme, returning(scheme, stray=stray), timeout=1) as client:
         assert [read(client, address) for address in range(30)] == list(range(30))
         assert client.statistics.echoes == 1
@@ -116,9 +107,7 @@ TELLING = [
 
 @each_case(("request_", "body", "result"), TELLING)
 @each_case("url", [LINE, ASCII])
-def test_frames_that_can_be_no_answer_tell_of_an_echo(
-    request_: Any, body: str, result: object, url: str
-) -> None:
+def test_frames_that_can_be_no_answer_tell_of_an_echo(request_, body, result, url) -> None:
     talk = Talk(url, timeout=1)
     batch = talk.ask(request_)
     talk.come(talk.sent[-1])
@@ -131,9 +120,7 @@ def test_frames_that_can_be_no_answer_tell_of_an_echo(
 
 @each_case(("request_", "body", "result"), SEVERAL)
 @each_case("url", [LINE, ASCII])
-def test_a_write_of_several_cells_that_comes_back_shows_no_echo(
-    request_: Any, body: str, result: object, url: str
-) -> None:
+def test_a_write_of_several_cells_that_comes_back_shows_no_echo(request_, body, result, url):
     """Some devices answer functions 15 and 16 with the whole request."""
     make = rtu if url == LINE else ascii_frame
     talk = Talk(url, timeout=1)
@@ -229,9 +216,6 @@ def test_half_an_echo_is_not_taken_over_to_a_new_connection() -> None:
     assert batch.outcomes == [[7]]
 
 
-# --- found out, or set: the same ----------------------------------------------------------
-
-
 def known(is_set: bool) -> Talk:
     return Talk(f"{LINE}&echo=1", timeout=1) if is_set else echoing()
 
@@ -257,9 +241,7 @@ def test_the_echo_of_a_write_does_not_confirm_it(stray: bytes, is_set: bool) -> 
 @each_case("stray", STRAYS)
 @each_case("pause", [None, 0.01])
 @each_case("is_set", [False, True])
-def test_a_write_is_confirmed_by_what_follows_its_echo(
-    stray: bytes, pause: float | None, is_set: bool
-) -> None:
+def test_a_write_is_confirmed_by_what_follows_its_echo(stray, pause, is_set) -> None:
     talk = known(is_set)
     for _ in range(2):
         batch = talk.ask(WRITE)
@@ -297,9 +279,6 @@ def test_an_answer_behind_the_echo_of_a_request_that_is_a_possible_answer(is_set
         batch = talk.ask(COILS)
         talk.come(talk.sent[-1], rtu("01 01 03 010000"))
         assert batch.outcomes == [expected]
-
-
-# --- set ----------------------------------------------------------------------------------
 
 
 def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:

@@ -1,6 +1,4 @@
-"""
-Maps whose points have scales of the device, or are parts of registers: what clients ask.
-"""
+"""Maps whose points have scales of the device, or are parts of registers: what clients ask."""
 
 import asyncio
 import contextlib
@@ -62,9 +60,7 @@ def served(request: pytest.FixtureRequest) -> Iterator[tuple[Device, str]]:
         yield made, serving.urls[0]
 
 
-def test_values_are_read_and_written_with_the_scale_of_the_device(
-    served: tuple[Device, str],
-) -> None:
+def test_values_are_read_and_written_with_the_scale_of_the_device(served: tuple[Device, str]):
     made, url = served
     with Client(url) as plc:
         assert plc.read_map(POINTS, ["v", "none"]) == {"v": 230.5, "none": None}
@@ -84,9 +80,7 @@ def test_a_part_of_a_register_is_written(served: tuple[Device, str]) -> None:
     assert made.mapping.holding_registers[2] == 0xFE01
 
 
-def test_parts_that_are_written_at_the_same_time_are_all_written(
-    served: tuple[Device, str],
-) -> None:
+def test_parts_that_are_written_at_the_same_time_are_all_written(served: tuple[Device, str]):
     made, url = served
 
     async def go() -> None:
@@ -123,9 +117,7 @@ def test_parts_of_several_registers_are_written_by_one_call(served: tuple[Device
 
 @pytest.mark.parametrize("served", [True], indirect=True)
 @pytest.mark.parametrize("at", range(10))
-def test_who_leaves_while_parts_are_written_holds_up_nobody(
-    served: tuple[Device, str], at: int
-) -> None:
+def test_who_leaves_while_parts_are_written_holds_up_nobody(served, at) -> None:
     """At any trace of its frames: another task, or thread, may change registers then."""
     made, url = served
     calls = iter(range(1000))

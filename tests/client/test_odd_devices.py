@@ -1,27 +1,16 @@
-"""
-Devices that do what the specification does not say, each with the option that it needs.
-"""
+"""Devices that do what the specification does not say, each with the option that it needs."""
 
 from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    InvalidResponse,
-    ModbusConnectionError,
-    ModbusTimeoutError,
-    State,
-    pdu,
-)
+from libmodbus_py import InvalidResponse, ModbusConnectionError, ModbusTimeoutError, State, pdu
 from tests.support.clients import World, read
 from tests.support.peers import Write, answer, ignore, mbap
 from tests.support.reads import good, good_at
 from tests.support.talk import rtu
 
 LINES = ["rtu", "rtu+tcp", "ascii", "ascii+tcp"]
-
-
-# --- unit 0 that answers ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scheme", LINES)
@@ -44,9 +33,6 @@ def test_a_raw_request_to_unit_0_waits_for_its_answer(world: World, scheme: str)
             read(plc, 7)
         with world.lasting(0.1, 0.01):
             plc.write_register(0, 1)
-
-
-# --- other units, other ids -------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scheme", [*LINES, "tcp", "udp"])
@@ -96,9 +82,6 @@ def test_no_late_answer_is_taken_with_ids_ignore(world: World, scheme: str) -> N
     assert values == [None, True, True] * 4
 
 
-# --- connections that end ---------------------------------------------------------------------
-
-
 def closing(after: float) -> Any:
     """Return what answers each read, and closes the connection so many seconds later."""
 
@@ -110,9 +93,7 @@ def closing(after: float) -> Any:
 
 
 @pytest.mark.parametrize("after", [0.0, 0.0001, 0.05])
-def test_a_device_that_closes_after_each_answer_is_read_without_retries(
-    world: World, after: float
-) -> None:
+def test_a_device_that_closes_after_each_answer_is_read_without_retries(world: World, after):
     """The close comes when the next request is under way, and when none is."""
     peer = world.peer("tcp", closing(after))
     with world.connect(peer.url, timeout=1) as plc:
@@ -198,14 +179,9 @@ def test_an_answer_that_takes_longer_than_idle_close_is_awaited(world: World) ->
     assert peer.connections == 1
 
 
-# --- bytes between frames -----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])
 @pytest.mark.parametrize("heartbeat", [b"\xff", b"\xff\xff"])
-def test_heartbeats_between_answers_are_dropped(
-    world: World, scheme: str, heartbeat: bytes
-) -> None:
+def test_heartbeats_between_answers_are_dropped(world: World, scheme, heartbeat) -> None:
     """node-modbus/stream#17: a modem sends FF between the answers of its device."""
 
     def on_request(request: bytes, write: Write) -> None:
@@ -228,9 +204,6 @@ def test_heartbeats_between_answers_are_dropped(
         assert peer.connections == 2
 
 
-# --- times on lines behind converters -----------------------------------------------------------
-
-
 @pytest.mark.parametrize("scheme", ["rtu+tcp", "ascii+tcp"])
 def test_silence_lasts_from_an_answer_to_the_next_request(world: World, scheme: str) -> None:
     peer = world.peer(scheme, good_at(scheme, 0.3))
@@ -240,9 +213,6 @@ def test_silence_lasts_from_an_answer_to_the_next_request(world: World, scheme: 
     pauses = [later - sooner for sooner, later in zip(peer.times, peer.times[1:], strict=False)]
     # The first answers on a line are held for longer.
     assert min(pauses) == pytest.approx(0.5, abs=0.01)
-
-
-# --- lengths --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scheme", ["rtu", "rtu+tcp"])

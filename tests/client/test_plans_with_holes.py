@@ -1,19 +1,11 @@
-"""
-Maps and plans of devices that lack some registers, on both clients: requests are counted.
-"""
+"""Maps and plans of devices that lack some registers, on both clients: requests are counted."""
 
 import logging
 from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    IllegalDataAddress,
-    ModbusTimeoutError,
-    Plan,
-    Point,
-    RegisterMap,
-)
+from libmodbus_py import IllegalDataAddress, ModbusTimeoutError, Plan, Point, RegisterMap
 from tests.simulation.scripted import Scripted
 from tests.support.clients import World
 from tests.support.peers import Write, mbap

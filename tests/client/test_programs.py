@@ -1,6 +1,4 @@
-"""
-Programs with clients: that fork, that have no descriptor left, that end or are killed.
-"""
+"""Programs with clients: that fork, that have no descriptor left, that end or are killed."""
 
 import subprocess
 import sys
@@ -162,9 +160,7 @@ asyncio.run(main())
 
 
 @pytest.mark.parametrize("kind", ["AsyncClient", "Client"])
-def test_a_child_is_told_of_states_when_it_uses_the_client_not_while_it_is_forked(
-    kind: str,
-) -> None:
+def test_a_child_is_told_of_states_when_it_uses_the_client_not_while_it_is_forked(kind) -> None:
     run(f"""
 def ask(plc):
     asked = plc.read_holding_registers(1, 1)
@@ -199,8 +195,6 @@ with peer_at(SCHEME, reply) as peer:
 print("good")
 """)
 
-
-# --- without descriptors ---------------------------------------------------------------------
 
 # Every import opens a file, so a module that is first needed now cannot be had.
 PROGRAM = """
@@ -261,8 +255,6 @@ def test_no_descriptor_left_is_a_connection_error_that_passes(scheme: str, kind:
         done = ended("-c", PROGRAM, peer.url, kind)
     assert done.stdout == "ok\n", done.stderr
 
-
-# --- at their end ----------------------------------------------------------------------------
 
 LEFT_OPEN = """
 import asyncio, sys

@@ -1,8 +1,4 @@
-"""
-Requests that are sent again, in bytes and times: when, and what becomes of those beside them.
-"""
-
-from __future__ import annotations
+"""Requests that are sent again, in bytes and times: when, and what becomes of those beside them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -121,9 +117,6 @@ def test_what_waits_behind_a_repetition_fails_with_it_when_no_connection_is_made
         talk.fail()
         assert kinds(batch) == [ModbusConnectionError] * 3
         assert batch.is_done
-
-
-# --- again, and to the end -------------------------------------------------------------------
 
 
 @BOTH

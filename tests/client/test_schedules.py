@@ -1,8 +1,4 @@
-"""
-Whatever happens to a connection: no wrong value, nobody who waits for ever, no slot that is lost.
-"""
-
-from __future__ import annotations
+"""Whatever happens to a connection: no wrong value, no endless wait, no lost slot."""
 
 import pytest
 from hypothesis import given, settings

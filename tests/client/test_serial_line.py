@@ -1,6 +1,4 @@
-"""
-What is particular to serial lines: silence, echo, direction control, settings.
-"""
+"""What is particular to serial lines: silence, echo, direction control, settings."""
 
 import fcntl
 import re
@@ -8,7 +6,6 @@ import subprocess
 import sys
 import termios
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -88,9 +85,7 @@ def step(line: str) -> str:
     ("mode", "expected"), [("up", "set written cleared"), ("down", "cleared written set")]
 )
 @pytest.mark.parametrize("kind", ["rtu", "ascii"])
-def test_rts_is_turned_while_a_request_goes_out(
-    tmp_path: Path, mode: str, expected: str, kind: str
-) -> None:
+def test_rts_is_turned_while_a_request_goes_out(tmp_path, mode, expected, kind) -> None:
     """A pty has no RTS, so the system calls themselves are looked at."""
     answer = with_echo(b":")[1] if kind == "ascii" else ANSWER
     with FakeUnit(lambda request: [answer]) as unit:
@@ -122,9 +117,6 @@ def test_settings_in_the_url_reach_the_port(device: Device, query: str) -> None:
     ):
         for _ in range(3):
             assert context.read_holding_registers(100, 1) == [1000]
-
-
-# --- delimiters and noise -----------------------------------------------------------------------
 
 
 @ALL
@@ -160,9 +152,7 @@ def test_a_delimiter_that_the_device_has_already_is_an_option(in_url: bool, kind
 
 
 @ALL
-def test_a_byte_right_behind_a_flush_does_not_reopen_the_port(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_byte_right_behind_a_flush_does_not_reopen_the_port(kind: str, monkeypatch) -> None:
     """As a line picks up while nobody talks; each opening locks the port."""
     lock, flush, locks = fcntl.flock, termios.tcflush, []
 
@@ -188,9 +178,6 @@ def test_a_byte_right_behind_a_flush_does_not_reopen_the_port(
         assert len(locks) == 1
         assert client.state is State.CONNECTED
         assert client.statistics.lost == 0
-
-
-# --- delimiters, in bytes and times -----------------------------------------------------------
 
 
 def test_an_accepted_delimiter_is_used_from_then_on_and_given_back_at_a_restart() -> None:

@@ -1,9 +1,6 @@
-"""
-Devices that do not answer, and connections that are made again.
-"""
+"""Devices that do not answer, and connections that are made again."""
 
 from collections.abc import Callable
-from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -54,9 +51,7 @@ def values(found: dict[str, Any]) -> set[str]:
 
 @each_case("scheme", ["tcp", "rtu", "rtu+tcp", "udp"])
 @each_case("read", READS)
-def test_a_silent_device_costs_one_timeout(
-    world: World, scheme: str, read: Callable[[Any], dict[str, Any]]
-) -> None:
+def test_a_silent_device_costs_one_timeout(world: World, scheme, read) -> None:
     forget_lines()
     peer = world.peer(scheme, ignore)
     with world.connect(peer.url, timeout=0.5) as plc:
@@ -103,9 +98,7 @@ def test_a_gateway_that_answers_for_a_silent_unit_is_asked_once(world: World) ->
     assert len(peer.requests) == 1
 
 
-def test_a_device_that_is_silent_about_its_first_registers_is_asked_for_the_others(
-    world: World,
-) -> None:
+def test_a_device_that_is_silent_about_its_first_registers_is_asked_for_the_others(world: World):
     with world.client_of("tcp", silent_about(0), timeout=0.5) as plc:
         assert not values(plc.read_map(POINTS, return_exceptions=True))
         for _ in range(3):
@@ -165,21 +158,6 @@ def fail(connection: Reconnecting, now: float) -> float:
     return connection.next_attempt - now
 
 
-def test_pauses_double_up_to_the_longest_and_vary_by_a_fifth() -> None:
-    connection = made(max_pause=5)
-    pauses = [fail(connection, 10.0 * number) for number in range(10)]
-    for pause, longest in zip(pauses, [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5, 5, 5, 5], strict=True):
-        assert 0.8 * longest <= pause <= longest + 1e-9
-    assert len({round(pause, 6) for pause in pauses[6:]}) > 1
-
-
-def test_pauses_do_not_overflow() -> None:
-    connection = made(max_pause=86_400)
-    pauses = [fail(connection, 0.0) for _ in range(2000)]
-    assert all(earlier <= later / 0.79 for earlier, later in pairwise(pauses))
-    assert max(pauses) <= 86_400
-
-
 def test_who_cannot_wait_for_the_next_attempt_is_refused_with_the_reason() -> None:
     connection = made()
     assert connection.refusal(0, 1) is None
@@ -192,30 +170,6 @@ def test_who_cannot_wait_for_the_next_attempt_is_refused_with_the_reason() -> No
     assert str(refusal).startswith("refused; next attempt in 1.")
     connection.connecting()
     assert connection.refusal(100, 101) is None  # it may come in time
-
-
-def test_an_answer_ends_the_pauses() -> None:
-    connection = made()
-    for _ in range(5):
-        fail(connection, 0)
-    connection.connecting()
-    connection.opened()
-    connection.prove()
-    connection.lost(REFUSED, 50, by_itself=True)
-    assert connection.next_attempt <= 50
-    assert fail(connection, 60) <= 0.1 + 1e-9
-
-
-def test_a_connection_that_ends_before_an_answer_has_a_pause_behind_it() -> None:
-    connection = made()
-    connection.connecting()
-    connection.opened()
-    connection.lost(REFUSED, 50, by_itself=True)
-    assert 0.08 <= connection.next_attempt - 50 <= 0.1 + 1e-9
-    connection.connecting()
-    connection.opened()
-    connection.lost(REFUSED, 60, by_itself=False)  # given up here, and made anew at once
-    assert connection.next_attempt < 60
 
 
 def test_states_are_told_with_their_reasons_and_closed_is_the_last() -> None:

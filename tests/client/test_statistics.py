@@ -1,6 +1,4 @@
-"""
-What a connection counts: what became of each request, and how long answers took.
-"""
+"""What a connection counts: what became of each request, and how long answers took."""
 
 import asyncio
 import os
@@ -164,9 +162,6 @@ def test_connecting_is_no_time_of_an_answer(world: World) -> None:
 def test_all_results_are_explained() -> None:
     for result in RESULTS:
         assert f'"{result}"' in (Statistics.__doc__ or "")
-
-
-# --- the counters themselves -----------------------------------------------------------------
 
 
 def test_bounds_of_times_are_those_of_the_documentation() -> None:

@@ -1,6 +1,4 @@
-"""
-Requests that are submitted, and hooks that decide whether one is sent.
-"""
+"""Requests that are submitted, and hooks that decide whether one is sent."""
 
 import asyncio
 import errno
@@ -93,16 +91,13 @@ def test_failures_are_told_of_too(kind: str) -> None:
     run_peer(ignore, main)
 
 
-def test_what_cannot_be_sent_is_refused_at_once() -> None:
-    async def use() -> None:
-        client = AsyncClient("rtu:///dev/nowhere")
-        with pytest.raises(TypeError):
-            Sender(client).submit(1, b"\3", lambda: None)  # type: ignore[arg-type]
-        with pytest.raises(ValueError, match="broadcast"):
-            Sender(client).submit(0, READ, lambda: None)
-        await client.close()
-
-    asyncio.run(use())
+async def test_what_cannot_be_sent_is_refused_at_once() -> None:
+    client = AsyncClient("rtu:///dev/nowhere")
+    with pytest.raises(TypeError):
+        Sender(client).submit(1, b"\3", lambda: None)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="broadcast"):
+        Sender(client).submit(0, READ, lambda: None)
+    await client.close()
 
 
 class Gate:
@@ -165,9 +160,7 @@ def test_those_that_wait_are_not_sent_once_it_is_over(options: Any, sent: int) -
     run_client(good_at("tcp", after=0.1), use, may_send=gate, **options)
 
 
-def test_false_is_no_mistake_and_all_but_true_and_false_is(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_false_is_no_mistake_and_all_but_true_and_false_is(caplog) -> None:
     for allowed in (False, True):
         talk = Talk(may_send=lambda allowed=allowed: allowed)
         assert talk.ask(1).is_done is not allowed
@@ -188,9 +181,7 @@ def test_it_is_for_asyncio_alone() -> None:
 
 
 @pytest.mark.parametrize("when", ["given", "traced"])
-def test_nothing_goes_while_a_line_is_turned_round(
-    when: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_goes_while_a_line_is_turned_round(when, monkeypatch) -> None:
     """With RTS the frame leaves later than it was given to the port."""
     gate = Gate()
     send = SerialPort.send
@@ -213,9 +204,7 @@ def test_nothing_goes_while_a_line_is_turned_round(
         assert wire.sent_by("client") == b""
 
 
-def test_what_could_not_be_sent_is_not_traced(
-    world: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_could_not_be_sent_is_not_traced(world: World, monkeypatch) -> None:
     """The connection ends when the frame is to be sent."""
 
     def fail(self: Port, adus: list[bytes], now: float) -> None:

@@ -1,6 +1,4 @@
-"""
-Clients among threads and forks, and what is left of those that nobody closed.
-"""
+"""Clients among threads and forks, and what is left of those that nobody closed."""
 
 import asyncio
 import contextlib
@@ -25,8 +23,6 @@ from tests.support.peers import LinePeer, TcpPeer, Write, peer_at, until
 from tests.support.reads import good, good_at
 from tests.support.scripted import run as run_watched
 from tests.support.signals import in_child
-
-# --- forks ------------------------------------------------------------------------------------
 
 
 def assert_read(client: Any, address: int) -> None:
@@ -116,9 +112,6 @@ def test_a_child_that_asks_and_closes_leaves_its_parent_alone() -> None:
         assert (context.statistics.connects, line.statistics.connects) == (1, 1)
 
 
-# --- threads and tasks --------------------------------------------------------------------------
-
-
 def test_a_hundred_threads_and_a_close() -> None:
     """Each gets its own values until it is told that the client is closed."""
 
@@ -135,9 +128,6 @@ def test_a_hundred_threads_and_a_close() -> None:
             context.close()
             for each in asked:
                 each.result(5)
-
-
-# --- the process ----------------------------------------------------------------------------------
 
 
 @ALL
@@ -169,10 +159,7 @@ def test_no_descriptor_or_thread_is_left_by_clients_of_any_fate() -> None:
         assert_read(forgotten, 1)
         forgotten_line = Client(f"rtu://{unit.path}", baudrate=115200)
         assert_read(forgotten_line, 1)
-        for unreachable in (
-            Client("tcp://127.0.0.1:1"),
-            Client("rtu:///dev/null"),
-        ):
+        for unreachable in (Client("tcp://127.0.0.1:1"), Client("rtu:///dev/null")):
             with pytest.raises(ModbusConnectionError):
                 unreachable.connect()
         before = len(os.listdir("/proc/self/fd"))
@@ -189,9 +176,6 @@ def test_clients_can_be_neither_pickled_nor_copied_deeply(kind: str) -> None:
             with pytest.raises(TypeError):
                 spoil(getattr(client, "_plc", client))
         assert read(client, 5) == 5
-
-
-# --- clients that nobody closed --------------------------------------------------------------
 
 
 def forget(url: str) -> None:

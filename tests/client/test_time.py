@@ -1,23 +1,13 @@
-"""
-How long things take: time-outs, pauses, repetitions, broadcasts.
-"""
+"""How long things take: time-outs, pauses, repetitions, broadcasts."""
 
 import asyncio
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any
 
 import pytest
 
-from libmodbus_py import (
-    AsyncClient,
-    Client,
-    ModbusConnectionError,
-    ModbusTimeoutError,
-    State,
-    pdu,
-)
+from libmodbus_py import AsyncClient, Client, ModbusConnectionError, ModbusTimeoutError, State, pdu
 from libmodbus_py.client.sender import Sender
 from tests.simulation.scripted import Scripted
 from tests.support.clients import ALL, World, asking, read
@@ -89,12 +79,6 @@ def test_spacing_and_delay_are_kept(world: World) -> None:
     assert min(gaps) >= 0.03 - 1e-6
 
 
-# --- once more ------------------------------------------------------------------------------------
-
-
-# --- nobody answers -------------------------------------------------------------------------------
-
-
 def test_broadcast_waits_for_no_answer_and_reads_are_refused(world: World) -> None:
     unit = world.peer("rtu", ignore)
     url = f"{unit.url}&timeout=10&turnaround=0.05&unit=0"
@@ -105,9 +89,6 @@ def test_broadcast_waits_for_no_answer_and_reads_are_refused(world: World) -> No
         with pytest.raises(ValueError, match="broadcast"):
             everyone.read_coils(0, 1)
     assert unit.requests[0][:6] == bytes.fromhex("000600010002")
-
-
-# --- checks of both clients -------------------------------------------------------------------
 
 
 UNITS = [
@@ -121,9 +102,7 @@ UNITS = [
 
 @ALL
 @pytest.mark.parametrize(("unit", "error"), UNITS)
-def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(
-    kind: str, unit: Any, error: type[Exception]
-) -> None:
+def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(kind: str, unit, error) -> None:
     with peer_at("tcp", good) as peer, asking(kind, peer.url) as client:
         with pytest.raises(error, match=r"unit must be .*0\.\.255"):
             client.unit = unit
@@ -132,9 +111,7 @@ def test_a_unit_that_does_not_exist_is_refused_when_it_is_set(
 
 
 @pytest.mark.parametrize(("unit", "error"), UNITS)
-def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(
-    unit: Any, error: type[Exception]
-) -> None:
+def test_a_unit_that_does_not_exist_is_refused_when_it_is_submitted(unit, error) -> None:
     async def use(plc: AsyncClient, _: Scripted) -> None:
         waiting = asyncio.create_task(plc.read_holding_registers(7, 1))
         await asyncio.sleep(0)

@@ -1,13 +1,10 @@
-"""
-The methods of both clients: written once as coroutines, and made blocking by a generator.
-"""
+"""The methods of both clients: written once as coroutines, and made blocking by a generator."""
 
 import asyncio
 import importlib
 import inspect
 import pydoc
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -42,41 +39,6 @@ def generated(*arguments: str, root: Path = ROOT) -> tuple[int, str]:
 
 def test_the_blocking_methods_are_those_of_their_sources() -> None:
     assert generated("--check") == (0, "")
-
-
-def test_what_the_generator_makes(tmp_path: Path) -> None:
-    folder = tmp_path / "libmodbus_py" / "client"
-    folder.mkdir(parents=True)
-    (tmp_path / "packaging").mkdir()
-    shutil.copy(ROOT / "packaging" / "generate_blocking.py", tmp_path / "packaging")
-    (folder / "one_async.py").write_text(
-        '"""Await each AsyncClient."""\n'
-        "from .two_async import AsyncTwo\n"
-        '__all__ = ["AsyncOne"]\n'
-        'class AsyncOne(AsyncTwo, owner="AsyncClient"):\n'
-        "    _driver: AsyncioDriver\n"
-        "    async def __anext__(self):  # await no one\n"
-        "        async with self.lock, await self.a(await b(1)):\n"
-        "            raise StopAsyncIteration\n"
-        "        async for each in self: print('async', await each)\n"
-    )
-    written = "libmodbus_py/client/one_blocking.py"
-    reason = "not what generate_blocking.py makes"
-    assert generated("--check", root=tmp_path) == (1, f"{written}: {reason}\n")
-    assert generated(root=tmp_path) == (0, f"{written}: written\n")
-    assert (tmp_path / written).read_text() == (
-        "# Generated from one_async.py by packaging/generate_blocking.py; do not edit.\n"
-        '"""Await each AsyncClient."""\n'
-        "from .two_blocking import BlockingTwo\n"
-        '__all__ = ["BlockingOne"]\n'
-        'class BlockingOne(BlockingTwo, owner="Client"):\n'
-        "    _driver: BlockingDriver\n"
-        "    def __next__(self):  # await no one\n"
-        "        with self.lock, self.a(b(1)):\n"
-        "            raise StopIteration\n"
-        "        for each in self: print('async', each)\n"
-    )
-    assert generated("--check", root=tmp_path) == (0, "")
 
 
 def test_both_clients_have_the_same_methods() -> None:
@@ -124,9 +86,6 @@ def test_help_lists_all_methods_and_options(client: type) -> None:
     assert "read_coils(self,address:int,count:int)->list[bool]" in text
 
 
-# --- wrong names ----------------------------------------------------------------------------
-
-
 def called(plc: Any, name: str, *arguments: Any, **named: Any) -> str:
     """Return the message of the TypeError with which a method refuses its arguments."""
 
@@ -172,9 +131,7 @@ CLIENT = "? it is an argument of the client"
         ("for_unit", (), "device_id", "; did you mean unit?"),
     ],
 )
-def test_a_wrong_name_in_a_call(
-    make: Any, name: str, arguments: tuple[Any, ...], wrong: str, close: str
-) -> None:
+def test_a_wrong_name_in_a_call(make, name, arguments, wrong, close) -> None:
     plc = make("tcp://127.0.0.1:1")
     told = f"{make.__name__}.{name}() got an unexpected keyword argument {wrong!r}{close}"
     assert called(plc, name, *arguments, **{wrong: 3}) == told

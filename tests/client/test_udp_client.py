@@ -1,6 +1,4 @@
-"""
-Clients over UDP: datagrams that are lost, late, doubled, damaged, empty or another's.
-"""
+"""Clients over UDP: datagrams that are lost, late, doubled, damaged, empty or another's."""
 
 import contextlib
 import errno
@@ -35,20 +33,11 @@ def refused_port() -> Iterator[int]:
         yield int(made.getsockname()[1])
 
 
-# --- what is asked for comes back ----------------------------------------------------------
-
-
 @NEEDS_IPV6
 def test_url_with_an_ipv6_address(connect: Connect) -> None:
-    with (
-        UdpPeer(good, family=socket.AF_INET6) as server,
-        connect(server.url, unit=3) as context,
-    ):
+    with UdpPeer(good, family=socket.AF_INET6) as server, connect(server.url, unit=3) as context:
         assert context.read_holding_registers(5, 1) == [5]
         assert server.requests[0][2:] == bytes.fromhex("0000 0006 03 03 0005 0001")
-
-
-# --- datagrams that do not fit -------------------------------------------------------------
 
 
 def damaged(request: bytes) -> list[bytes]:
@@ -104,9 +93,6 @@ def test_datagram_of_another_host_is_never_seen(connect: Connect) -> None:
         assert context.statistics.late_answers == 0
 
 
-# --- many in flight ------------------------------------------------------------------------
-
-
 def test_many_in_flight_lose_some_and_get_the_others_in_any_order(world: World) -> None:
     waiting: list[bytes] = []
 
@@ -128,9 +114,6 @@ def test_many_in_flight_lose_some_and_get_the_others_in_any_order(world: World) 
     assert isinstance(found[5], ModbusTimeoutError)
     assert all(found[at] == [at] for at in range(40) if at not in (5, 30))
     assert len(peer.requests) == 40
-
-
-# --- the port ------------------------------------------------------------------------------
 
 
 def test_port_where_nobody_listens_is_a_connection_error_at_once(
@@ -155,8 +138,6 @@ def test_port_that_comes_back_is_used_again(connect: Connect) -> None:
         with UdpPeer(good, port=first.port):
             assert context.read_holding_registers(2, 1) == [2]
 
-
-# --- datagrams without a byte ----------------------------------------------------------------
 
 SCHEMES = pytest.mark.parametrize("scheme", ["udp", "rtu+udp"])
 
@@ -204,9 +185,6 @@ def test_those_that_come_to_an_idle_client_change_nothing(kind: str, scheme: str
         assert counted(client) == before
 
 
-# --- RTU frames in datagrams ------------------------------------------------------------------
-
-
 # A read of one register of unit 1, and its answer 555, by hand: serial line, appendix B.
 READ = bytes.fromhex("01 03 0000 0001 840a")
 ANSWER = bytes.fromhex("01 03 02 022b f93b")
@@ -230,9 +208,6 @@ def test_a_damaged_answer_ends_the_wait_as_on_a_line(world: World) -> None:
     ):
         read(client, 0)
     assert caught.value.received == damaged
-
-
-# --- the server -------------------------------------------------------------------------------
 
 
 def test_two_servers_do_not_answer_each_other_for_ever() -> None:

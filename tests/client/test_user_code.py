@@ -1,6 +1,4 @@
-"""
-Request classes and callbacks of users that raise, on both clients: their caller meets it, alone.
-"""
+"""Request classes and callbacks that raise, on both clients: only their caller meets it."""
 
 import asyncio
 import contextlib
@@ -81,9 +79,7 @@ METHODS = ["encode", "expects_response", "decode_response", "repeatable", "__str
     for name in METHODS
     for outcome in ("answer", "silence", "damage", "close")
 ])  # fmt: skip
-def test_a_mistake_in_a_class_is_met_by_its_caller(
-    scheme: str, kind: str, name: str, outcome: str
-) -> None:
+def test_a_mistake_in_a_class_is_met_by_its_caller(scheme: str, kind, name, outcome) -> None:
     rules = rules_of(scheme)
     if outcome == "close" and (rules.is_serial or rules.is_datagram):
         return
@@ -134,9 +130,7 @@ def broken_log() -> Iterator[None]:
 @pytest.mark.usefixtures("broken_log")
 @pytest.mark.parametrize("hook", [None, "trace", "on_state", "may_send"])
 @each_scheme
-def test_a_log_handler_that_fails_fails_no_call(
-    world: World, scheme: str, hook: str | None
-) -> None:
+def test_a_log_handler_that_fails_fails_no_call(world: World, scheme: str, hook) -> None:
     peer = world.peer(scheme, replying(scheme, "silence"))
     if hook == "may_send" and world.kind != "asyncio":
         return
@@ -244,9 +238,6 @@ def test_a_class_may_use_the_client_while_it_decodes() -> None:
     run_client(good, use)
 
 
-# --- hooks, and classes of requests, on the real system --------------------------------------
-
-
 def tcp(request: bytes) -> list[bytes]:
     return [answer(request[at : at + 12], "tcp") for at in range(0, len(request), 12)]
 
@@ -258,9 +249,7 @@ class Raised(BaseException):
 @pytest.mark.parametrize("error", [KeyError, MemoryError, KeyboardInterrupt, Raised])
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
 @pytest.mark.parametrize("at", range(4))
-def test_a_hook_that_raises_leaves_a_context_that_works(
-    at: int, hook: str, error: type[BaseException]
-) -> None:
+def test_a_hook_that_raises_leaves_a_context_that_works(at, hook, error) -> None:
     """At its first call, or a later one: connecting, sending, receiving, being lost."""
     calls = iter(range(1000))
 

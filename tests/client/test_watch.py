@@ -1,6 +1,4 @@
-"""
-`watch` of both clients: exact times without drift, failures in place of values, and its ends.
-"""
+"""`watch` of both clients: exact times without drift, failures in place of values, and its ends."""
 
 import asyncio
 import threading
@@ -44,12 +42,9 @@ TOTALS = RegisterMap(
 
 class Wall:
     """
-    A simulated device, and clients that watch it.
-
-    Attributes:
-        registers: what is answered at an address, one value after the other; the last one stays.
-        refused, silent: addresses that get an exception, and no answer.
-        takes: how long an answer takes, in seconds.
+    A simulated device, and clients that watch it. `registers`: what is answered at an address, one
+    value after the other; the last one stays; `refused, silent`: addresses that get an exception,
+    and no answer; `takes`: how long an answer takes, in seconds.
     """
 
     def __init__(self, world: World) -> None:
@@ -265,9 +260,6 @@ def test_ctrl_c_leaves_and_a_signal_handler_may_close(url: str) -> None:
         assert plc.read_holding_registers(0, 1) == [0]
         with on_alarm(plc.close, 0.05):
             assert list(watching) == []
-
-
-# --- points with intervals of their own, and totals that fall ---------------------------------
 
 
 def test_points_are_asked_at_their_intervals_and_keep_their_values(wall: Wall) -> None:

@@ -1,6 +1,4 @@
-"""
-Which function writes values, and layouts of a program's own.
-"""
+"""Which function writes values, and layouts of a program's own."""
 
 from typing import Any, ClassVar
 
@@ -91,9 +89,7 @@ def test_a_map_is_written_with_the_functions_that_the_device_has(
         ("single", SINGLE, ["0600033f80", "0600040000"]),
     ],
 )
-def test_so_are_values(
-    world: World, option: str, functions: tuple[int, ...], expected: list[str]
-) -> None:
+def test_so_are_values(world: World, option, functions, expected) -> None:
     peer = world.peer("tcp", knowing(*functions))
     with world.connect(f"{peer.url}?write_function={option}") as plc:
         plc.write_value("holding_registers", 3, 1.0, "float32")

@@ -1,6 +1,4 @@
-"""
-The functions of contexts, and the examples of their page.
-"""
+"""The functions of contexts, and the examples of their page."""
 
 import contextlib
 import signal
@@ -92,9 +90,7 @@ def test_contexts_send_and_understand_the_examples_of_the_specification(transpor
 
 
 @each_transport
-def test_contexts_get_all_that_a_server_in_c_has(
-    compiled: Callable[[str], Path], transport: str
-) -> None:
+def test_contexts_get_all_that_a_server_in_c_has(compiled: Callable[[str], Path], transport: str):
     with c_serving(compiled("server"), transport) as url, context_at(url) as context:
         check_all(context)  # type: ignore[arg-type]
         version = ".".join(map(str, loaded_version()))

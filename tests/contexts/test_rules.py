@@ -1,6 +1,4 @@
-"""
-The rules of contexts: what follows a failure, late answers, threads, signals, forks, descriptors.
-"""
+"""Contexts: what follows a failure, late answers, threads, signals, forks, descriptors."""
 
 import contextlib
 import errno
@@ -38,9 +36,6 @@ each_transport = pytest.mark.parametrize("transport", ["tcp", "rtu"])
 FORKS = pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 
 
-# --- late answers ------------------------------------------------------------------------------
-
-
 def late_sometimes(transport: str, seconds: float) -> OnRequest:
     """Answer each fortieth request late."""
     count = 0
@@ -61,9 +56,7 @@ def late_sometimes(transport: str, seconds: float) -> OnRequest:
         *(("rtu", 0.5, late) for late in (0.498, 0.505, 0.6)),
     ],
 )
-def test_no_late_answer_is_taken_for_the_next(
-    transport: str, timeout: float, seconds: float
-) -> None:
+def test_no_late_answer_is_taken_for_the_next(transport, timeout, seconds) -> None:
     right = failed = 0
     with (
         peer_at(transport, late_sometimes(transport, seconds)) as peer,
@@ -149,9 +142,6 @@ def test_bad_answers_are_errors_and_the_next_answer_is_right(name: str) -> None:
         assert (caught.value.unit, caught.value.function) == (17, 3)
         peer.on_request = good_at(transport)
         assert context.read_holding_registers(2, 1) == [2]
-
-
-# --- connections -------------------------------------------------------------------------------
 
 
 def test_a_connection_that_the_other_side_closes_is_made_again() -> None:
@@ -251,9 +241,6 @@ def test_garbage_is_closed() -> None:
         until(lambda: not peer._peers)
 
 
-# --- threads and signals -----------------------------------------------------------------------
-
-
 @each_transport
 def test_threads_wait_for_each_other(transport: str) -> None:
     with peer_at(transport, good_at(transport)) as peer, context_at(peer.url) as context:
@@ -335,19 +322,13 @@ def test_a_signal_handler_cannot_ask_during_a_call_of_its_thread() -> None:
         except RuntimeError as error:
             errors.append(error)
 
-    with (
-        TcpPeer(good_at("tcp", after=0.2)) as peer,
-        context_at(peer.url) as context,
-    ):
+    with TcpPeer(good_at("tcp", after=0.2)) as peer, context_at(peer.url) as context:
         with on_alarm(handler, 0.1):
             assert context.read_holding_registers(3, 1) == [3]
         assert context.read_holding_registers(4, 1) == [4]
         assert len(peer.requests) == 2
     (error,) = errors
     assert "signal handler" in str(error)
-
-
-# --- forks and descriptors ---------------------------------------------------------------------
 
 
 @FORKS
@@ -416,9 +397,6 @@ def test_descriptors_of_which_libmodbus_would_die_are_refused(transport: str) ->
     for line in refusals:
         assert line.startswith(f"{errno.EMFILE} ")
         assert "libmodbus takes those below 1024; Client takes all" in line
-
-
-# --- arguments ---------------------------------------------------------------------------------
 
 
 def test_the_settings_of_a_line_are_set() -> None:
@@ -547,10 +525,7 @@ def test_names_of_hosts_are_names() -> None:
 
 def test_a_broadcast_waits_for_no_answer_and_reads_are_refused() -> None:
     with peer_at("rtu", ignore) as peer, context_at(peer.url, unit=0) as context:
-        for write in (
-            lambda: context.write_register(1, 2),
-            lambda: context.write_coils(0, [True]),
-        ):
+        for write in (lambda: context.write_register(1, 2), lambda: context.write_coils(0, [True])):
             start = time.monotonic()
             write()
             assert 0.09 < time.monotonic() - start < 2
@@ -570,9 +545,7 @@ def test_a_broadcast_waits_for_no_answer_and_reads_are_refused() -> None:
         lambda line: line.diagnostics(0, 5),
     ],
 )
-def test_what_custom_rts_raises_is_the_cause_of_the_error_of_the_call(
-    failing: bool, ask: Callable[[RtuContext], object]
-) -> None:
+def test_what_custom_rts_raises_is_the_cause_of_the_error_of_the_call(failing, ask) -> None:
     calls: list[bool] = []
 
     def turn(is_sending: bool) -> None:
@@ -580,10 +553,7 @@ def test_what_custom_rts_raises_is_the_cause_of_the_error_of_the_call(
         if is_sending is failing and calls == [True, False][: len(calls)]:
             raise LookupError("no line 17")
 
-    with (
-        peer_at("rtu", good_at("rtu")) as peer,
-        context_at(peer.url, timeout=0.1) as context,
-    ):
+    with peer_at("rtu", good_at("rtu")) as peer, context_at(peer.url, timeout=0.1) as context:
         assert isinstance(context, RtuContext)
         context.set_custom_rts(turn)
         calls.append(False)  # nothing fails yet

@@ -1,6 +1,4 @@
-"""
-Slaves by hand: what they answer to masters of libmodbus, mbpoll and pymodbus, and what they refuse.
-"""
+"""Slaves by hand: what they answer to libmodbus, mbpoll and pymodbus, and what they refuse."""
 
 import contextlib
 import itertools
@@ -74,10 +72,7 @@ def test_a_slave_on_a_line_finds_requests_between_noise() -> None:
 
 @each_transport
 def test_a_context_is_content_with_a_slave_by_hand(transport: str) -> None:
-    with (
-        slave_at(transport, make_device().mapping) as url,
-        context_at(url) as context,
-    ):
+    with slave_at(transport, make_device().mapping) as url, context_at(url) as context:
         check_all(context)  # type: ignore[arg-type]
 
 
@@ -127,8 +122,6 @@ def test_pymodbus_talks_with_a_slave_by_hand(transport: str) -> None:
         assert client.read_coils(5000, count=1, device_id=UNIT).exception_code == 2
         assert client.read_fifo_queue(address=100, device_id=UNIT).exception_code == 1
 
-
-# --- what is refused --------------------------------------------------------------------------
 
 HOLES = Mapping(coils=10, holding_registers=[range(5), range(10, 15)], input_registers=10)
 
@@ -228,9 +221,6 @@ def test_a_slave_on_a_line_hears_others_and_answers_what_is_its_own() -> None:
         until(lambda: b"".join(line.requests) == 2 * ours)
     assert seen == [None, ours, None, rtu("00 06 0002 0009"), ours]
     assert mapping.holding_registers[:4] == [0, 7, 9, 0]
-
-
-# --- the connection of a slave ----------------------------------------------------------------
 
 
 def test_a_slave_times_out_and_sees_the_end_of_its_master() -> None:

@@ -71,9 +71,6 @@ def adapted(name: str, folder: Path, changes: dict[str, str]) -> Path:
     return compile_c(copy, folder / name, f"-I{EXAMPLES}", "-w")
 
 
-# --- its client -------------------------------------------------------------------------------
-
-
 LONGER_WAITS = {
     "modbus_set_response_timeout(ctx, 0, 600000)": "modbus_set_response_timeout(ctx, 0, 950000)",
     "modbus_set_byte_timeout(ctx, 0, 7000)": "modbus_set_byte_timeout(ctx, 0, 500000)",
@@ -194,8 +191,6 @@ def test_the_client_passes(kind: str, peer: str, tmp_path: Path) -> None:
     assert passed(lines) >= 100
 
 
-# --- its server -------------------------------------------------------------------------------
-
 SHOW_PORT = """
     s = modbus_tcp_listen(ctx, 1);
     {
@@ -272,10 +267,7 @@ ANSWERS: list[tuple[Ask, object]] = [
     (lambda c: c.write_register(first(HOLDING_REGISTERS), 0x1234), None),
     (lambda c: c.read_holding_registers(first(HOLDING_REGISTERS), 1), [0x1234]),
     (lambda c: c.write_registers(first(HOLDING_REGISTERS), [0x022B, 0x0001, 0x0064]), None),
-    (
-        lambda c: c.read_holding_registers(first(HOLDING_REGISTERS), 3),
-        [0x022B, 0x0001, 0x0064],
-    ),
+    (lambda c: c.read_holding_registers(first(HOLDING_REGISTERS), 3), [0x022B, 0x0001, 0x0064]),
     (
         lambda c: c.read_write_registers(
             first(HOLDING_REGISTERS), 3, first(HOLDING_REGISTERS) + 1, [0, 0]
@@ -375,9 +367,7 @@ FAILURES: dict[str, tuple[float, int, int, type[Exception]]] = {
 @each_transport
 @each_face
 @pytest.mark.parametrize("name", FAILURES)
-def test_requests_fail_where_the_server_misbehaves(
-    server: Path, transport: str, face: str, name: str
-) -> None:
+def test_requests_fail_where_the_server_misbehaves(server: Path, transport: str, face: str, name):
     timeout, address, count, kind = FAILURES[name]
     if name == "another sender" and (face, transport) == ("client", "tcp"):
         kind = ModbusTimeoutError  # the answer of another request, which may be a late one

@@ -1,6 +1,4 @@
-"""
-Devices and requests that several tests of devices share.
-"""
+"""Devices and requests that several tests of devices share."""
 
 import copy
 import struct

@@ -1,6 +1,4 @@
-"""
-A second device, written from the specification with dicts alone.
-"""
+"""A second device, written from the specification with dicts alone."""
 
 import struct
 

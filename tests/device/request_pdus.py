@@ -1,6 +1,4 @@
-"""
-Any requests, good and bad, as hypothesis draws them.
-"""
+"""Any requests, good and bad, as hypothesis draws them."""
 
 import struct
 

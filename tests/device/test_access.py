@@ -1,12 +1,8 @@
-"""
-What each request touches, as hooks are told of it, and what hooks may refuse or change.
-"""
+"""What each request touches, as hooks are told of it, and what hooks may refuse or change."""
 
 import threading
 from collections.abc import Callable
 from typing import Any
-
-import pytest
 
 from libmodbus_py import Access, Device, Mapping, pdu
 from libmodbus_py.device.access import ACCESSES
@@ -112,9 +108,7 @@ class TestHooks:
         assert {type(request) for request in BEYOND} == touching
 
     @each_case(("request_", "writes", "reads"), TOUCHES, ids=id_of)
-    def test_hooks_are_told_what_is_touched_in_order(
-        self, request_: pdu.Request[Any], writes: list[Access], reads: list[Access]
-    ) -> None:
+    def test_hooks_are_told_what_is_touched_in_order(self, request_, writes, reads) -> None:
         recorder = Recorder()
         plain = hooked_device()
         before = contents(plain)
@@ -147,9 +141,7 @@ class TestHooks:
             *[(each.encode()[:1], 3) for each, *_ in TOUCHES],
         ],
     )
-    def test_hooks_never_see_what_does_not_exist_or_is_malformed(
-        self, body: bytes, code: int
-    ) -> None:
+    def test_hooks_never_see_what_does_not_exist_or_is_malformed(self, body, code) -> None:
         recorder = Recorder()
         before = contents(recorder.device)
         assert recorder.device.answer(body, CALLER) == bytes([body[0] | 0x80, code])
@@ -173,9 +165,7 @@ class TestHooks:
 
     @each_case("request_", WRITES, ids=id_of)
     @each_case("code", [*range(1, 12), 0x7F, 255])
-    def test_before_write_refuses_and_nothing_changes(
-        self, request_: pdu.Request[Any], code: int, caplog: pytest.LogCaptureFixture
-    ) -> None:
+    def test_before_write_refuses_and_nothing_changes(self, request_, code, caplog) -> None:
         caplog.clear()
         refusal = errors.ExceptionResponse.of(code)
         told: list[Access] = []

@@ -1,6 +1,4 @@
-"""
-What a device has is checked when it is set: by its arguments, and by assignments later.
-"""
+"""What a device has is checked when it is set: by its arguments, and by assignments later."""
 
 from typing import Any
 
@@ -57,9 +55,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "value", "error", "text"), CASES)
-def test_a_wrong_value_is_refused_as_argument_and_as_attribute(
-    name: str, value: Any, error: type[Exception], text: str
-) -> None:
+def test_a_wrong_value_is_refused_as_argument_and_as_attribute(name, value, error, text) -> None:
     with pytest.raises(error, match=text):
         Device(**{"mapping": Mapping(), name: value})
     device = Device(Mapping(holding_registers=1), files={4: 1}, fifos={7: [9]})

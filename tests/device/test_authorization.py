@@ -1,6 +1,4 @@
-"""
-Authorisation of every request: MB-TCP-Security-v36, R-24 to R-31.
-"""
+"""Authorisation of every request: MB-TCP-Security-v36, R-24 to R-31."""
 
 import logging
 from typing import Any
@@ -120,9 +118,6 @@ def test_all_128_codes_are_asked_about() -> None:
         assert len(seen) == 1
 
 
-# --- what is asked ---------------------------------------------------------------------------
-
-
 def test_it_is_told_what_a_request_touches_as_hooks_are() -> None:
     seen: list[Asked] = []
     caller = Caller(7, "here", role="Operator")
@@ -151,9 +146,6 @@ def test_it_is_asked_each_time() -> None:
     device = Device(Mapping(holding_registers=1), authorize=lambda asked: next(answers))
     request = pdu.ReadHoldingRegisters(0, 1).encode()
     assert [device.answer(request)[0] for _ in range(3)] == [0x03, 0x83, 0x03]
-
-
-# --- before everything else -------------------------------------------------------------------
 
 
 @each_case(
@@ -237,9 +229,6 @@ def test_who_was_refused_is_told() -> None:
     assert refused == [1, 1]
 
 
-# --- mistakes in it ----------------------------------------------------------------------------
-
-
 async def forgotten(asked: Asked) -> bool:
     return True
 
@@ -282,9 +271,6 @@ def test_what_is_no_function_is_refused_at_once() -> None:
 def test_a_device_that_authorizes_is_never_answered_in_c() -> None:
     assert Device(Mapping(1)).in_c
     assert not Device(Mapping(1), authorize=lambda asked: True).in_c
-
-
-# --- the log ------------------------------------------------------------------------------------
 
 
 def refuse(guard: Authorization, peer: str, role: str | None = "Viewer") -> None:

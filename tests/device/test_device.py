@@ -1,6 +1,4 @@
-"""
-A device: worked examples, the order of checks, broadcasts, and two devices in one program.
-"""
+"""A device: worked examples, the order of checks, broadcasts, and two devices in one program."""
 
 import pytest
 

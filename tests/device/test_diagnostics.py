@@ -1,6 +1,4 @@
-"""
-Status, identifier, counters and diagnostics of a device.
-"""
+"""Status, identifier, counters and diagnostics of a device."""
 
 from typing import Any
 

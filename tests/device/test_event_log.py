@@ -1,6 +1,4 @@
-"""
-Counters, event log, listen-only mode and delimiter, on serial lines (sections 6.8-6.10).
-"""
+"""Counters, event log, listen-only mode and delimiter, on serial lines (sections 6.8-6.10)."""
 
 from collections.abc import Iterator
 from typing import ClassVar
@@ -173,9 +171,7 @@ def test_listen_only_is_silent_until_restarted(line: Client, devices: dict[int, 
     assert log[12:15] == bytes.fromhex("a0 60 00")
 
 
-def test_broadcasts_are_not_executed_in_listen_only(
-    line: Client, devices: dict[int, Device]
-) -> None:
+def test_broadcasts_are_not_executed_in_listen_only(line: Client, devices: dict[int, Device]):
     line.diagnostics(SubFunction.FORCE_LISTEN_ONLY)
     line.for_unit(0).write_register(0, 77)
     line.for_unit(2).read_coils(0, 1)

@@ -1,6 +1,4 @@
-"""
-Functions that a program answers, and what fails in them.
-"""
+"""Functions that a program answers, and what fails in them."""
 
 import logging
 import threading
@@ -10,8 +8,8 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Access, Device, Mapping, pdu
-from libmodbus_py.device import reply
-from libmodbus_py.device.reply import replier
+from libmodbus_py.binding import library
+from libmodbus_py.binding.library import replier
 from libmodbus_py.protocol import errors
 from libmodbus_py.serve import RecordFile
 from tests.device.devices import new_device, words
@@ -52,9 +50,7 @@ class TestHandlers:
             assert device.answer(b"\x41\2" + words(code)) == bytes([0xC1, code])
 
     @each_case("bad", [None, "text", [-1], [65536], [0] * 126, [0] * 1000])
-    def test_bug_or_bad_result_is_a_failure(
-        self, bad: Any, caplog: pytest.LogCaptureFixture
-    ) -> None:
+    def test_bug_or_bad_result_is_a_failure(self, bad, caplog) -> None:
         caplog.clear()
         device = Device(Mapping(), handlers={Doubled: lambda request: bad})
         for _ in range(2):
@@ -89,9 +85,7 @@ class Broken(RecordFile):
 
 
 class TestFailures:
-    def test_bug_is_answered_4_and_logged_once_for_each_function(
-        self, caplog: pytest.LogCaptureFixture
-    ) -> None:
+    def test_bug_is_answered_4_and_logged_once_for_each_function(self, caplog) -> None:
         device = Device(Mapping(holding_registers=1))
         device.files[1] = Broken([1])
         read = pdu.ReadFileRecords([(1, 0, 1)]).encode()
@@ -129,16 +123,14 @@ class TestFailures:
         assert answers == [b"\x03\2\0\0"]
         assert len(caplog.records) == 1
 
-    def test_failure_of_libmodbus_is_answered_4(
-        self, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-    ) -> None:
+    def test_failure_of_libmodbus_is_answered_4(self, monkeypatch, caplog) -> None:
         device = new_device()
 
         def fail() -> None:
             raise OSError("no descriptor left")
 
         with monkeypatch.context() as patch:
-            patch.setattr(reply, "replier", fail)
+            patch.setattr(library, "replier", fail)
             assert device.answer(b"\x03" + words(100, 1)) == b"\x83\4"
             assert device.answer(b"\x03" + words(0, 1, 1)) == b"\x83\3"
         assert device.answer(b"\x03" + words(100, 1)) == b"\x03\2\0\0"

@@ -1,15 +1,9 @@
-"""
-Warnings that clients cause: one at once, then a line a minute, whatever the clients do.
-"""
-
-import asyncio
-import logging
+"""Warnings that clients cause: one at once, then a line a minute, whatever the clients do."""
 
 import pytest
 
-from libmodbus_py.device.limited_log import MAX_REASONS, LimitedLog, in_time
+from libmodbus_py.device.authorization import MAX_REASONS, LimitedLog
 from libmodbus_py.protocol.logs import HarmlessLogger
-from tests.simulation.stage import Stage
 
 
 class Clock:
@@ -29,33 +23,7 @@ def log(clock: Clock) -> LimitedLog:
     return LimitedLog(HarmlessLogger(__name__), clock)
 
 
-def test_a_flood_is_a_line_and_then_a_line_a_minute(
-    log: LimitedLog, clock: Clock, caplog: pytest.LogCaptureFixture
-) -> None:
-    for second in range(130):
-        clock.now = 1000.0 + second
-        for port in range(10):
-            log.warning("%s: too fast", port)
-    assert caplog.messages == [
-        "0: too fast",
-        "0: too fast; 600 since the last line like this",
-        "0: too fast; 600 since the last line like this",
-    ]
-    assert {record.levelno for record in caplog.records} == {logging.WARNING}
-
-
-def test_a_rare_warning_is_a_line_each_time(
-    log: LimitedLog, clock: Clock, caplog: pytest.LogCaptureFixture
-) -> None:
-    for port in range(3):
-        clock.now += 61
-        log.warning("%s: too fast", port)
-    assert caplog.messages == ["0: too fast", "1: too fast", "2: too fast"]
-
-
-def test_each_reason_has_its_own_lines_but_not_any_number(
-    log: LimitedLog, clock: Clock, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_each_reason_has_its_own_lines_but_not_any_number(log: LimitedLog, clock: Clock, caplog):
     for number in range(10 * MAX_REASONS):
         log.warning("refused: %s", number, reason=f"reason {number}")
     assert len(caplog.messages) == MAX_REASONS + 1
@@ -65,24 +33,4 @@ def test_each_reason_has_its_own_lines_but_not_any_number(
     assert caplog.messages[MAX_REASONS + 1 :] == [
         f"refused: {10 * MAX_REASONS - 1}; {9 * MAX_REASONS - 1} since the last line like this",
         "refused: again",
-    ]
-
-
-def test_the_number_comes_at_the_end_of_the_minute_within_a_loop(
-    stage: Stage, log: LimitedLog, caplog: pytest.LogCaptureFixture
-) -> None:
-    async def flood() -> None:
-        with in_time():
-            for port in range(10):
-                log.warning("%s: too fast", port)
-                log.warning("%s: too many", port)
-            await asyncio.sleep(59)
-            assert len(caplog.messages) == 2
-            await asyncio.sleep(2)
-            log.warning("%s: too fast", "later")
-
-    stage.wait(flood())
-    assert caplog.messages[2:] == [
-        "9: too fast; 9 since the last line like this",
-        "9: too many; 9 since the last line like this",
     ]

@@ -1,12 +1,9 @@
-"""
-The four tables: what goes in and comes out, who may hold on to them, and what they cost.
-"""
+"""The four tables: what goes in and comes out, who may hold on to them, and what they cost."""
 
 import gc
 import subprocess
 import sys
 import weakref
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -44,9 +41,7 @@ class TestArguments:
             (range(7, 7), range(7, 7)),
         ],
     )
-    def test_count_or_range_gives_the_addresses(
-        self, name: str, given_addresses: Any, addresses: range
-    ) -> None:
+    def test_count_or_range_gives_the_addresses(self, name: str, given_addresses, addresses):
         made = table(name, given_addresses)
         assert made.addresses == addresses
         assert made.name == name
@@ -155,9 +150,7 @@ class TestHoles:
             ([range(3), 5], TypeError, r"a count, ranges of addresses or {address: values}, not"),
         ],
     )
-    def test_what_cannot_be_is_refused_by_name(
-        self, name: str, bad: Any, error: type[Exception], text: str
-    ) -> None:
+    def test_what_cannot_be_is_refused_by_name(self, name: str, bad, error, text) -> None:
         with pytest.raises(error, match=rf"^{name}.*{text}"):
             table(name, bad)
 
@@ -365,13 +358,7 @@ class TestTypedValues:
             (lambda made: made.read_values(0, "int16", 1.0), TypeError, "count must be an"),
         ],
     )
-    def test_errors_change_nothing(
-        self,
-        name: str,
-        access: Callable[[Any], object],
-        error: type[Exception],
-        named: str,
-    ) -> None:
+    def test_errors_change_nothing(self, name: str, access, error, named) -> None:
         made = table(name, 10)
         made[9] = 0xFFFF
         with pytest.raises(error, match=named):

@@ -1,6 +1,4 @@
-"""
-What points mean at servers: scales of other registers, values that are set together, no value.
-"""
+"""What points mean at servers: scales of other registers, values set together, no value."""
 
 from typing import Any
 
@@ -76,9 +74,7 @@ REQUESTS: list[tuple[pdu.Request[Any], int]] = [
 
 @each_case("origin", ["map", "file"])
 @each_case(("request_", "code"), REQUESTS)
-def test_a_write_is_checked_with_the_scale_after_it(
-    origin: str, request_: pdu.Request[Any], code: int
-) -> None:
+def test_a_write_is_checked_with_the_scale_after_it(origin, request_, code) -> None:
     device = new_device(origin)
     before = list(device.mapping.holding_registers[0:4])
     assert written(device, request_) == code
@@ -146,8 +142,6 @@ def test_a_moving_scale_is_computed_before_it_is_used() -> None:
     assert device.mapping.holding_registers[0] == 2
     assert device["setpoint"] == 20
 
-
-# --- states, bits, and no value ----------------------------------------------------------------
 
 POINTS = RegisterMap(
     [

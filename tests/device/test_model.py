@@ -1,6 +1,4 @@
-"""
-Devices answer as a model of the specification does, whether in C or in Python.
-"""
+"""Devices answer as a model of the specification does, whether in C or in Python."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""
-Names of points on a device: values read and set by name, all of them or none.
-"""
+"""Names of points on a device: values read and set by name, all of them or none."""
 
 import threading
 from pathlib import Path
@@ -61,9 +59,7 @@ WRONG: list[tuple[dict[Any, Any], type[Exception], str]] = [
 
 
 @each_case(("values", "error", "message"), WRONG)
-def test_what_does_not_fit_changes_nothing(
-    values: dict[Any, Any], error: type[Exception], message: str
-) -> None:
+def test_what_does_not_fit_changes_nothing(values, error, message) -> None:
     device = Device.of_map(MAP, {"setpoint": 20})
     with pytest.raises(error, match=message):
         device.update(values)

@@ -1,6 +1,4 @@
-"""
-Access and bounds of points: what clients are answered, in C and in Python, before any hook.
-"""
+"""Access and bounds of points: what clients are answered, in C and in Python, before any hook."""
 
 import struct
 from typing import Any

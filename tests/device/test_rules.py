@@ -1,6 +1,4 @@
-"""
-Rules for roles: what they allow, held against a model that counts items one by one.
-"""
+"""Rules for roles: what they allow, held against a model that counts items one by one."""
 
 from typing import Any
 
@@ -136,9 +134,7 @@ OTHERS = [request for request in REQUEST_OBJECTS if type(request) not in ACCESSE
 
 
 @each_case("request_", OTHERS, ids=lambda each: type(each).__name__)
-def test_functions_that_touch_no_table_are_allowed_by_their_code(
-    request_: pdu.Request[Any],
-) -> None:
+def test_functions_that_touch_no_table_are_allowed_by_their_code(request_) -> None:
     data = request_.encode()
     for functions in ((7,), (8,), (11,), (12,), (17,), (43,), (65,), (7, 8, 11, 12, 17, 43)):
         rules = Rules({None: Allow("all", "all", functions)})

@@ -1,6 +1,4 @@
-"""
-Values of devices in files: saved, loaded again, and refused with the key that is wrong.
-"""
+"""Values of devices in files: saved, loaded again, and refused with the key that is wrong."""
 
 import errno
 import json
@@ -11,7 +9,6 @@ import stat
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -226,9 +223,6 @@ def test_every_cut_and_every_changed_byte_is_refused(tmp_path: Path) -> None:
             device.load(path)
 
 
-# --- files --------------------------------------------------------------------------------
-
-
 def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
@@ -253,9 +247,7 @@ def test_links_and_permissions_stay(tmp_path: Path) -> None:
 
 
 @each_case("step", ["fsync", "replace", "fchmod"])
-def test_what_fails_leaves_the_file_as_it_was(
-    step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_fails_leaves_the_file_as_it_was(step, tmp_path, monkeypatch) -> None:
     path = tmp_path / step
     device = plant()
     device.save(path)
@@ -276,9 +268,7 @@ def test_what_fails_leaves_the_file_as_it_was(
 
 
 @each_case("make", [os.mkfifo, os.mkdir, lambda path: path.symlink_to(path)])
-def test_what_is_no_regular_file_is_not_replaced(
-    make: Callable[[Path], object], tmp_path: Path
-) -> None:
+def test_what_is_no_regular_file_is_not_replaced(make, tmp_path) -> None:
     path = tmp_path / getattr(make, "__name__", "link").strip("<>")
     make(path)
     before = os.lstat(path)

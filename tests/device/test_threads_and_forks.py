@@ -1,6 +1,4 @@
-"""
-Devices that several threads use, or a process and its child.
-"""
+"""Devices that several threads use, or a process and its child."""
 
 import subprocess
 import sys

@@ -1,8 +1,4 @@
-"""
-What a document has when it runs.
-"""
-
-from __future__ import annotations
+"""What a document has when it runs."""
 
 import logging
 from collections.abc import Callable, Iterator

@@ -6,8 +6,6 @@ is a file, which the rest of its document finds; ``<!-- not run: REASON -->`` ab
 it is neither. The other fences are pictures, for whoever reads.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

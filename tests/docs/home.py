@@ -13,8 +13,6 @@ libmodbus-py certificates          the server's has this address, too
 =================================  =============================================================
 """
 
-from __future__ import annotations
-
 import re
 from contextlib import ExitStack
 from functools import cached_property
@@ -41,12 +39,8 @@ def own_address() -> str:
 
 class Home:
     """
-    Args:
-        folder: where files are, and commands run.
-
-    Attributes:
-        at_end: what is undone when the document ends.
-        device, mapping: who answers at 192.0.2.10 and /dev/ttyUSB0.
+    `folder`: where files are, and commands run. `at_end`: what is undone when the document ends;
+    `device, mapping`: who answers at 192.0.2.10 and /dev/ttyUSB0.
     """
 
     def __init__(self, folder: Path) -> None:

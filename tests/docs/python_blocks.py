@@ -12,8 +12,6 @@ anything else                       is for readers
 ==================================  ============================================================
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import re
@@ -25,11 +23,8 @@ from sybil import Example
 
 def run_python(example: Example, source: str, seen: Callable[[str], str]) -> None:
     """
-    Run a block in the namespace of its document.
-
-    Args:
-        source: the block, with the addresses of this machine.
-        seen: puts the addresses of the document into what was printed.
+    Run a block in the namespace of its document. `source`: the block, with the addresses of this
+    machine; `seen`: puts the addresses of the document into what was printed.
     """
     tree = Comparing(source).visit(ast.parse(source))
     ast.increment_lineno(tree, example.line)

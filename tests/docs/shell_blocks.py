@@ -11,8 +11,6 @@ bash runs the commands; a ``libmodbus-py`` without anything that is the shell's 
 process that has imported the package, which takes a tenth of the time.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re
@@ -30,8 +28,7 @@ from tests.support.commands import PAGE_TOKEN, Started
 
 Process = subprocess.Popen[bytes] | Started
 
-PATIENCE = 30.0
-"""Seconds that a command may take: the machine may be busy."""
+PATIENCE = 30.0  # seconds that a command may take: the machine may be busy
 
 _TYPED = re.compile(r"^\$ (.*(?:(?<=\\)\n> .*)*)\n?((?:(?!\$ ).*\n?)*)", re.MULTILINE)
 
@@ -48,10 +45,8 @@ _PUNCTUATION = set("();<>|&")
 @dataclass(frozen=True)
 class Command:
     """
-    Attributes:
-        text: what is typed.
-        expected: what it prints, or None if nobody says.
-        line: where it stands in its block, from 1.
+    `text`: what is typed; `expected`: what it prints, or None if nobody says; `line`: where it
+    stands in its block, from 1.
     """
 
     text: str
@@ -92,11 +87,9 @@ def of_sh(source: str) -> Iterator[Command]:
 
 class Shell:
     """
-    Types commands in a folder, and keeps what stays.
-
-    Args:
-        folder: where it begins; ``cd`` and ``export`` hold for what follows.
-        here, there: put addresses of this machine in, and out again.
+    Types commands in a folder, and keeps what stays. `folder`: where it begins; ``cd`` and
+    ``export`` hold for what follows; `here, there`: put addresses of this machine in, and out
+    again.
     """
 
     def __init__(

@@ -3,8 +3,6 @@ The pages of the API, which packaging/docs/reference.py makes: each public name 
 what a program constructs or calls comes first.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import inspect
 import re
@@ -128,9 +126,7 @@ The size.
 """
 
 
-def test_a_class_is_shown_with_its_signature_and_docstring(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_class_is_shown_with_its_signature_and_docstring(tmp_path, monkeypatch) -> None:
     (tmp_path / "libmodbus_py").mkdir()
     (tmp_path / "libmodbus_py" / "sample.py").write_text(SOURCE)
     monkeypatch.setitem(REFERENCE["file_of"].__globals__, "ROOT", tmp_path)

@@ -1,7 +1,5 @@
 """How the documentation is built from its pages: links, copy buttons, search, pictures."""
 
-from __future__ import annotations
-
 import json
 import re
 import runpy
@@ -26,8 +24,6 @@ def loaded(name: str) -> Any:
     finally:
         sys.path.remove(str(SCRIPTS))
 
-
-# --- links ----------------------------------------------------------------------------------------
 
 TEXT_FILES = (".md", ".py", ".toml", ".in", ".service", ".yml", ".cfg", ".sh")
 
@@ -66,9 +62,7 @@ PAGE = "[map](../../examples/meter.toml), [here](tls.md#roles), [units](../../de
         ),
     ],
 )
-def test_links_out_of_the_pages_lead_to_the_repository_or_to_copies(
-    address: str, page: str, tmp_path: Path
-) -> None:
+def test_links_out_of_the_pages_lead_to_the_repository_or_to_copies(address, page, tmp_path):
     links = loaded("links")
     assert links.prepared(PAGE, Path("how-to/x.md"), ROOT, tmp_path, address) == page
     assert (tmp_path / "files" / "examples" / "meter.toml").exists() == (not address)
@@ -87,8 +81,6 @@ def test_the_address_is_that_of_the_project(tmp_path: Path) -> None:
     file.write_text(f'[project]\nname = "x"\n[project.urls]\nSource = "{ADDRESS}/"\n')
     assert loaded("links").repository(tmp_path) == ADDRESS
 
-
-# --- copy buttons ---------------------------------------------------------------------------------
 
 SESSION = """$ libmodbus-py serve tcp://127.0.0.1:1502 &
 listening on tcp://127.0.0.1:1502
@@ -117,9 +109,6 @@ def test_copy_buttons_find_the_commands() -> None:
     (found,) = re.findall(r'<div class="language-console highlight" data-copy="([^"]*)">', made)
     assert unescape(found).splitlines() == loaded("copying").commands_of(SESSION)
     assert made.endswith(other)
-
-
-# --- the search -----------------------------------------------------------------------------------
 
 
 def item(location: str, title: str) -> dict[str, Any]:
@@ -177,9 +166,6 @@ def test_what_people_ask_leads_to_pages_that_exist() -> None:
         assert (ROOT / "docs" / f"{page}.md").exists() or (ROOT / "docs" / page).is_dir(), location
 
 
-# --- installing -----------------------------------------------------------------------------------
-
-
 def install_blocks(path: Path) -> list[str]:
     return re.findall(
         r"```sh\n(sudo apt update && sudo apt install lib.*?)```", path.read_text(), re.DOTALL
@@ -192,8 +178,6 @@ def test_there_is_one_block_that_installs() -> None:
     assert blocks == [blocks[0]] * 2
     assert len(blocks[0]) == 1
 
-
-# --- pictures -------------------------------------------------------------------------------------
 
 SHOWN = "\x1b[1mtop\x1b[0m\r\nlow\r\n\x1b[2A\x1b[Jnew & \x1b[31mred\x1b[0m\r\nnext\x1b[K"
 

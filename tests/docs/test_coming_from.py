@@ -4,8 +4,6 @@ The pages for who comes from a peer: pairs of programs, which do the same, and t
 That both sides run, and give what they say, is seen where all documents run.
 """
 
-from __future__ import annotations
-
 import ast
 import asyncio
 import importlib.util
@@ -14,7 +12,7 @@ import re
 import socket
 import struct
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -110,9 +108,7 @@ def test_the_lines_of_both_programs_are_counted(peer: str) -> None:
 
 
 @pytest.mark.parametrize("peer", [each for each in PROGRAMS if each != "mbpoll"])
-def test_both_programs_print_what_they_say(
-    peer: str, home: Home, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_both_programs_print_what_they_say(peer, home: Home, capsys) -> None:
     """Each print with a comment is reached, by theirs and by ours."""
     page = "pymodbus" if peer == "pymodbus" else "others"
     hidden = next(blocks_that_readers_do_not_see(page))
@@ -131,9 +127,6 @@ def blocks_that_readers_do_not_see(page: str) -> Iterator[str]:
     for region in blocks(document):
         if document.text[region.start : region.start + 4] == "<!--":
             yield region.lexemes["source"]
-
-
-# --- errors ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.md")), ids=lambda path: path.stem)
@@ -214,13 +207,7 @@ def ask_as_libmodbus_py(port: int, timeout: float) -> str:
     ],
 )
 def test_errors_over_tcp_are_those_of_the_tables(
-    ask: Callable[[int, float], str],
-    refused: str,
-    silence: str,
-    damaged: str,
-    absent: str,
-    served: int,
-    silent: int,
+    ask, refused, silence, damaged, absent, served: int, silent: int
 ) -> None:
     with FakeServer(lambda request: [b"HTTP/1.1 400 Bad Request\r\n\r\n"]) as server:
         assert ask(server.port, 1) == damaged
@@ -264,9 +251,6 @@ def test_errors_of_minimalmodbus_are_those_of_the_table(monkeypatch: pytest.Monk
     assert issubclass(minimalmodbus.NoResponseError, minimalmodbus.ModbusException)
     assert issubclass(minimalmodbus.InvalidResponseError, minimalmodbus.ModbusException)
     assert issubclass(minimalmodbus.ModbusException, OSError)
-
-
-# --- options --------------------------------------------------------------------------------------
 
 
 def parameters(*callables: Any) -> dict[str, Any]:
@@ -340,9 +324,6 @@ def test_bits_of_pymodbus_are_bits16_with_the_order_badc() -> None:
     )
 
 
-# --- the names of pymodbus ------------------------------------------------------------------------
-
-
 @pytest.fixture
 def named(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Put examples/pymodbus_names.py in the place of pymodbus, as its docstring says."""
@@ -383,26 +364,21 @@ def test_connected_is_what_pymodbus_says(named: ModuleType, served: int) -> None
     client.close()
 
 
-def test_asyncio_programs_close_without_await(named: ModuleType, served: int) -> None:
-    async def run() -> None:
-        client = named.AsyncModbusTcpClient("127.0.0.1", port=served)
-        assert await client.connect()
-        assert client.connected
-        client.close()
-        assert not client.connected
-        assert await client.connect()
-        assert (await client.read_holding_registers(0, count=1)).registers == [0]
-        client.close()
-        await asyncio.sleep(0.01)
-        absent = named.AsyncModbusTcpClient("127.0.0.1", port=1)
-        assert not await absent.connect()
-
-    asyncio.run(run())
+async def test_asyncio_programs_close_without_await(named: ModuleType, served: int) -> None:
+    client = named.AsyncModbusTcpClient("127.0.0.1", port=served)
+    assert await client.connect()
+    assert client.connected
+    client.close()
+    assert not client.connected
+    assert await client.connect()
+    assert (await client.read_holding_registers(0, count=1)).registers == [0]
+    client.close()
+    await asyncio.sleep(0.01)
+    absent = named.AsyncModbusTcpClient("127.0.0.1", port=1)
+    assert not await absent.connect()
 
 
-def test_what_does_not_answer_raises_the_errors_of_its_names(
-    named: ModuleType, silent: int
-) -> None:
+def test_what_does_not_answer_raises_the_errors_of_its_names(named: ModuleType, silent: int):
     client = named.ModbusTcpClient("127.0.0.1", port=silent, timeout=0.05, retries=0)
     with pytest.raises(named.ModbusIOException):
         client.read_coils(0)

@@ -1,8 +1,4 @@
-"""
-The default values that docstrings and pages name are those of the code.
-"""
-
-from __future__ import annotations
+"""The default values that docstrings and pages name are those of the code."""
 
 import ast
 import pydoc

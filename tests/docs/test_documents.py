@@ -1,8 +1,4 @@
-"""
-What README.md and docs say runs, and gives what it says it does.
-"""
-
-from __future__ import annotations
+"""What README.md and docs say runs, and gives what it says it does."""
 
 import ast
 import re

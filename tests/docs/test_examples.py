@@ -1,8 +1,4 @@
-"""
-The runner of documents: what it takes, and what it does not let pass.
-"""
-
-from __future__ import annotations
+"""The runner of documents: what it takes, and what it does not let pass."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,69 +12,10 @@ from tests.support.cases import each_case
 
 Run = Callable[[Path], None]
 
-GOOD = """
-```console
-$ echo listening on tcp://127.0.0.1:1502 >listening
-$ tail -f listening &
-listening on tcp://127.0.0.1:1502
-$ libmodbus-py read tcp://127.0.0.1:1 \\
-> 40123
-libmodbus-py: unit 1: cannot connect to 127.0.0.1:1: ...
-$ echo $?
-1
-$ mkdir -p below && cd below && export VALUE="seven or 7"
-$ pwd; echo $VALUE; printf '1\\n2\\n3\\n'
-./below
-seven or 7
-...
-3
-$ echo begun >file
-$ tail -f file
-begun
-^C
-```
-
-`plant.toml`:
-
-```toml
-url = "tcp://127.0.0.1:1502"
-```
-
-```sh
-cat ../plant.toml   # where it was written
-```
-
-<!--- invisible-code-block: python
-hidden = home.at_end.enter_context(open("plant.toml"))
---->
-
-```python
-import asyncio
-from libmodbus_py import Client
-
-text = hidden.read()
-print(text)  # url = "tcp://127.0.0.1:1502"...
-asyncio.run(asyncio.sleep(0, 0.5))  # 0.5
-with Client("tcp://192.0.2.10") as plc:
-    plc.write_registers(100, [555, 0])
-    plc.read_holding_registers(100, 2)  # [555, 0]
-    plc.statistics  # Statistics(requests=2, ...)
-with Client("rtu:///dev/ttyUSB0", unit=3) as line:
-    line.read_holding_registers(100, 2)  # [555, 0]
-with Client("tcp://192.0.2.10") as other:
-    other.read_coils(0, 2)  # [False, False]
-```
-
-<!-- not run: because -->
-```python
-nobody.knows
-```
-"""
-
 
 def test_a_document_runs(tmp_path: Path, run: Run) -> None:
     path = tmp_path / "good.md"
-    path.write_text(GOOD)
+    path.write_text((Path(__file__).parent / "example.md").read_text())
     run(path)
 
 

@@ -5,8 +5,6 @@ It gets no names, files or servers but its own, the files before it, and the exa
 addresses of this machine are replaced, because two processes cannot have the same port.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

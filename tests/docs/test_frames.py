@@ -1,8 +1,4 @@
-"""
-The frames that pages show are worked examples, and those this package makes.
-"""
-
-from __future__ import annotations
+"""The frames that pages show are worked examples, and those this package makes."""
 
 import re
 

@@ -1,8 +1,4 @@
-"""
-What the page about the code says is there: files, and named exceptions.
-"""
-
-from __future__ import annotations
+"""What the page about the code says is there: files, and named exceptions."""
 
 import re
 

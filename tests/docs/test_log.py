@@ -1,8 +1,4 @@
-"""
-The table of messages of the log: each message of the package with its level, and no other.
-"""
-
-from __future__ import annotations
+"""The table of messages of the log: each message of the package with its level, and no other."""
 
 import ast
 import re

@@ -1,8 +1,4 @@
-"""
-The tables of options for who comes from another tool: each option of ours exists.
-"""
-
-from __future__ import annotations
+"""The tables of options for who comes from another tool: each option of ours exists."""
 
 import errno
 import re

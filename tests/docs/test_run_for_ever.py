@@ -1,8 +1,4 @@
-"""
-The loops of the page about programs that run for ever go on while a device is down, also at first.
-"""
-
-from __future__ import annotations
+"""Loops of the page about programs that run for ever go on while a device is down."""
 
 import asyncio
 import re
@@ -12,14 +8,7 @@ from contextlib import ExitStack
 import pytest
 from sybil import Document
 
-from libmodbus_py import (
-    AsyncClient,
-    Client,
-    Device,
-    Mapping,
-    ModbusConnectionError,
-    Server,
-)
+from libmodbus_py import AsyncClient, Client, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.maps.items import NamedValues
 from tests.docs.documents import ROOT, blocks
 from tests.docs.home import own_address

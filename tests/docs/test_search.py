@@ -1,8 +1,4 @@
-"""
-What people type into the search of the documentation leads to a page that answers it.
-"""
-
-from __future__ import annotations
+"""What people type into the search of the documentation leads to a page that answers it."""
 
 import json
 import re

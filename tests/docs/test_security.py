@@ -1,8 +1,4 @@
-"""
-The tables of requirements: whole, and what is met is shown by a test.
-"""
-
-from __future__ import annotations
+"""The tables of requirements: whole, and what is met is shown by a test."""
 
 import re
 from pathlib import Path

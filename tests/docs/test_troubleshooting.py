@@ -1,8 +1,4 @@
-"""
-The messages that the page on troubleshooting explains are those a client makes of such lines.
-"""
-
-from __future__ import annotations
+"""The messages that the page on troubleshooting explains are those a client makes of such lines."""
 
 import os
 import re

@@ -170,9 +170,6 @@ def _wrapped(made: Counting, real: Callable[..., Any]) -> Callable[..., Any]:
     return staticmethod(wrapped) if isinstance(real, type) else wrapped
 
 
-# --- what must not happen ----------------------------------------------------------------
-
-
 class Complaints(logging.Handler):
     """What event loops, threads and the garbage collector complain of."""
 
@@ -207,9 +204,6 @@ def complaints() -> Iterator[Complaints]:
             yield made
         finally:
             logger.removeHandler(made)
-
-
-# --- trials ------------------------------------------------------------------------------
 
 
 @dataclass
@@ -287,12 +281,7 @@ def tried(
 
 
 def _one(
-    scenario: Scenario,
-    kind: Kind,
-    part: tuple[str, ...],
-    count: int,
-    make: Error,
-    found: list[str],
+    scenario: Scenario, kind: Kind, part: tuple[str, ...], count: int, make: Error, found: list[str]
 ) -> bool:
     """Return whether there was such a call."""
     LOOPS.begin()

@@ -1,6 +1,4 @@
-"""
-Clients, while the n-th call of the system fails.
-"""
+"""Clients, while the n-th call of the system fails."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,4 @@
-"""
-Servers, while the n-th call of the system fails: whoever asks afterwards is answered.
-"""
+"""Servers, while the n-th call of the system fails: whoever asks afterwards is answered."""
 
 import contextlib
 import os

@@ -52,8 +52,6 @@ def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"libmodbus_py.{name}", 0.001)
 
 
-# --- gateways ------------------------------------------------------------------------------
-
 ask = over(socket.SOCK_STREAM)
 
 
@@ -75,8 +73,6 @@ def test_a_gateway_from_tcp_to_a_serial_line() -> None:
         url = f"rtu://{unit.path}?baudrate=115200&timeout=0.02&max_pause=0"
         tried(passing(url), *GATEWAY)
 
-
-# --- fleets --------------------------------------------------------------------------------
 
 ONE = RegisterMap([Point("value", "holding_registers", 5)])
 
@@ -119,9 +115,6 @@ def test_a_fleet_on_networks_and_lines(tmp_path: Path) -> None:
             f"rtu://{unit.path}?baudrate=115200&timeout={SHORT}&max_pause=0",
         ]
         tried(polling(urls, tmp_path / "readings.jsonl"), "services.fleet", "client", "ports")
-
-
-# --- listeners -----------------------------------------------------------------------------
 
 
 def hearing(url: str, between: str | None, say: Callable[[str], None]) -> Scenario:
@@ -171,9 +164,6 @@ def test_a_listener_between_clients_and_a_device() -> None:
         tried(scenario, "tools.listener", "ports", without="shut down")
 
 
-# --- live pages ----------------------------------------------------------------------------
-
-
 def got(url: str, path: str, until: bytes) -> bytes:
     """Return what comes for a request, up to some bytes in it."""
     where, _, token = url.partition("?")
@@ -215,9 +205,6 @@ def test_a_page_with_its_stream(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.tools.timed_server.SWEEP", 0.005)
     monkeypatch.setattr("libmodbus_py.tools.page.streams.PERIOD", 0.005)
     tried(shown(), "tools.page")
-
-
-# --- scans ---------------------------------------------------------------------------------
 
 
 def unit(request: bytes) -> list[bytes]:

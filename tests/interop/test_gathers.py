@@ -20,8 +20,7 @@ from tests.support.interop import HOLDING_REGISTERS, UNIT, holding_register
 from tests.support.peers import FakeServer, mbap
 from tests.support.pymodbus_peers import pymodbus_serving
 
-REGISTER = HOLDING_REGISTERS.start
-"""The register that is written; the reads are of those behind it."""
+REGISTER = HOLDING_REGISTERS.start  # the register that is written; the reads are of those behind it
 
 COUNT = 50
 VALUES = list(range(1, COUNT + 1))
@@ -45,11 +44,8 @@ MIXED_RESULTS = [
 
 class Served(NamedTuple):
     """
-    A server that runs.
-
-    Attributes:
-        url: where it listens.
-        written: address and value of each write that was carried out, the first one first.
+    A server that runs. `url`: where it listens; `written`: address and value of each write that was
+    carried out, the first one first.
     """
 
     url: str
@@ -121,13 +117,7 @@ def execute_many(url: str, requests: list[Any]) -> tuple[list[Any], Any]:
 
 Ask = Callable[[str, list[Any]], tuple[list[Any], Any]]
 
-CLIENTS: dict[str, Ask] = {
-    "asyncio": gather,
-    "blocking": execute_many,
-}
-
-
-# --- writes, and reads between them ---------------------------------------------------------------
+CLIENTS: dict[str, Ask] = {"asyncio": gather, "blocking": execute_many}
 
 
 @pytest.mark.parametrize("client", CLIENTS)
@@ -161,9 +151,6 @@ def test_writes_of_four_clients_of_a_gateway_are_carried_out(served: Served) -> 
         assert [
             value for address, value in served.written if address == REGISTER + client
         ] == VALUES
-
-
-# --- reads -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("client", CLIENTS)

@@ -45,9 +45,6 @@ TRANSPORTS = ("tcp", "rtu")
 each_transport = pytest.mark.parametrize("transport", TRANSPORTS)
 
 
-# --- our clients, C's server ------------------------------------------------------------
-
-
 @contextlib.contextmanager
 def c_server(server: Path, transport: str, **options: Any) -> Iterator[Client]:
     """Yield a client of ours that is connected to the C server."""
@@ -131,8 +128,6 @@ def test_c_server_obeys_a_broadcast_in_silence(compiled: Callable[[str], Path]) 
         assert context.read_holding_registers(100, 3) == [1, 2, 1102]
 
 
-# --- C's client, our server ----------------------------------------------------------------
-
 C_CLIENT_CALLS = (1, 2, 3, 4, 5, 6, 15, 16, 17, 22, 23)
 C_CLIENT_REFUSALS = tuple(code for code in C_CLIENT_CALLS if code != 17)
 
@@ -208,14 +203,9 @@ def test_c_client_leaves_its_writes_in_our_mapping(
 def test_identifier_is_the_same_on_every_transport(transport: str, server_id: pdu.ServerId) -> None:
     device = make_device()
     device.server_id = server_id
-    with (
-        our_server(transport, {UNIT: device}) as place,
-        connected(str(place.end)) as context,
-    ):
+    with our_server(transport, {UNIT: device}) as place, connected(str(place.end)) as context:
         assert context.report_server_id() == server_id
 
-
-# --- Debian's examples -------------------------------------------------------------------------
 
 EXAMPLE_PORT = re.compile(r'modbus_new_tcp\("127\.0\.0\.1", 1502\)')
 EXAMPLE_CODES = (1, 3, 5, 6, 15, 16, 23)

@@ -1,6 +1,4 @@
-"""
-Against mbpoll, a command line client: what it prints, and what it leaves behind.
-"""
+"""Against mbpoll, a command line client: what it prints, and what it leaves behind."""
 
 import re
 import shutil
@@ -91,12 +89,7 @@ def over_each_transport(names: str, cases: dict[tuple[int, str], tuple[object, .
     },
 )
 def test_mbpoll_prints_what_our_table_holds(
-    transport: str,
-    function: int,
-    table: int,
-    first: int,
-    count: int,
-    value: Callable[[int], int],
+    transport: str, function: int, table: int, first: int, count: int, value: Callable[[int], int]
 ) -> None:
     with our_server(transport, {UNIT: make_device()}) as place:
         done = mbpoll(place.end, table, first, count=count)

@@ -338,9 +338,7 @@ def test_pymodbus_client_and_our_server_agree(transport: str, record_property: R
 
 
 @each_transport
-def test_pymodbus_client_sees_our_refusal_and_nothing_changes(
-    transport: str, record_property: Record
-) -> None:
+def test_pymodbus_client_sees_our_refusal_and_nothing_changes(transport: str, record_property):
     untouched = make_device()
     with our_servers(transport) as server:
         for check, case in tried(record_property, named(asked_in_vain(), transport)):
@@ -369,9 +367,7 @@ def test_unit_without_a_device_is_silent_to_pymodbus_on_a_line(transport: str) -
 
 
 @pytest.mark.parametrize("transport", WITH_IDS)
-def test_unit_without_a_device_is_exception_11_to_pymodbus_where_requests_have_ids(
-    transport: str,
-) -> None:
+def test_unit_without_a_device_is_exception_11_to_pymodbus_where_requests_have_ids(transport):
     with asking(transport) as client:
         assert client.read_coils(10, device_id=UNIT + 1).exception_code == 11
 
@@ -432,9 +428,7 @@ class TestWherePymodbusClientErrs:
             )
         ],
     )
-    def test_answers_it_cannot_measure_are_silence_to_it(
-        self, transport: str, ask: Callable[[Any], Any]
-    ) -> None:
+    def test_answers_it_cannot_measure_are_silence_to_it(self, transport, ask) -> None:
         with our_server(transport, {UNIT: make_device()}) as place:
             with (
                 pymodbus_client(str(place.end), timeout=0.2) as client,

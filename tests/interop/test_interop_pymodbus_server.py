@@ -89,9 +89,7 @@ def test_context_and_pymodbus_server_agree(transport: str, record_property: Reco
 
 
 @each_transport
-def test_context_raises_what_pymodbus_server_refuses(
-    transport: str, record_property: Record
-) -> None:
+def test_context_raises_what_pymodbus_server_refuses(transport: str, record_property) -> None:
     with pymodbus_serving(transport) as url:
         check_refusals(url, "pymodbus", record_property)
 
@@ -211,10 +209,7 @@ class TestWherePymodbusServerErrs:
     @over("client", 8, "pinned", "long", transports=ON_RTU)
     def test_query_data_of_more_than_a_word_are_lost_on_it(self, transport: str) -> None:
         # It takes every message of function 8 for 8 bytes.
-        with (
-            pymodbus_server(transport, timeout=0.2) as context,
-            pytest.raises(ModbusTimeoutError),
-        ):
+        with pymodbus_server(transport, timeout=0.2) as context, pytest.raises(ModbusTimeoutError):
             context.execute(pdu.Diagnostics(0, b"abcd"))
 
     @over("client", 8, "query-most", transports=NOT_RTU)
@@ -233,9 +228,7 @@ class TestWherePymodbusServerErrs:
             )
         ],
     )
-    def test_canopen_is_refused_or_not_heard(
-        self, transport: str, error: type[ModbusError]
-    ) -> None:
+    def test_canopen_is_refused_or_not_heard(self, transport, error) -> None:
         # On RTU it has no length for it, and waits.
         with (
             pymodbus_server(transport, timeout=UNHEARD[transport]) as context,
@@ -268,9 +261,6 @@ class TestWherePymodbusServerErrs:
             assert context.read_holding_registers(100, 2) == [1100, 1101]
             context.write_register(100, 8)
             assert context.read_holding_registers(100, 2) == [8, 1101]
-
-
-# --- a map of which it lacks registers -----------------------------------------------------------
 
 
 def test_registers_behind_the_end_are_left_out() -> None:

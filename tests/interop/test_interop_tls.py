@@ -1,6 +1,4 @@
-"""
-TLS with other programs: openssl, and clients and servers of other packages.
-"""
+"""TLS with other programs: openssl, and clients and servers of other packages."""
 
 import asyncio
 import re
@@ -16,21 +14,13 @@ import pytest
 from pymodbus.client import AsyncModbusTlsClient, ModbusTlsClient
 
 from libmodbus_py import Access, Device, Mapping, ModbusConnectionError
-from libmodbus_py.security.role import ROLE_OID, role_of
+from libmodbus_py.security.certificates import ROLE_OID, role_of
 from libmodbus_py.tools.certificates import make
 from tests.support import certificates
 from tests.support.attacks import adu
 from tests.support.certificates import Pki
 from tests.support.clients import Connect
-from tests.support.interop import (
-    COILS,
-    TIMEOUT,
-    UNIT,
-    cells,
-    coil,
-    make_device,
-    our_tls_server,
-)
+from tests.support.interop import COILS, TIMEOUT, UNIT, cells, coil, make_device, our_tls_server
 from tests.support.peers import mbap
 from tests.support.pymodbus_peers import pymodbus_serving
 from tests.support.tls import VERSIONS, context
@@ -38,15 +28,10 @@ from tests.support.tls import VERSIONS, context
 LONG = 20.0
 
 
-# --- openssl s_server -----------------------------------------------------------------------
-
-
 class SServer:
     """
     A server that is told what to send on its standard input, and prints what it receives.
-
-    Args:
-        options: of s_server.
+    `options`: of s_server.
     """
 
     def __init__(self, pki: Pki, identity: Any, *options: str) -> None:
@@ -143,9 +128,6 @@ def test_s_server_with_nothing_in_common(connect: Connect, pki: Pki, options: li
         with pytest.raises(ModbusConnectionError, match="no TLS with 127"):
             plc.connect()
         plc.close()
-
-
-# --- pymodbus -------------------------------------------------------------------------------
 
 
 def test_pymodbus_refuses_a_certificate_of_others(connect: Connect, pki: Pki) -> None:

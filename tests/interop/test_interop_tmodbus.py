@@ -36,8 +36,6 @@ tmodbus = pytest.importorskip("tmodbus", reason="tmodbus needs Python 3.12")
 VERSION = pytest.mark.parametrize("version", VERSIONS.values(), ids=VERSIONS)
 
 
-# --- its client, our server ---------------------------------------------------------------------
-
 # Function -> what is asked, and the answer; None where there is none to look at.
 ASKED: dict[int, tuple[Any, Any]] = {
     1: (lambda c: c.read_coils(12, 3), cells(coil, 12, 3)),
@@ -50,10 +48,7 @@ ASKED: dict[int, tuple[Any, Any]] = {
     15: (lambda c: c.write_multiple_coils(13, [True, False, True]), 3),
     16: (lambda c: c.write_multiple_registers(101, list(range(123))), 123),
     22: (lambda c: c.mask_write_register(250, 0x00F0, 0xA50F), (0x00F0, 0xA50F)),
-    23: (
-        lambda c: c.read_write_multiple_registers(100, 2, 101, [7]),
-        [1100, 7],
-    ),
+    23: (lambda c: c.read_write_multiple_registers(100, 2, 101, [7]), [1100, 7]),
     24: (lambda c: c.read_fifo_queue(100), [440, 4740]),
 }
 
@@ -76,16 +71,12 @@ def ask(pki: Pki, port: int, asked: Any, version: ssl.TLSVersion) -> Any:
 
 @VERSION
 @pytest.mark.parametrize(
-    "function",
-    [pytest.param(each, id=case_id("tmodbus", "server", "tls", each)) for each in ASKED],
+    "function", [pytest.param(each, id=case_id("tmodbus", "server", "tls", each)) for each in ASKED]
 )
 def test_its_client_and_our_server_agree(pki: Pki, function: int, version: ssl.TLSVersion) -> None:
     asked, expected = ASKED[function]
     with our_tls_server(pki, {UNIT: make_device()}) as wire:
         assert ask(pki, wire.port, asked, version) == expected
-
-
-# --- our clients, its server --------------------------------------------------------------------
 
 
 @contextlib.contextmanager

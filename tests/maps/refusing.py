@@ -1,6 +1,4 @@
-"""
-Devices that refuse registers, and plans that read them again and again, without sockets and clocks.
-"""
+"""Devices that refuse registers, and plans that read them again, without sockets and clocks."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Register maps bound to clients: values as attributes, read and written with both clients.
-"""
+"""Register maps bound to clients: values as attributes, read and written with both clients."""
 
 import asyncio
 import copy
@@ -41,28 +39,25 @@ def test_a_blocking_client() -> None:
         assert {"voltage_L1", "setpoint", "read_", "read", "write"} <= set(dir(meter))
 
 
-def test_an_awaiting_client() -> None:
-    async def use() -> None:
-        served = device()
-        async with (
-            Server(served).serving("tcp://127.0.0.1:0") as running,
-            AsyncClient(running.urls[0]) as plc,
-        ):
-            meter = MAP.bind(plc)
-            await meter.read()
-            assert meter.voltage_L1 == 230.5
-            await meter.write(setpoint=21.5)
-            assert (served["setpoint"], meter.setpoint) == (21.5, 20)
-            await asyncio.gather(meter.read("setpoint"), meter.read("read_"))
-            assert meter.setpoint == 21.5
-            reading = asyncio.ensure_future(meter.read())
-            await asyncio.sleep(0)
-            reading.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await reading
-            await meter.read()
-
-    asyncio.run(use())
+async def test_an_awaiting_client() -> None:
+    served = device()
+    async with (
+        Server(served).serving("tcp://127.0.0.1:0") as running,
+        AsyncClient(running.urls[0]) as plc,
+    ):
+        meter = MAP.bind(plc)
+        await meter.read()
+        assert meter.voltage_L1 == 230.5
+        await meter.write(setpoint=21.5)
+        assert (served["setpoint"], meter.setpoint) == (21.5, 20)
+        await asyncio.gather(meter.read("setpoint"), meter.read("read_"))
+        assert meter.setpoint == 21.5
+        reading = asyncio.ensure_future(meter.read())
+        await asyncio.sleep(0)
+        reading.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await reading
+        await meter.read()
 
 
 def test_a_failed_read_leaves_all_values_as_they_were() -> None:
@@ -107,9 +102,7 @@ class NoClient:
         (lambda meter: meter._nothing, AttributeError, "_nothing"),
     ],
 )
-def test_wrong_names_are_told_before_anything_is_sent(
-    use: Any, error: type[Exception], message: str
-) -> None:
+def test_wrong_names_are_told_before_anything_is_sent(use, error, message) -> None:
     with pytest.raises(error, match=message):
         use(MAP.bind(NoClient()))
 

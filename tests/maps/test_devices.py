@@ -1,6 +1,4 @@
-"""
-Each file of tests/devices: a map of examples/, its sources, and what answers of the device mean.
-"""
+"""Each file of tests/devices: a map of examples/, its sources, and what answers mean."""
 
 import re
 import tomllib

@@ -1,6 +1,4 @@
-"""
-Plans of devices that cannot read everything: which holes are found, and what it costs.
-"""
+"""Plans of devices that cannot read everything: which holes are found, and what it costs."""
 
 import random
 from collections.abc import Iterable
@@ -8,16 +6,10 @@ from typing import Any
 
 import pytest
 
-from libmodbus_py.errors import (
-    IllegalDataAddress,
-    ModbusError,
-    ModbusTimeoutError,
-)
+from libmodbus_py.errors import IllegalDataAddress, ModbusError, ModbusTimeoutError
 from libmodbus_py.maps.plan import Plan, unreadable_of
 from tests.maps.refusing import H, Polls, Registers, lost, singles
 from tests.support.cases import each_case
-
-# --- one hole ------------------------------------------------------------------------------------
 
 
 def test_both_halves_are_read_until_single_registers_are_known() -> None:
@@ -45,9 +37,7 @@ LOST: list[Any] = [
 
 
 @each_case(("items", "gap", "missing", "lost_ones", "later"), LOST)
-def test_items_without_a_hole_have_their_values(
-    items: Any, gap: int, missing: list[int], lost_ones: list[Any], later: int
-) -> None:
+def test_items_without_a_hole_have_their_values(items, gap, missing, lost_ones, later) -> None:
     plan = Plan(items, gap=gap)
     polls = Polls(plan, Registers(missing))
     for _ in range(3):
@@ -77,9 +67,6 @@ def test_plans_of_one_unit_share_what_is_known() -> None:
     polls.plan = Plan([(H, at) for at in (4, 5, 6)])
     count, values = polls.poll()
     assert (count, lost(values)) == (2, [1])
-
-
-# --- many holes, or nothing else -----------------------------------------------------------------
 
 
 @each_case(
@@ -152,9 +139,6 @@ def test_holes_side_by_side_are_told_together() -> None:
         "3, 4, holding_registers 3..4",
         "9, holding_registers 9",
     ]
-
-
-# --- again ---------------------------------------------------------------------------------------
 
 
 def test_a_hole_is_tried_again_every_ten_minutes() -> None:

@@ -1,6 +1,4 @@
-"""
-What raw values mean: no value, states, named bits, parts of registers, and scales of the device.
-"""
+"""What raw values mean: no value, states, bits, parts of registers, scales of the device."""
 
 import math
 import struct
@@ -16,6 +14,7 @@ from libmodbus_py import NoValue, Point, RegisterMap
 from libmodbus_py.maps.meaning import Judged
 from libmodbus_py.maps.point_plan import scale_mistakes, sources_of
 from tests.support.cases import each_case
+from tests.support.golden import Refused
 
 H = "holding_registers"
 
@@ -173,8 +172,6 @@ def test_a_plan_means_the_same_as_its_points() -> None:
     assert str(told["p0"]) == "p0 has no value: the device says 65535"
 
 
-# --- scales of the device ---------------------------------------------------------------------
-
 SCALED = RegisterMap(
     [
         point("v", type="int16", scale_from="v_sf", missing="sunspec"),
@@ -263,74 +260,9 @@ def test_a_map_whose_scales_cannot_be(points: list[Point], message: str) -> None
         RegisterMap(points)
 
 
-# --- keys that cannot be ----------------------------------------------------------------------
+def test_keys_that_cannot_be(refused: Refused) -> None:
+    refused("wrong_meanings.txt", lambda keys: point(**keys))
 
-WRONG = [
-    ({"missing": 70000}, "missing[0] must be in 0..65535, not 70000"),
-    ({"missing": -1}, "missing[0] must be in 0..65535, not -1"),
-    ({"missing": [1, 0.5]}, "missing[1] must be an integer in 0..65535, not float"),
-    ({"missing": 70000, "type": "int16"}, "missing[0] must be in -32768..65535, not 70000"),
-    ({"missing": 1e39, "type": "float32"}, "missing[0] must be in"),
-    ({"missing": "sunshine"}, "missing must be numbers or \"sunspec\", not 'sunshine'"),
-    ({"missing": "sunspec", "type": "bcd16"}, "missing must be numbers for bcd16"),
-    ({"missing": "sunspec", "byte": "low"}, "missing must be numbers for a part of a register"),
-    ({"missing": 256, "byte": "low"}, "missing[0] must be in 0..255, not 256"),
-    ({"missing": 1, "table": "coils"}, "missing must be left out for coils"),
-    ({"missing": []}, "missing must not be empty"),
-    ({"plausible_minimum": 5, "plausible_maximum": 4}, "plausible_minimum must not be above"),
-    ({"plausible_minimum": math.nan}, "plausible_minimum must be in"),
-    ({"plausible_minimum": 5, "type": "string:2"}, "plausible_minimum must be left out for string"),
-    ({"never_falls": 1}, "never_falls must be true or false, not 1"),
-    ({"never_falls": True, "states": {0: "a"}}, "never_falls must be left out for a point with"),
-    ({"scale_from": "it"}, "scale_from must be another point, not the point itself"),
-    ({"scale_from": 5}, "scale_from must be a name, not int"),
-    ({"scale_as": "factor"}, "scale_as must be left out without scale_from"),
-    ({"scale_as": "power", "scale_from": "a"}, "scale_as must be one of exponent, factor"),
-    ({"states": {}}, "states must not be empty"),
-    ({"states": ["off", "on"]}, "states must be a table of names, not list"),
-    ({"states": {"5..1": "off"}}, "states.5..1 must have the lower number first"),
-    ({"states": {"1..5": "off", "5..6": "on"}}, "states.5..6 overlaps 1..5"),
-    ({"states": {"1..70000": "off"}}, "states.1..70000 must be in 0..65535, not 70000"),
-    ({"states": {"1..x": "off"}}, "states.1..x: the key must be a number, a range such as 1..5"),
-    ({"states": {"1.5": "off"}}, "states.1.5: the key must be a number"),
-    ({"states": {"nan": "off"}, "type": "float32"}, "states.nan must be in"),
-    ({"states": {0: "off", "0x0": "on"}}, "states.0x0 is given twice"),
-    ({"states": {"a": "off"}}, "states.a: the key must be a number"),
-    ({"states": {70000: "off"}}, "states.70000 must be in 0..65535, not 70000"),
-    ({"states": {2: "off"}, "table": "coils"}, "states.2 must be in 0..1, not 2"),
-    ({"states": {0: ""}}, "states.0 must have 1..100 characters, not 0"),
-    ({"states": {0: "a\nb"}}, "states.0 must be printable characters, without spaces around"),
-    ({"states": {0: 5}}, "states.0 must be a string, not int"),
-    ({"states": {0: "a"}, "scale": 2}, "scale must be 1 for a point with states"),
-    ({"states": {0: "a"}, "type": "string:2"}, "states must be left out for string:2, which has"),
-    ({"states": {0: "a"}, "bits": {0: "b"}}, "states cannot be given together with bits"),
-    ({"bits": {0: "a", 1: "a"}}, "bits.1 must have a name of its own; 'a' occurs twice"),
-    ({"bits": {16: "a"}}, "bits.16 must be in 0..15, not 16"),
-    ({"bits": {"8..16": "a"}}, "bits.8..16 must be within 0..15, the lower number first"),
-    ({"bits": {"4..7": "a", 5: "b"}}, "bits.5 overlaps bits before it"),
-    ({"bits": {0: "a"}, "type": "float32"}, "bits must be left out for float32"),
-    ({"bits": {0: "a"}, "table": "coils"}, "bits must be left out for coils"),
-    ({"bits": {0: "a"}, "minimum": 1}, "minimum must be left out for a point with bits"),
-    ({"bit": 16}, "bit must be in 0..15, not 16"),
-    ({"bit": "7..4"}, "bit must be within 0..15, the lower number first, not '7..4'"),
-    ({"bit": "high"}, "bit must be a bit such as 3, or bits such as '4..7', not 'high'"),
-    ({"bit": True}, "bit must be a bit such as 3"),
-    ({"bit": 3, "scale": 0.1}, "scale must be 1 for a point with bit"),
-    ({"bit": 3, "byte": "low"}, "byte cannot be given together with bit"),
-    ({"byte": "middle"}, "byte must be one of high, low, not 'middle'"),
-    ({"byte": "low", "type": "uint32"}, "byte must be left out for uint32, which has 32 bits"),
-    ({"byte": "low", "type": "bcd16"}, "byte must be left out for bcd16, which has no single"),
-]
-
-
-@each_case(("keys", "message"), WRONG)
-def test_keys_that_cannot_be(keys: dict[str, Any], message: str) -> None:
-    with pytest.raises((TypeError, ValueError)) as caught:
-        point(**keys)
-    assert str(caught.value).startswith(message)
-
-
-# --- writing ----------------------------------------------------------------------------------
 
 PARTS = RegisterMap(
     [
@@ -376,27 +308,8 @@ def test_what_is_written(values: dict[str, Any], requests: list[tuple[int, ...]]
     assert [told(each) for each in PARTS.writes(values)] == requests
 
 
-WRONG_WRITES = [
-    ({"flag": 2}, "flag: value must be in 0..1, not 2"),
-    ({"mode": 6}, "mode: value must be in ..5, not 6"),
-    ({"mode": -1}, "mode: value must be in 0.0..7.5, not -1"),
-    ({"high": 256}, "high: value must be in 0..255, not 256"),
-    ({"wide": {"b": 1}}, "wide: value must have names of a, z, n, not 'b'"),
-    ({"wide": {"n": 16}}, "wide: value.n must be in 0..15, not 16"),
-    ({"wide": 5}, "wide: value must be a dict of named bits, not int"),
-    ({"state": "On"}, "state: value must be one of off, on, or a number, not 'On'"),
-    ({"many": "on"}, "many: value must be a number: 'on' is the name of 1, 2"),
-    ({"many": "bad"}, "many: value must be a number: 'bad' is the name of 3..9"),
-    ({"many": "?"}, "many: value must be one of on, off, or a number, not '?'"),
-    ({"flag": True, "whole": 5}, "flag and whole share holding_registers 0: write one of them"),
-]
-
-
-@each_case(("values", "message"), WRONG_WRITES)
-def test_what_cannot_be_written(values: dict[str, Any], message: str) -> None:
-    with pytest.raises((TypeError, ValueError)) as caught:
-        PARTS.writes(values)
-    assert str(caught.value) == message
+def test_what_cannot_be_written(refused: Refused) -> None:
+    refused("wrong_writes.txt", PARTS.writes)
 
 
 @given(st.integers(0, 0xFFFF), st.integers(0, 15), st.integers(0, 15), st.booleans())
@@ -419,9 +332,6 @@ def test_named_bits_come_back(number: int, order: str) -> None:
     cells = point(type="uint32", order=order).encode(number)
     assert made.encode(made.decode(cells)) == cells
     assert made.change(made.decode(cells)).masks == [0xFFFF, 0xFFFF]
-
-
-# --- chains of scales ----------------------------------------------------------------------------
 
 
 class Counting(Mapping[str, Point]):

@@ -1,6 +1,4 @@
-"""
-Register maps by the paths of their files: wherever a map is taken, a path is, too.
-"""
+"""Register maps by the paths of their files: wherever a map is taken, a path is, too."""
 
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,4 @@
-"""
-Plans of devices that fail in other ways, or change: no hole is made up, and no value is wrong.
-"""
-
-from __future__ import annotations
+"""Plans of devices that fail in other ways, or change: no hole is made up, no value is wrong."""
 
 import random
 from typing import Any
@@ -23,8 +19,6 @@ from libmodbus_py.errors import (
 from libmodbus_py.maps.plan import Plan
 from tests.maps.refusing import H, Polls, Registers, leaving, lost, singles
 from tests.support.cases import each_case
-
-# --- what is not a hole -----------------------------------------------------------------
 
 
 @each_case(
@@ -83,9 +77,6 @@ def test_a_run_that_is_left_leaves_what_was_learnt_whole() -> None:
         assert lost(polls.poll(1)[1]) == [5, 31]
 
 
-# --- the first failure ---------------------------------------------------------------------------
-
-
 def test_a_strict_reading_names_what_was_refused() -> None:
     for hole in range(20):
         polls = Polls(singles(40), Registers([hole, 30]))
@@ -134,9 +125,7 @@ BORDERS = [
 
 @each_case("is_strict", [False, True])
 @each_case(("device", "first", "later"), BORDERS)
-def test_all_is_read_across_borders(
-    device: Registers, first: int, later: int, is_strict: bool
-) -> None:
+def test_all_is_read_across_borders(device, first, later, is_strict) -> None:
     polls = Polls(singles(100), device)
     for most in (first, later, later):
         count, answers = polls.answers(is_strict=is_strict)
@@ -175,9 +164,6 @@ def test_a_failure_while_the_item_is_searched_leaves_the_refusal() -> None:
     assert count == 3
     assert isinstance(answers[0], IllegalDataAddress)
     assert answers[0].names == ()
-
-
-# --- any device ----------------------------------------------------------------------------------
 
 
 @given(st.data())

@@ -177,9 +177,7 @@ REFUSED = [
 ]
 
 
-def test_nothing_is_sent_of_what_cannot_be_written(
-    connect: Connect, meter: str, asked: list[Any]
-) -> None:
+def test_nothing_is_sent_of_what_cannot_be_written(connect: Connect, meter: str, asked: list[Any]):
     with connect(meter, timeout=5) as plc:
         for values, kind, message in REFUSED:
             with pytest.raises(kind, match=f"^{re.escape(message)}$"):
@@ -247,11 +245,7 @@ def test_data_that_is_no_value_takes_no_other_along(connect: Connect) -> None:
         reasons = {name: each.reason for name, each in found.items() if name not in good}
         assert reasons == {"bad": "InvalidData", "level": "InvalidData", "clock": "InvalidTime"}
         for call, reason, text in (
-            (
-                lambda: plc.read_value(H, 4, "string:6"),
-                "InvalidData",
-                f"{H} 4 has no value: 56",
-            ),
+            (lambda: plc.read_value(H, 4, "string:6"), "InvalidData", f"{H} 4 has no value: 56"),
             (lambda: plc.read_values(H, 7, "bcd16", 3), "InvalidData", f"{H} 7 has no value: FFFF"),
             (lambda: plc.read_value(H, 8, "date48"), "InvalidTime", f"{H} 8 has no value: FF FF"),
             (lambda: plc.read_many([(H, 0), (H, 7, 1, "bcd16")]), "InvalidData", "items[1] has no"),

@@ -1,6 +1,4 @@
-"""
-Points from poll to poll: which are due, totals that fall, and what a poll of a map reads.
-"""
+"""Points from poll to poll: which are due, totals that fall, and what a poll of a map reads."""
 
 from itertools import pairwise
 from typing import Any
@@ -32,19 +30,6 @@ def polled(pace: PointIntervals, polls: int) -> list[list[float]]:
     return found
 
 
-def test_a_point_is_read_at_its_own_interval() -> None:
-    assert polled(PointIntervals([None, 60], 10), 13) == [
-        [10.0 * at for at in range(13)],
-        [0, 60, 120],
-    ]
-
-
-def test_polls_come_at_the_shortest_interval() -> None:
-    pace = PointIntervals([None, 2], 10)
-    assert pace.interval == 2
-    assert polled(pace, 6) == [[0, 10], [0, 2, 4, 6, 8, 10]]
-
-
 @each_case(
     ("interval", "usual", "expected"),
     [
@@ -57,9 +42,7 @@ def test_polls_come_at_the_shortest_interval() -> None:
         (86_400, 0.01, [0]),
     ],
 )
-def test_an_interval_ends_at_the_first_poll_that_is_not_sooner(
-    interval: float, usual: float, expected: list[float]
-) -> None:
+def test_an_interval_ends_at_the_first_poll_that_is_not_sooner(interval, usual, expected) -> None:
     _, found = polled(PointIntervals([None, interval], usual), 100)
     assert found[: len(expected)] == pytest.approx(expected)
 
@@ -86,41 +69,6 @@ def test_polls_that_are_left_out_count_as_time() -> None:
     assert found == [0, 90, 150]
 
 
-@given(
-    own=st.lists(st.none() | st.floats(0.01, 86_400), min_size=1, max_size=5),
-    steps=st.lists(st.floats(0, 1e6), max_size=20),
-)
-def test_something_is_due_at_every_poll(own: list[float | None], steps: list[float]) -> None:
-    pace, now = PointIntervals(own, 10), 0.0
-    for step in steps:
-        now += step
-        due = pace.due(now)
-        assert due is None or (due and set(due) <= set(range(len(own))))
-        pace.done()
-
-
-def test_points_without_an_answer_are_read_at_the_next_poll_once() -> None:
-    pace = PointIntervals([None, 60], 10)
-    assert pace.due(0) is None
-    pace.done([1])
-    assert pace.due(10) is None
-    pace.done([1])
-    assert [pace.due(now) for now in (20, 30, 40)] == [(0,)] * 3
-
-
-def test_without_any_answer_all_stay_due() -> None:
-    pace = PointIntervals([None, 60], 10)
-    for now in range(0, 100, 10):
-        assert pace.due(now) is None
-        pace.done([0, 1])
-    assert pace.due(100) is None
-    pace.done()
-    assert pace.due(110) == (0,)
-
-
-# --- totals --------------------------------------------------------------------------------------
-
-
 def falls(*polls: Any) -> list[str]:
     """Return for each poll of one total whether it is believed, doubtful, or fell."""
     totals = Totals([0])
@@ -131,25 +79,9 @@ def falls(*polls: Any) -> list[str]:
     return found
 
 
-def test_a_total_that_falls_is_read_again_once() -> None:
-    assert falls(10, 11, 3, 3) == ["believed", "believed", "doubtful", "fell"]
-    assert falls(10, 3, 2, 3) == ["believed", "doubtful", "fell", "believed"]
-
-
-def test_a_total_that_fell_for_one_poll_is_forgotten() -> None:
-    assert falls(10, 0, 11, 5) == ["believed", "doubtful", "believed", "doubtful"]
-
-
 def test_what_is_no_number_is_no_total() -> None:
     assert falls(10, ValueError(), 10, 9) == ["believed"] * 3 + ["doubtful"]
     assert falls(10, 9, None, 9) == ["believed", "doubtful", "believed", "fell"]
-
-
-def test_other_points_are_not_looked_at() -> None:
-    totals = Totals([1])
-    for values in ([5, 10], [4, 11]):
-        assert totals.take(values) == (frozenset(), frozenset())
-    assert totals.take([3, 10]) == (frozenset({1}), frozenset())
 
 
 @given(st.lists(st.integers(0, 5)))
@@ -159,8 +91,6 @@ def test_no_total_is_doubtful_twice_in_a_row(polls: list[int]) -> None:
     rises = all(first <= second for first, second in pairwise(polls))
     assert not rises or set(found) <= {"believed"}
 
-
-# --- polls of a map ------------------------------------------------------------------------------
 
 POINTS = RegisterMap(
     [
@@ -184,16 +114,6 @@ def poll(watched: WatchedPoints, at: float, *answers: dict[str, Any]) -> tuple[l
     raise AssertionError("more is read")
 
 
-def test_a_poll_reads_what_is_due_and_has_all_values() -> None:
-    watched = WatchedPoints(POINTS, None, 10)
-    assert watched.interval == 10
-    first = {"fast": 1, "slow": 2, "total": 3}
-    assert poll(watched, 0, first) == ([["fast", "slow", "total"]], first)
-    later = {"fast": 4, "total": 5}
-    assert poll(watched, 10, later) == ([["fast", "total"]], {"fast": 4, "slow": 2, "total": 5})
-    assert poll(watched, 60, first | later)[0] == [["fast", "slow", "total"]]
-
-
 def test_a_total_that_falls_is_read_alone_and_named_if_it_fell() -> None:
     watched = WatchedPoints(POINTS, ["total", "fast"], 10)
     assert poll(watched, 0, {"fast": 1, "total": 9})[1].fell == frozenset()
@@ -208,9 +128,7 @@ def test_a_total_that_falls_is_read_alone_and_named_if_it_fell() -> None:
 @each_case(
     ("error", "is_read_again"), [(ModbusTimeoutError(""), True), (IllegalDataAddress(), False)]
 )
-def test_what_is_lost_is_read_again_and_what_is_refused_is_not(
-    error: Exception, is_read_again: bool
-) -> None:
+def test_what_is_lost_is_read_again_and_what_is_refused_is_not(error, is_read_again) -> None:
     watched = WatchedPoints(POINTS, ["fast", "slow"], 10)
     poll(watched, 0, {"fast": 1, "slow": error})
     read, _ = poll(watched, 10, {"fast": 1, "slow": 2})

@@ -9,8 +9,6 @@ What is missing is installed: qemu-user-static, and for each processor gcc and t
 Tests that start other programs are left out, and one that measures CPU time.
 """
 
-from __future__ import annotations
-
 import os
 import runpy
 import shutil

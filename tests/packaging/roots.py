@@ -32,8 +32,7 @@ ROOT = Path(__file__).parents[2]
 CACHE = Path(os.environ.get("ROOTS", ROOT / "build" / "roots"))
 PAGE = ROOT / "docs" / "how-to" / "install.md"
 
-PYTHONS = {"bookworm": "3.11", "trixie": "3.13"}
-"""Releases of Debian, 12 and 13, and their Python."""
+PYTHONS = {"bookworm": "3.11", "trixie": "3.13"}  # releases of Debian, 12 and 13, and their Python
 
 WAYS = {"source": "python3-dev python3-venv", "deb": "packaging/deb.py", "wheel": "./run wheel"}
 """The ways to install, and what only the block of each has."""
@@ -45,8 +44,7 @@ PROGRAMS = ("debootstrap", "unshare", "chroot", "ip", "tar")
 
 USER = "somebody"
 
-LONGEST_S = 3600
-"""Of a block: `./run wheel` builds libmodbus and the wheel twice, and runs tests."""
+LONGEST_S = 3600  # of a block: `./run wheel` builds libmodbus and the wheel twice, and runs tests
 
 SOURCES = """\
 deb http://deb.debian.org/debian {0} main
@@ -195,9 +193,7 @@ def system(release: str, tmp_path: Path) -> Iterator[Path]:
 @pytest.mark.timeout(LONGEST_S)
 @pytest.mark.parametrize("release", PYTHONS)
 @pytest.mark.parametrize("way", WAYS)
-def test_a_block_works_in_a_new_system(
-    release: str, way: str, request: pytest.FixtureRequest
-) -> None:
+def test_a_block_works_in_a_new_system(release, way, request) -> None:
     assert "all answers are right" in output(release, way, request)
 
 
@@ -207,9 +203,7 @@ def test_a_block_works_in_a_new_system(
     "release",
     [pytest.param(each, id=f"{each}-other" if is_other(each) else each) for each in PYTHONS],
 )
-def test_quick_tests_pass_for_an_ordinary_user(
-    release: str, request: pytest.FixtureRequest
-) -> None:
+def test_quick_tests_pass_for_an_ordinary_user(release, request) -> None:
     assert re.search(r"\d{4} passed", output(release, "quick", request))
 
 

@@ -1,6 +1,4 @@
-"""
-What is built, what the extras install, and the library that another build shares.
-"""
+"""What is built, what the extras install, and the library that another build shares."""
 
 import importlib.util
 import os
@@ -18,8 +16,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py.cli.commands import COMMANDS
-from libmodbus_py.protocol import extras
-from libmodbus_py.protocol.extras import EXTRAS, how_to_add
+from libmodbus_py.version import EXTRAS, how_to_add
 from tests.support.cases import each_case
 
 ROOT = Path(__file__).parents[2]
@@ -36,9 +33,7 @@ def loaded(path: Path) -> ModuleType:
 
 
 @pytest.mark.parametrize(("is_free", "tags"), [(1, {}), (0, {"py_limited_api": "cp311"})])
-def test_the_limited_api_is_asked_for_where_there_is_one(
-    is_free: int, tags: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_limited_api_is_asked_for_where_there_is_one(is_free, tags, monkeypatch) -> None:
     """A free-threaded Python has none, and setuptools refuses to ask for it there."""
     real = sysconfig.get_config_var
 
@@ -180,16 +175,16 @@ def test_the_table_is_that_of_the_project() -> None:
         for name, needed in project["optional-dependencies"].items()
         if name not in NOT_FOR_USERS
     }
-    assert {name: extra.requirement for name, extra in EXTRAS.items()} == wanted
+    assert {name: requirement for name, (requirement, _) in EXTRAS.items()} == wanted
 
 
 def test_debian_suggests_and_the_documents_name_each_package() -> None:
     control = (ROOT / "packaging" / "debian" / "control").read_text()
     page = (ROOT / "docs" / "how-to" / "install.md").read_text()
     rows = dict(re.findall(r"^\| `(\w+)` \|.*\| (?:`([\w-]+)`|-) \|$", page, re.MULTILINE))
-    assert rows == {name: extra.package for name, extra in EXTRAS.items()}
-    for extra in EXTRAS.values():
-        assert extra.package in control
+    assert rows == {name: package for name, (_, package) in EXTRAS.items()}
+    for _, package in EXTRAS.values():
+        assert package in control
 
 
 @pytest.mark.parametrize(
@@ -204,10 +199,8 @@ def test_debian_suggests_and_the_documents_name_each_package() -> None:
         ),
     ],
 )
-def test_a_hint_fits_the_installation(
-    place: str, extra: str, command: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(extras, "__file__", f"{place}/libmodbus_py/protocol/extras.py")
+def test_a_hint_fits_the_installation(place, extra, command, monkeypatch) -> None:
+    monkeypatch.setattr("libmodbus_py.version.__file__", f"{place}/libmodbus_py/version.py")
     assert how_to_add(extra) == command
 
 
@@ -246,9 +239,7 @@ def test_man_finds_no_mistake_in_the_manual_page(page: Path) -> None:
 
 
 @pytest.mark.parametrize(("typed", "found"), [("dia", ["diagnose"]), ("ga", ["gateway"])])
-def test_the_installed_script_completes_in_bash(
-    typed: str, found: list[str], tmp_path: Path
-) -> None:
+def test_the_installed_script_completes_in_bash(typed, found, tmp_path) -> None:
     pytest.importorskip("argcomplete")
     program = tmp_path / "libmodbus-py"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m libmodbus_py "$@"\n')

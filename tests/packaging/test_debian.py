@@ -47,8 +47,6 @@ def test_the_files_that_it_names_exist() -> None:
     assert project.count("\nlicense-files = ") == 1
 
 
-# --- what is packed -------------------------------------------------------------------------------
-
 files = runpy.run_path(str(ROOT / "packaging" / "deb.py"))["files"]
 
 KNOWN = [".gitignore", "PKG-INFO", "docs/index.md", "libmodbus_py/binding/_libmodbus.c", "setup.py"]
@@ -93,9 +91,7 @@ def test_from_an_unpacked_source_come_all_files_but_those_that_were_made_there(t
     assert files(tree) == KNOWN
 
 
-def test_from_a_clone_come_the_files_that_git_knows_and_that_are_there(
-    clone: Path, tmp_path: Path
-) -> None:
+def test_from_a_clone_come_the_files_that_git_knows_and_that_are_there(clone: Path, tmp_path):
     git(clone, "worktree", "add", "-q", str(tmp_path / "other"))
     git(clone, "update-index", "--add", "--cacheinfo", f"160000,{40 * '1'},submodule")
     put(clone, "new.py", "venv/lib/x.py", "submodule/x.py")
@@ -115,9 +111,6 @@ def test_what_git_says_is_told_if_it_does_not_know_the_files(clone: Path, tmp_pa
     (clone / ".git").write_text(f"gitdir: {tmp_path}/gone\n")
     with pytest.raises(SystemExit, match="deb: fatal: not a git repository"):
         files(clone)
-
-
-# --- units ----------------------------------------------------------------------------------------
 
 
 @each_case("command", COMMANDS)

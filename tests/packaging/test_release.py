@@ -66,8 +66,6 @@ def test_without_a_public_address_nothing_is_published(tree: Path) -> None:
     assert answer(tree, "v1.2.3") == (1, told)
 
 
-# --- the name -------------------------------------------------------------------------------------
-
 NAME = "libmodbus-py"
 BY_NAME = re.compile(r"\b(?:pip3?|pipx|uvx?|poetry)\b[^\n`&;|]*[\s'\"]libmodbus[-_]py(?![\w./*-])")
 
@@ -100,9 +98,6 @@ def test_an_installation_by_name_is_told_from_one_of_a_file() -> None:
         f"`pip install .` installs {NAME}",
     ]
     assert [installs_by_name(text) for text in by_name + of_files] == [True] * 6 + [False] * 4
-
-
-# --- workflows ------------------------------------------------------------------------------------
 
 
 def jobs(workflow: str) -> dict[str, str]:

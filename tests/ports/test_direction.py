@@ -29,7 +29,7 @@ from libmodbus_py import (
 from libmodbus_py.ports.serial import SerialPort
 from libmodbus_py.server import serial as serial_server
 from libmodbus_py.testing import SerialWire
-from tests.support.cases import each_case
+from tests.support.golden import Refused
 from tests.support.peers import LinePeer, until
 from tests.support.signals import in_child
 from tests.support.talk import rtu
@@ -71,9 +71,7 @@ def failing(events: list[object], *numbers: int, error: type[BaseException] = Lo
     return turn
 
 
-def test_a_function_is_called_before_and_behind_each_frame(
-    events: list[object], unit: LinePeer
-) -> None:
+def test_a_function_is_called_before_and_behind_each_frame(events: list[object], unit: LinePeer):
     with Client(f"rtu://{unit.path}", rs485=events.append, rts_delay=0.001) as plc:
         assert events == [False]
         for _ in range(2):
@@ -124,11 +122,7 @@ def test_a_function_is_called_with_the_delays_of_rts(events: list[object]) -> No
     ],
 )
 def test_what_a_function_raises_fails_its_request_and_the_line_receives(
-    numbers: list[int],
-    calls: list[object],
-    events: list[object],
-    unit: LinePeer,
-    caplog: pytest.LogCaptureFixture,
+    numbers, calls, events: list[object], unit: LinePeer, caplog
 ) -> None:
     """The second number is that of the call which the port makes when it is closed."""
     turn = failing(events, *numbers)
@@ -144,9 +138,7 @@ def test_what_a_function_raises_fails_its_request_and_the_line_receives(
         assert events[:4] == [False, True, SENT, False]
 
 
-def test_an_interrupted_function_leaves_the_line_receiving(
-    events: list[object], unit: LinePeer
-) -> None:
+def test_an_interrupted_function_leaves_the_line_receiving(events: list[object], unit: LinePeer):
     turn = failing(events, 1, 5, error=KeyboardInterrupt)
     with Client(f"rtu://{unit.path}", rs485=turn) as plc:
         for calls in ([False, True, False], [False, True, SENT, False, False]):
@@ -183,20 +175,8 @@ def test_a_forked_child_leaves_the_transceiver_to_its_parent(events: list[object
     assert events == [False, True, False]
 
 
-@each_case(
-    ("rs485", "text"),
-    [
-        ("gpio", "rs485 must be"),
-        ("gpio:17", "rs485 must be"),
-        ("gpio:gpiochip0/17", "rs485 must be"),
-        ("gpio:/dev/gpiochip0/", "rs485 must be"),
-        (17, "rs485 must be a function, not int"),
-        (True, "rs485 must be a function, not bool"),
-    ],
-)
-def test_what_switches_nothing_is_refused(rs485: Any, text: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=text):
-        SerialPort("/dev/ttyUSB0", rs485=rs485)
+def test_what_switches_nothing_is_refused(refused: Refused) -> None:
+    refused("wrong_rs485.txt", lambda rs485: SerialPort("/dev/ttyUSB0", rs485=rs485))
 
 
 def test_a_coroutine_is_no_switch(events: list[object]) -> None:
@@ -211,9 +191,6 @@ def test_no_url_shows_a_function(events: list[object]) -> None:
     plc = Client("rtu:///dev/ttyUSB0", rs485=events.append, baudrate=9600)
     assert plc.url == "rtu:///dev/ttyUSB0?baudrate=9600"
     plc.close()
-
-
-# --- lines of a GPIO chip, with a package that is made up ---------------------------------------
 
 
 class Value(Enum):

@@ -1,6 +1,4 @@
-"""
-Names and addresses of hosts, and the address that a client comes from.
-"""
+"""Names and addresses of hosts, and the address that a client comes from."""
 
 import errno
 import logging
@@ -9,13 +7,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from libmodbus_py import Client, Device, Mapping, ModbusConnectionError, Server
 from libmodbus_py.ports.hosts import (
-    host_and_port,
-    host_of_peer,
     is_loopback,
     is_this_machine,
     own_address,
@@ -51,9 +45,6 @@ def test_all_addresses_are_this_machine_but_others_reach_them(host: str) -> None
     assert not is_loopback(host)
 
 
-# --- text --------------------------------------------------------------------------------------
-
-
 @each_case(
     ("text", "host", "port"),
     [
@@ -80,29 +71,6 @@ def test_other_texts_are_refused(text: str) -> None:
         split_host_and_port(text)
 
 
-HOSTS = st.one_of(
-    st.ip_addresses().map(str),
-    st.from_regex(r"[a-z0-9.-]{1,20}", fullmatch=True),
-    st.ip_addresses(v=6).map(lambda address: f"{address}%enP8p1s0"),
-)
-
-
-@given(HOSTS, st.integers(0, 65535))
-def test_what_is_formatted_is_parsed(host: str, port: int) -> None:
-    text = host_and_port(host, port)
-    assert split_host_and_port(text) == (host, port)
-    assert host_of_peer(text) == host
-
-
-@each_case("path", ["/dev/serial/by-path/pci-0000:00:14.0", "/run/a pid b.sock uid 0"])
-def test_the_host_of_a_path_is_the_path(path: str) -> None:
-    assert host_of_peer(path) == path
-    assert host_of_peer(f"{path} pid 7") == path
-
-
-# --- outages ------------------------------------------------------------------------------
-
-
 GONE = ModbusConnectionError("no such device", errno=19)
 
 
@@ -115,9 +83,7 @@ def outage() -> Outage:
     return Outage(logging.getLogger("test"), "rtu:///dev/line")
 
 
-def test_it_is_told_once_and_again_when_it_is_over(
-    outage: Outage, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_it_is_told_once_and_again_when_it_is_over(outage: Outage, caplog) -> None:
     for _ in range(2):
         for _ in range(3):
             outage.begin(GONE)
@@ -129,9 +95,7 @@ def test_it_is_told_once_and_again_when_it_is_over(
     assert caplog.messages == told * 2
 
 
-def test_it_lasts_until_the_port_can_be_opened(
-    outage: Outage, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_it_lasts_until_the_port_can_be_opened(outage: Outage, caplog) -> None:
     outage.begin(GONE)
     attempts: list[Callable[[], None]] = [failing, failing, lambda: None]
     assert [outage.try_to_end(each) for each in attempts] == [False, False, True]
@@ -185,10 +149,7 @@ def test_a_client_connects_from_its_source_and_again_at_once(
         assert plc.read_holding_registers(0, 1) == [0]
 
 
-@each_case(
-    ("source", "number"),
-    [("192.0.2.5", errno.EADDRNOTAVAIL), ("::1", errno.EAFNOSUPPORT)],
-)
+@each_case(("source", "number"), [("192.0.2.5", errno.EADDRNOTAVAIL), ("::1", errno.EAFNOSUPPORT)])
 def test_a_source_that_cannot_reach_the_host_is_named(source: str, number: int) -> None:
     with pytest.raises(ModbusConnectionError, match=f"\\(from .*{source}.*:0\\)") as caught:
         Client("tcp://127.0.0.1:1", source=source).connect()

@@ -1,6 +1,4 @@
-"""
-Devices that connect to the client, as modems behind a mobile network do.
-"""
+"""Devices that connect to the client, as modems behind a mobile network do."""
 
 import asyncio
 import gc
@@ -115,9 +113,7 @@ def dialling(port: int, *arguments: Any) -> Iterator[list[Modem]]:
 
 @ALL
 @pytest.mark.parametrize("scheme", ["listen+tcp", "listen+rtu+tcp"])
-def test_a_client_waits_for_its_device_and_drops_what_is_no_modbus(
-    kind: str, scheme: str, port: int
-) -> None:
+def test_a_client_waits_for_its_device_and_drops_what_is_no_modbus(kind: str, scheme, port: int):
     url = f"{scheme}://127.0.0.1:{port}?greeting=20%20bytes,www.usr.cn"
     greeting = b"89860012345678901234"
     with dialling(port, scheme, greeting) as modems, asking(kind, url, timeout=10) as plc:
@@ -157,9 +153,7 @@ def test_a_device_that_has_hung_up_may_connect_again(kind: str, port: int) -> No
 
 
 @ALL
-def test_a_request_that_was_under_way_times_out_and_the_next_one_is_answered(
-    kind: str, port: int
-) -> None:
+def test_a_request_that_was_under_way_times_out_and_the_next_one_is_answered(kind: str, port: int):
     url = f"listen+tcp://127.0.0.1:{port}"
     with dialling(port) as modems, asking(kind, url, timeout=0.3) as plc:
         until(lambda: modems)[0].is_silent = True
@@ -209,9 +203,7 @@ def test_what_comes_before_the_first_request_is_dropped_and_later_a_likely_mista
 
 
 @ALL
-def test_an_answer_that_came_before_the_device_connected_again_is_taken(
-    kind: str, port: int
-) -> None:
+def test_an_answer_that_came_before_the_device_connected_again_is_taken(kind: str, port: int):
     url = f"listen+tcp://127.0.0.1:{port}"
     with dialling(port) as modems, asking(kind, url, timeout=10) as plc:
         until(lambda: modems)[0].before_answer = lambda: modems.append(Modem(port))

@@ -1,6 +1,4 @@
-"""
-Look-ups of names that get no answer: they cost a few threads, and nobody waits for them.
-"""
+"""Look-ups of names that get no answer: they cost a few threads, and nobody waits for them."""
 
 import asyncio
 import os
@@ -15,8 +13,7 @@ import pytest
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.ports.hosts import Resolve, ask
 from libmodbus_py.ports.sockets import TcpPort
-from libmodbus_py.ports.waiting import Steps, Waker, Woken, run
-from libmodbus_py.ports.waiting_async import look_up, run_async
+from libmodbus_py.ports.waiting import Steps, Waker, Woken, look_up, run, run_async
 from tests.support.peers import until
 
 FOUND = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("192.0.2.1", 502))]
@@ -95,20 +92,17 @@ def test_each_who_asked_gets_an_error_of_its_own(resolver: Resolver) -> None:
     assert first.errno == second.errno == socket.EAI_NONAME
 
 
-def test_no_name_waits_for_others(resolver: Resolver) -> None:
+async def test_no_name_waits_for_others(resolver: Resolver) -> None:
     """Nor does an address or this machine, for which the system asks nobody."""
 
-    async def main() -> None:
-        names = [f"stuck{number}" for number in range(100)]
-        tasks = [asyncio.create_task(look_up(wanted(name))) for name in names]
-        await asyncio.to_thread(until, lambda: len(resolver.asked) == 100)
-        for name in ("localhost", "good"):
-            assert await look_up(wanted(name)) == FOUND
-        assert not any(task.done() for task in tasks)
-        for task in tasks:
-            task.cancel()
-
-    asyncio.run(main())
+    names = [f"stuck{number}" for number in range(100)]
+    tasks = [asyncio.create_task(look_up(wanted(name))) for name in names]
+    await asyncio.to_thread(until, lambda: len(resolver.asked) == 100)
+    for name in ("localhost", "good"):
+        assert await look_up(wanted(name)) == FOUND
+    assert not any(task.done() for task in tasks)
+    for task in tasks:
+        task.cancel()
 
 
 def test_a_name_has_one_thread_however_often_its_clients_give_up(resolver: Resolver) -> None:
@@ -122,9 +116,7 @@ def test_a_name_has_one_thread_however_often_its_clients_give_up(resolver: Resol
     assert resolver.asked == ["stuck"]
 
 
-def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(
-    resolver: Resolver,
-) -> None:
+def test_the_loop_has_its_own_threads_for_itself_and_ends_without_waiting(resolver: Resolver):
     async def main() -> None:
         tasks = [
             asyncio.create_task(run_async(resolving(f"stuck{number}"))) for number in range(40)
@@ -166,9 +158,7 @@ def test_a_look_up_that_takes_too_long_is_a_connection_error(
         drive(TcpPort("stuck", 502, None).opening(time.monotonic() + 0.1), waker)
 
 
-def test_a_blocking_client_that_looks_up_a_name_can_be_woken(
-    resolver: Resolver, waker: Waker
-) -> None:
+def test_a_blocking_client_that_looks_up_a_name_can_be_woken(resolver: Resolver, waker: Waker):
     def wake() -> None:
         until(lambda: resolver.asked)
         waker.wake()
@@ -200,9 +190,7 @@ def test_a_loop_that_was_closed_meanwhile_stops_no_other(resolver: Resolver) -> 
         (MemoryError("no memory"), "no memory"),
     ],
 )
-def test_whatever_a_look_up_raises_is_told(
-    monkeypatch: pytest.MonkeyPatch, error: Exception, text: str
-) -> None:
+def test_whatever_a_look_up_raises_is_told(monkeypatch, error, text) -> None:
     def getaddrinfo(*_: Any, **__: Any) -> None:
         raise error
 
@@ -213,9 +201,7 @@ def test_whatever_a_look_up_raises_is_told(
         question.result()
 
 
-def test_no_thread_is_an_error_and_leaves_nothing(
-    resolver: Resolver, waker: Waker, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_thread_is_an_error_and_leaves_nothing(resolver: Resolver, waker: Waker, monkeypatch):
     def start(_: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 

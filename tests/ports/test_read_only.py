@@ -1,6 +1,4 @@
-"""
-Serial ports that are only read: whose settings they take, and that nothing is written.
-"""
+"""Serial ports that are only read: whose settings they take, and that nothing is written."""
 
 import os
 import pty
@@ -11,8 +9,8 @@ import termios
 import pytest
 
 from libmodbus_py import ModbusConnectionError
-from libmodbus_py.ports import serial_settings
-from libmodbus_py.ports.serial_read_only import ReadOnlySerialPort
+from libmodbus_py.ports import serial
+from libmodbus_py.ports.serial import ReadOnlySerialPort
 
 
 def test_settings_are_made_and_put_back() -> None:
@@ -53,9 +51,7 @@ def test_settings_of_another_program_stay() -> None:
         os.close(slave)
 
 
-def test_settings_of_a_program_elsewhere_stay_and_it_is_named(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_settings_of_a_program_elsewhere_stay_and_it_is_named(caplog) -> None:
     """Whoever has the port open in another process."""
     master, slave = pty.openpty()
     path = os.ttyname(slave)
@@ -91,16 +87,14 @@ def test_a_port_that_has_the_settings_already_but_no_parity() -> None:
     os.close(master)
 
 
-def test_a_setting_that_the_driver_keeps_otherwise_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_setting_that_the_driver_keeps_otherwise_is_refused(monkeypatch) -> None:
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     os.close(slave)
-    monkeypatch.setattr(serial_settings, "PSEUDO_TERMINALS", ())
+    monkeypatch.setattr(serial, "PSEUDO_TERMINALS", ())
     with pytest.raises(ModbusConnectionError, match="parity E refused: the port has N"):
         ReadOnlySerialPort(path, parity="E").open()
-    monkeypatch.setattr(serial_settings, "_baudrate_of", lambda descriptor: 9600)
+    monkeypatch.setattr(serial, "_baudrate_of", lambda descriptor: 9600)
     with pytest.raises(ModbusConnectionError, match="baudrate 230400 refused: the port does 9600"):
         ReadOnlySerialPort(path, parity="N", baudrate=230_400).open()
     os.close(master)

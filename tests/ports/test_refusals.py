@@ -19,10 +19,8 @@ import pytest
 
 from libmodbus_py import Client, Gateway, ModbusConnectionError, ModbusError, Route
 from libmodbus_py.listen import listen
-from libmodbus_py.ports import serial, serial_devices, serial_read_only, serial_settings
-from libmodbus_py.ports.serial import SerialPort
-from libmodbus_py.ports.serial_read_only import ReadOnlySerialPort
-from libmodbus_py.ports.sockets import TcpPort, UdpPort
+from libmodbus_py.ports import serial, serial_devices
+from libmodbus_py.ports.serial import ReadOnlySerialPort, SerialPort
 from libmodbus_py.tools.testing.wires import SerialWire
 from tests.support import certificates
 from tests.support.certificates import Pki
@@ -92,9 +90,7 @@ class Connecting:
 
 
 class TestSettings:
-    def test_settings_that_are_refused_twice_are_refused(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_settings_that_are_refused_twice_are_refused(self, wire: SerialWire, monkeypatch):
         made = SerialPort(wire.client)
         with monkeypatch.context() as patch:
             patch.setattr(serial, "lib", Connecting(errno.EINVAL, errno.EINVAL))
@@ -106,9 +102,7 @@ class TestSettings:
         assert made.descriptor == -1
         assert is_free(wire.client)
 
-    def test_settings_that_are_refused_once_were_there_already(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_settings_that_are_refused_once_were_there_already(self, wire: SerialWire, monkeypatch):
         """As glibc says of a pseudo-terminal, which has no parity."""
         monkeypatch.setattr(serial, "lib", Connecting(errno.EINVAL))
         made = SerialPort(wire.client)
@@ -117,18 +111,14 @@ class TestSettings:
         made.close()
 
     @pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO, errno.EMFILE])
-    def test_another_error_is_told_and_not_tried_again(
-        self, number: int, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_another_error_is_told_and_not_tried_again(self, number, wire: SerialWire, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(serial, "lib", Connecting(number, errno.EDOM))
             with failing(number):
                 SerialPort(wire.client).open()
         assert is_free(wire.client)
 
-    def test_what_interrupts_the_opening_leaves_the_port_free(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_what_interrupts_the_opening_leaves_the_port_free(self, wire: SerialWire, monkeypatch):
         def interrupt(port: SerialPort) -> None:
             raise KeyboardInterrupt
 
@@ -178,12 +168,7 @@ class TestSettingsOfTheDriver:
         ],
     )
     def test_a_rate_within_2_percent_is_taken(
-        self,
-        asked: int,
-        actual: int,
-        is_taken: bool,
-        rate: Callable[[int], None],
-        wire: SerialWire,
+        self, asked: int, actual: int, is_taken: bool, rate: Callable[[int], None], wire: SerialWire
     ) -> None:
         rate(actual)
         made = SerialPort(wire.client, baudrate=asked)
@@ -203,11 +188,9 @@ class TestSettingsOfTheDriver:
         with failing(errno.EINVAL, "the port does 9600, and at most 115200$"):
             SerialPort(wire.client, baudrate=230_400).open()
 
-    def test_a_system_that_tells_no_rate_is_believed(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_system_that_tells_no_rate_is_believed(self, wire: SerialWire, monkeypatch) -> None:
         """As on processors whose termios2 differs."""
-        monkeypatch.setattr(serial_settings, "_baudrate_of", lambda descriptor: None)
+        monkeypatch.setattr(serial, "_baudrate_of", lambda descriptor: None)
         made = SerialPort(wire.client, baudrate=230_400)
         made.open()
         assert made.descriptor >= 0
@@ -228,24 +211,20 @@ class TestSettingsOfTheDriver:
         made = SerialPort(wire.client, **settings)
         made.open()
         made.close()
-        monkeypatch.setattr(serial_settings, "PSEUDO_TERMINALS", ())
+        monkeypatch.setattr(serial, "PSEUDO_TERMINALS", ())
         with failing(errno.EINVAL, text):
             made.open()
 
-    def test_a_stop_bit_that_hardware_does_not_take_is_refused(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_stop_bit_that_hardware_does_not_take_is_refused(self, wire: SerialWire, monkeypatch):
         made = SerialPort(wire.client, parity="N", stop_bits=2)
-        monkeypatch.setattr(serial_settings, "PSEUDO_TERMINALS", ())
+        monkeypatch.setattr(serial, "PSEUDO_TERMINALS", ())
         made.open()
         made.close()
         monkeypatch.setattr(termios, "CSTOPB", 0)
         with failing(errno.EINVAL, "stop_bits 2 refused: the port has 1"):
             made.open()
 
-    def test_a_port_that_refuses_says_which_rate(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_port_that_refuses_says_which_rate(self, wire: SerialWire, monkeypatch) -> None:
         with monkeypatch.context() as patch:
             patch.setattr(fcntl, "ioctl", raising(errno.EINVAL))
             with pytest.raises(ModbusConnectionError) as caught:
@@ -256,9 +235,7 @@ class TestSettingsOfTheDriver:
 
 
 class TestOpening:
-    def test_a_port_without_hardware_says_so(
-        self, wire: SerialWire, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-    ) -> None:
+    def test_a_port_without_hardware_says_so(self, wire: SerialWire, monkeypatch, tmp_path) -> None:
         """A ttyS of a kernel that lists more of them than there are: each call fails."""
 
         def refuse(descriptor: int) -> None:
@@ -278,9 +255,7 @@ class TestOpening:
             with failing(errno.EBUSY, "in use by another program"):
                 SerialPort(wire.client).open()
 
-    def test_a_port_that_is_open_here_is_not_opened_again(
-        self, port: SerialPort, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_port_that_is_open_here_is_not_opened_again(self, port: SerialPort, monkeypatch):
         """Opening a port raises its RTS, which makes a transceiver send."""
         monkeypatch.setattr(os, "open", raising(errno.EDOM))
         with failing(errno.EBUSY, "in use by this program itself"):
@@ -289,17 +264,13 @@ class TestOpening:
 
 class TestBytes:
     @pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO, errno.ENODEV])
-    def test_a_read_or_send_that_fails_is_a_lost_connection(
-        self, number: int, port: SerialPort
-    ) -> None:
+    def test_a_read_or_send_that_fails_is_a_lost_connection(self, number, port: SerialPort) -> None:
         with refusing(os, "read", number):
             port.receive()
         with refusing(os, "write", number):
             port.send([b"request"], 0.0)
 
-    def test_a_read_that_would_wait_is_nothing(
-        self, port: SerialPort, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_read_that_would_wait_is_nothing(self, port: SerialPort, monkeypatch) -> None:
         monkeypatch.setattr(os, "read", raising(errno.EAGAIN))
         assert port.receive() == []
 
@@ -317,9 +288,7 @@ class TestBytes:
         with failing(errno.EIO, "the port is gone"):
             port.receive()
 
-    def test_a_port_that_takes_nothing_now_loses_the_frame(
-        self, port: SerialPort, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_port_that_takes_nothing_now_loses_the_frame(self, port: SerialPort, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(os, "write", raising(errno.EAGAIN))
             port.send([b"request"], 0.0)
@@ -338,7 +307,7 @@ class TestReadOnly:
         made = ReadOnlySerialPort(wire.client)
         with monkeypatch.context() as patch:
             # The other end of the wire is held open by this process itself.
-            patch.setattr(serial_read_only, "_other_user", lambda *_: None)
+            patch.setattr(serial_devices, "other_user", lambda *_: None)
             patch.setattr(termios, "tcsetattr", refuse)
             with pytest.raises(ModbusConnectionError) as caught:
                 made.open()
@@ -348,119 +317,6 @@ class TestReadOnly:
         assert caught.value.errno == number
         assert made.descriptor == -1
         assert is_free(wire.client)
-
-
-class Socket:
-    """A socket whose calls fail with error numbers, one after the other, or give bytes."""
-
-    def __init__(self, *outcomes: int | bytes) -> None:
-        self._outcomes = list(outcomes)
-        self.sent = b""
-        self.is_shut = False
-
-    def _next(self) -> bytes:
-        outcome = self._outcomes.pop(0) if self._outcomes else errno.EAGAIN
-        if isinstance(outcome, int):
-            raise OSError(outcome, os.strerror(outcome))
-        return outcome
-
-    def recv(self, size: int) -> bytes:
-        return self._next()
-
-    def send(self, data: bytes) -> int:
-        taken = min(len(data), len(self._next()))
-        self.sent += bytes(data[:taken])
-        return taken
-
-    def shutdown(self, how: int) -> None:
-        self.is_shut = True
-
-
-def tcp(*outcomes: int | bytes) -> tuple[TcpPort, Socket]:
-    made, socket = TcpPort("192.0.2.1", 502, None), Socket(*outcomes)
-    made._socket = socket  # type: ignore[assignment]
-    return made, socket
-
-
-def udp(*outcomes: int | bytes) -> tuple[UdpPort, Socket]:
-    made, socket = UdpPort("192.0.2.1", 502), Socket(*outcomes)
-    made._socket, made._refusal = socket, 0  # type: ignore[assignment]
-    return made, socket
-
-
-class TestTcp:
-    @pytest.mark.parametrize("number", [errno.ECONNRESET, errno.ETIMEDOUT, errno.EHOSTUNREACH])
-    def test_a_connection_that_ends_says_why(self, number: int) -> None:
-        with failing(number):
-            tcp(number)[0].receive()
-        with failing(number):
-            tcp(number)[0].send([b"request"], 0.0)
-
-    def test_the_other_side_closes(self) -> None:
-        with failing(errno.ECONNRESET, "closed by the other side"):
-            tcp(b"")[0].receive()
-
-    def test_nothing_has_come(self) -> None:
-        assert tcp()[0].receive() == []
-        assert tcp(b"answer")[0].receive() == [b"answer"]
-
-    def test_what_is_not_taken_is_sent_later_and_in_order(self) -> None:
-        made, socket = tcp(b"123", errno.EAGAIN, b"12", b"1234567890", b"1")
-        made.send([b"first", b" second"], 0.0)
-        assert (socket.sent, made.has_unsent) == (b"fir", True)
-        made.go_on(0.0)
-        made.send([b"!"], 0.0)
-        made.go_on(0.0)
-        assert (socket.sent, made.has_unsent) == (b"first", True)
-        made.go_on(0.0)
-        assert (socket.sent, made.has_unsent) == (b"first second!", False)
-
-
-class TestUdp:
-    def test_all_that_came_is_given_datagram_by_datagram(self) -> None:
-        assert udp(b"one", b"two", b"three")[0].receive() == [b"one", b"two", b"three"]
-
-    def test_a_closed_port_is_told_when_there_is_nothing_else(self) -> None:
-        with failing(errno.ECONNREFUSED, "refused"):
-            udp(errno.ECONNREFUSED)[0].receive()
-
-    @pytest.mark.parametrize(
-        "outcomes",
-        [(b"one", errno.ECONNREFUSED, b"two"), (errno.ECONNREFUSED, b"one", b"two")],
-        ids=["between", "before"],
-    )
-    def test_what_came_before_the_port_was_closed_is_given_first(
-        self, outcomes: tuple[int | bytes, ...]
-    ) -> None:
-        made, socket = udp(*outcomes)
-        assert made.receive() == [b"one", b"two"]
-        # Whoever waits is to have the news at once.
-        assert socket.is_shut
-        with pytest.raises(ModbusConnectionError, match="refused"):
-            made.receive()
-
-    def test_a_second_error_ends_the_look(self) -> None:
-        made, _ = udp(errno.ECONNREFUSED, b"one", errno.EHOSTUNREACH, b"two")
-        assert made.receive() == [b"one"]
-
-    def test_the_refusal_of_an_earlier_datagram_does_not_lose_this_one(self) -> None:
-        made, socket = udp(errno.ECONNREFUSED, b"1234567")
-        made.send([b"request"], 0.0)
-        assert socket.sent == b"request"
-
-    def test_a_datagram_that_is_not_taken_is_lost(self) -> None:
-        made, socket = udp(errno.EAGAIN, b"1234567")
-        made.send([b"request"], 0.0)
-        assert socket.sent == b""
-        assert not made.has_unsent
-
-    @pytest.mark.parametrize("number", [errno.ENETUNREACH, errno.EPERM])
-    def test_another_error_is_told(self, number: int) -> None:
-        with failing(number):
-            udp(number)[0].send([b"request"], 0.0)
-
-
-# --- a connection to itself ---------------------------------------------------------------
 
 
 SCHEMES = ["tcp", "rtu+tcp", "ascii+tcp", "udp", "rtu+udp", "tls"]
@@ -514,9 +370,7 @@ def test_clients(kind: str, scheme: str, dead_port: int, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "udp"])
-def test_the_line_of_a_gateway(
-    scheme: str, dead_port: int, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_line_of_a_gateway(scheme, dead_port: int, caplog) -> None:
     gateway = Gateway([Route(f"{scheme}://127.0.0.1:{dead_port}")])
     with (
         gateway.background("tcp://127.0.0.1:0") as running,

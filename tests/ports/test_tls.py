@@ -1,6 +1,4 @@
-"""
-Who one is at a tls:// endpoint: in its URL or as given, and what is wrong with it.
-"""
+"""Who one is at a tls:// endpoint: in its URL or as given, and what is wrong with it."""
 
 import re
 from typing import Any
@@ -22,11 +20,7 @@ def test_security_goes_with_tls_and_tls_with_security(make: Any, pki: Pki) -> No
     url = pki.url("tls://h", certificates.client())
     for wrong, options, text in (
         ("tcp://h", {"security": security}, "security is for tls:// only, not for tcp://"),
-        (
-            "rtu:///dev/x",
-            {"security": security},
-            "security is for tls:// only, not for rtu://",
-        ),
+        ("rtu:///dev/x", {"security": security}, "security is for tls:// only, not for rtu://"),
         ("udp://h", {"security": security}, "security is for tls:// only, not for udp://"),
         ("tls://h", {}, "tls://h:802 needs security: Security(...), or ?cert=...&key=..."),
         (url, {"security": security}, "tls://h:802: security is given as such and in the URL"),
@@ -54,11 +48,7 @@ def test_each_option_of_a_url(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None
     files = pki.files(certificates.client(), SECRET.encode())
     monkeypatch.setenv("KEY_PASSWORD", SECRET)
     both = f"cert={files.cert}&key={files.key}&password_env=KEY_PASSWORD"
-    for more in (
-        f"ca={pki.ca}",
-        f"pin={pki.ca},{'ab' * 32}",
-        f"ca={pki.ca}&server_name=x",
-    ):
+    for more in (f"ca={pki.ca}", f"pin={pki.ca},{'ab' * 32}", f"ca={pki.ca}&server_name=x"):
         assert isinstance(security_of(parse(f"tls://h?{both}&{more}"), None), Security)
 
 
@@ -75,9 +65,7 @@ def test_each_option_of_a_url(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None
         ({"key": "LOCKED", "password_env": "EMPTY"}, "key 'LOCKED'"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_told(
-    pki: Pki, monkeypatch: pytest.MonkeyPatch, change: dict[str, str], text: str
-) -> None:
+def test_what_is_wrong_with_a_file_is_told(pki: Pki, monkeypatch, change, text) -> None:
     monkeypatch.setenv("WRONG", "close sesame")
     monkeypatch.setenv("EMPTY", "")
     own = pki.files(certificates.client())

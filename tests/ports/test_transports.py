@@ -1,6 +1,4 @@
-"""
-What all transports have in common: their names, traces, and what a fork leaves.
-"""
+"""What all transports have in common: their names, traces, and what a fork leaves."""
 
 import os
 from pathlib import Path
@@ -11,8 +9,7 @@ import pytest
 from libmodbus_py import Client
 from libmodbus_py.cli.arguments import SCHEMES_OF_URLS, URLS
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.ports.making import port_class
-from libmodbus_py.ports.port import abandoned_in_children
+from libmodbus_py.ports.port import abandoned_in_children, port_class
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS, Scheme, Transport, shape_of
 from libmodbus_py.ports.trace import Traced
 from tests.support.cases import each_case

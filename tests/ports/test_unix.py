@@ -1,6 +1,4 @@
-"""
-Unix sockets: who may listen and connect, what becomes of the file, and how clients are named.
-"""
+"""Unix sockets: who may listen and connect, what becomes of the file, and how clients are named."""
 
 import asyncio
 import contextlib
@@ -54,25 +52,19 @@ def stale(path: str) -> None:
 
 
 def test_a_blocking_client_reads_and_writes(path: str) -> None:
-    with (
-        server().background(f"unix://{path}") as running,
-        Client(f"unix://{path}") as client,
-    ):
+    with server().background(f"unix://{path}") as running, Client(f"unix://{path}") as client:
         assert running.urls == [f"unix://{path}"]
         client.write_register(1, 7)
         assert client.read_holding_registers(0, 3) == [1, 7, 3]
 
 
-def test_an_asyncio_client_reads_from_a_server_in_its_loop(path: str) -> None:
-    async def main() -> None:
-        async with (
-            server().serving(f"unix://{path}", "tcp://127.0.0.1:0"),
-            AsyncClient(f"unix://{path}") as client,
-        ):
-            reads = (client.read_holding_registers(at, 1) for at in (0, 1, 2) * 20)
-            assert await asyncio.gather(*reads) == [[1], [2], [3]] * 20
-
-    asyncio.run(main())
+async def test_an_asyncio_client_reads_from_a_server_in_its_loop(path: str) -> None:
+    async with (
+        server().serving(f"unix://{path}", "tcp://127.0.0.1:0"),
+        AsyncClient(f"unix://{path}") as client,
+    ):
+        reads = (client.read_holding_registers(at, 1) for at in (0, 1, 2) * 20)
+        assert await asyncio.gather(*reads) == [[1], [2], [3]] * 20
 
 
 def test_a_gateway_listens_and_asks_over_paths(path: str) -> None:
@@ -93,9 +85,6 @@ def test_a_gateway_refuses_a_line_to_itself(path: str) -> None:
         Gateway([Route(f"unix://{path}.link")]).background(f"unix://{path}"),
     ):
         pass
-
-
-# --- the file ----------------------------------------------------------------------------------
 
 
 def test_the_owner_and_the_group_may_connect_whatever_the_umask_is(path: str) -> None:
@@ -165,10 +154,7 @@ def test_a_server_ends_although_its_folder_is_gone(path: str) -> None:
 
 
 def test_who_is_connected_stays_with_its_server_when_the_path_gets_another(path: str) -> None:
-    with (
-        server().background(f"unix://{path}"),
-        Client(f"unix://{path}") as first,
-    ):
+    with server().background(f"unix://{path}"), Client(f"unix://{path}") as first:
         os.unlink(path)
         with server().background(f"unix://{path}"), Client(f"unix://{path}") as second:
             second.write_register(0, 9)
@@ -212,21 +198,18 @@ def test_a_path_in_use_is_refused_however_it_is_written_and_its_server_goes_on(p
                 assert client.read_holding_registers(0, 1) == [1]
 
 
-def test_of_listeners_in_one_loop_one_gets_a_path(path: str) -> None:
-    async def main() -> None:
-        stale(path)
-        listeners = [UnixListener(path) for _ in range(3)]
-        opening = (each.open() for each in listeners)
-        made, *others = await asyncio.gather(*opening, return_exceptions=True)
-        assert [getattr(each, "errno", 0) for each in others] == [errno.EADDRINUSE] * 2
-        assert isinstance(made, socket.socket)
-        for each in (*listeners[1:], made):
-            each.close()
-        assert os.path.exists(path)
-        listeners[0].close()
-        assert not os.path.exists(path)
-
-    asyncio.run(main())
+async def test_of_listeners_in_one_loop_one_gets_a_path(path: str) -> None:
+    stale(path)
+    listeners = [UnixListener(path) for _ in range(3)]
+    opening = (each.open() for each in listeners)
+    made, *others = await asyncio.gather(*opening, return_exceptions=True)
+    assert [getattr(each, "errno", 0) for each in others] == [errno.EADDRINUSE] * 2
+    assert isinstance(made, socket.socket)
+    for each in (*listeners[1:], made):
+        each.close()
+    assert os.path.exists(path)
+    listeners[0].close()
+    assert not os.path.exists(path)
 
 
 def test_a_path_of_a_server_that_is_busy_is_in_use(path: str) -> None:
@@ -365,19 +348,13 @@ def test_a_folder_that_stays_locked_is_an_error(path: str, monkeypatch: pytest.M
         refused(path, errno.EBUSY, "locked by another program")
 
 
-def test_a_locked_folder_holds_up_only_its_own_server(path: str) -> None:
-    async def main() -> None:
-        with locked(os.path.dirname(path)):
-            starting = asyncio.ensure_future(UnixListener(path).open())
-            for _ in range(3):
-                await asyncio.sleep(0)
-            assert not starting.done()
-        (await starting).close()
-
-    asyncio.run(main())
-
-
-# --- clients -----------------------------------------------------------------------------------
+async def test_a_locked_folder_holds_up_only_its_own_server(path: str) -> None:
+    with locked(os.path.dirname(path)):
+        starting = asyncio.ensure_future(UnixListener(path).open())
+        for _ in range(3):
+            await asyncio.sleep(0)
+        assert not starting.done()
+    (await starting).close()
 
 
 def test_no_server_is_a_connection_error(path: str) -> None:

@@ -1,10 +1,7 @@
-"""
-The same steps, run by polling and by an event loop.
-"""
+"""The same steps, run by polling and by an event loop."""
 
 import asyncio
 import contextlib
-import math
 import os
 import select
 import socket
@@ -28,10 +25,8 @@ from libmodbus_py.ports.waiting import (
     Woken,
     milliseconds,
     run,
+    run_async,
 )
-from libmodbus_py.ports.waiting_async import Alarm, run_async
-from tests.simulation.loop import VirtualLoop
-from tests.simulation.network import Network
 from tests.support.cases import each_case
 from tests.support.names import NEEDS_IPV6, resolve
 from tests.support.peers import dead, until
@@ -68,9 +63,6 @@ def soon(seconds: float = 0.2) -> float:
     return time.monotonic() + seconds
 
 
-# --- steps -----------------------------------------------------------------------------
-
-
 def test_what_is_ready_is_told(drive: Drive, pair: tuple[socket.socket, socket.socket]) -> None:
     one, other = pair
 
@@ -104,9 +96,6 @@ def test_what_steps_raise_comes_out(drive: Drive) -> None:
         drive(steps())
 
 
-# --- names -----------------------------------------------------------------------------
-
-
 def resolving(host: str, seconds: float = 5) -> Steps[Any]:
     try:
         return (yield Resolve(host, 502, socket.SOCK_STREAM, soon(seconds)))
@@ -132,18 +121,13 @@ def test_a_name_that_nobody_has_is_an_os_error(drive: Drive, host: str) -> None:
     assert isinstance(drive(resolving(host)), OSError)
 
 
-# --- connecting ------------------------------------------------------------------------
-
-
 def addresses(monkeypatch: pytest.MonkeyPatch, *ports: int) -> None:
     """A name with an address for each port."""
     found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port)) for port in ports]
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
 
 
-def test_a_dead_address_leaves_the_others_their_share_of_the_time(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_dead_address_leaves_the_others_their_share_of_the_time(monkeypatch) -> None:
     clock = SimpleNamespace(monotonic=lambda: 100.0)
     monkeypatch.setattr("libmodbus_py.ports.sockets.time", clock)
     with dead() as port, dead() as other, socket.create_server(("127.0.0.1", 0)) as listener:
@@ -165,9 +149,7 @@ def test_a_dead_address_leaves_the_others_their_share_of_the_time(
         made.close()
 
 
-def test_all_addresses_together_take_no_longer_than_the_deadline(
-    drive: Drive, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_all_addresses_together_take_no_longer_than_the_deadline(drive: Drive, monkeypatch) -> None:
     with dead() as port:
         addresses(monkeypatch, port, port, port)
         start = time.monotonic()
@@ -210,7 +192,27 @@ def test_udp_is_connected_at_once(drive: Drive) -> None:
     made.close()
 
 
-# --- waking ----------------------------------------------------------------------------
+def test_udp_tells_a_closed_port_after_what_came_and_sends_to_it_once_it_is_open() -> None:
+    def listener(port: int = 0) -> socket.socket:
+        made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        made.bind(("127.0.0.1", port))
+        made.settimeout(5)
+        return made
+
+    with listener() as first:
+        made = UdpPort("127.0.0.1", port := first.getsockname()[1])
+        asyncio.run(run_async(made.opening(soon())))
+        made.send([b"hello"], 0.0)
+        first.sendto(b"answer", first.recvfrom(5)[1])
+    made.send([b"lost"], 0.0)
+    with listener(port) as again:
+        made.send([b"request"], 0.0)
+        assert again.recv(100) == b"request"
+    made.send([b"lost"], 0.0)
+    assert made.receive() == [b"answer"]
+    with pytest.raises(ModbusConnectionError, match="refused"):
+        made.receive()
+    made.close()
 
 
 def descriptors() -> int:
@@ -277,9 +279,6 @@ def test_a_waker_may_be_closed_and_woken_any_number_of_times() -> None:
     assert waker.descriptor == -1
 
 
-# --- cancelling ------------------------------------------------------------------------
-
-
 def test_cancelling_closes_the_socket() -> None:
     async def main(port: int) -> None:
         before = descriptors()
@@ -321,9 +320,7 @@ class Counted:
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.5, 1.0, 1.0005, 90_000.5])
-def test_the_system_waits_a_second_at_a_time(
-    seconds: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_system_waits_a_second_at_a_time(seconds, monkeypatch) -> None:
     """A signal just before a wait does not end it: its handler must not wait for a timeout."""
     counted = Counted()
     monkeypatch.setattr(select, "poll", lambda: counted)
@@ -339,64 +336,3 @@ def test_the_system_waits_a_second_at_a_time(
         assert seconds <= counted.now - before <= seconds + 0.0011
     assert max(counted.waits) <= 1000
     waker.close()
-
-
-# --- alarms -------------------------------------------------------------------------------
-
-
-def rung(*times: float, until: float, is_cancelled: bool = False) -> tuple[list[float], float]:
-    """Return when an alarm that was set for these times rang, and when it would ring again."""
-    found: list[float] = []
-
-    async def main() -> float:
-        loop = asyncio.get_running_loop()
-        began = loop.time()
-        alarm = Alarm(lambda now: found.append(now - began))
-        for each in times:
-            alarm.set(began + each, loop)
-        if is_cancelled:
-            alarm.cancel()
-        await asyncio.sleep(until)
-        at = alarm.at
-        alarm.cancel()
-        return at - began
-
-    return found, Network(1).run(main)
-
-
-def test_the_earliest_time_counts_in_any_order() -> None:
-    assert rung(5, 2, 3, until=10) == ([2], math.inf)
-    assert rung(2, 5, until=10) == ([2], math.inf)
-
-
-def test_a_timer_that_ends_early_is_told_the_time_it_was_set_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(VirtualLoop, "early", 0.25)
-    assert rung(5, 2, 3, until=10) == ([2], math.inf)
-
-
-def test_before_its_time_it_is_silent_and_tells_when() -> None:
-    assert rung(5, 3, until=1) == ([], 3)
-
-
-def test_once_cancelled_it_never_rings() -> None:
-    assert rung(2, until=10, is_cancelled=True) == ([], math.inf)
-
-
-def test_after_it_rang_it_can_be_set_for_a_later_time() -> None:
-    async def main() -> list[float]:
-        loop, found = asyncio.get_running_loop(), []
-        began = loop.time()
-
-        def ring(now: float) -> None:
-            found.append(now - began)
-            if len(found) < 3:
-                alarm.set(now + len(found), loop)
-
-        alarm = Alarm(ring)
-        alarm.set(began + 1, loop)
-        await asyncio.sleep(10)
-        return found
-
-    assert Network(1).run(main) == [1, 2, 4]

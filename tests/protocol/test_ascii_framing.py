@@ -3,18 +3,9 @@
 import pytest
 
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.protocol.framing import (
-    AsciiFramer,
-    delimiter_after,
-    is_delimiter,
-)
+from libmodbus_py.protocol.framing import AsciiFramer, delimiter_after, is_delimiter
 from tests.support.cases import each_case
-from tests.support.framing import (
-    READ,
-    ascii_frame,
-    single_bytes,
-    take,
-)
+from tests.support.framing import READ, ascii_frame, single_bytes, take
 
 
 class TestAscii:

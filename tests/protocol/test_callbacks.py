@@ -1,6 +1,4 @@
-"""
-Functions of users that would not run when they are called: refused by all that take functions.
-"""
+"""Functions of users that would not run when called: refused by all that take functions."""
 
 import logging
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -121,9 +119,6 @@ def test_other_functions_are_taken(call: Any) -> None:
     assert checked_callback("call", call) is call
 
 
-# --- a plain function that returns a coroutine ------------------------------------------------
-
-
 def hidden(*_: object) -> Any:
     """Return a coroutine, as ``lambda access: waits(access)`` does."""
     return waits()
@@ -133,9 +128,7 @@ WRITE = pdu.WriteRegister(3, 77).encode()
 
 
 @pytest.mark.parametrize("name", ["before_write", "after_write", "authorize"])
-def test_a_hook_that_returns_a_coroutine_is_a_failure(
-    name: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_hook_that_returns_a_coroutine_is_a_failure(name, caplog) -> None:
     made = device(**{name: hidden})
     assert made.answer(WRITE) == b"\x86\x04"
     assert "which nothing awaits" in caplog.text
@@ -159,9 +152,6 @@ def test_a_result_of_which_nothing_ran_is_refused(make: Callable[[], object]) ->
         finished("hook", make())
 
 
-# --- the log -------------------------------------------------------------------------------
-
-
 def test_a_log_that_fails_is_told_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     class Broken(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
@@ -178,9 +168,6 @@ def test_a_log_that_fails_is_told_on_stderr(capsys: pytest.CaptureFixture[str]) 
     told = capsys.readouterr().err
     assert "disk full" in told
     assert "ZeroDivisionError" in told
-
-
-# --- loggers whose handlers fail ----------------------------------------------------------
 
 
 PACKAGE = "libmodbus_py"

@@ -1,17 +1,10 @@
-"""
-Names that are nearly right, and what values are likely to mean.
-"""
+"""Names that are nearly right, and what values are likely to mean."""
 
 import struct
 
 import pytest
 
-from libmodbus_py.protocol.mistakes import (
-    close_option,
-    close_to,
-    named_arguments,
-    unknown_option,
-)
+from libmodbus_py.protocol.mistakes import close_option, close_to, named_arguments, unknown_option
 from libmodbus_py.protocol.values import readings
 from tests.support.cases import each_case
 
@@ -155,9 +148,7 @@ def test_28_of_30_public_examples_are_among_the_first_three() -> None:
         ([0x4366, 0x199A], ("float32", "ABCD", 230.10000610351562)),
     ],
 )
-def test_the_most_plausible_interpretation_is_the_first(
-    registers: list[int], first: tuple[str, str, object]
-) -> None:
+def test_the_most_plausible_interpretation_is_the_first(registers, first) -> None:
     assert readings(registers)[0] == first
 
 

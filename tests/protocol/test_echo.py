@@ -1,6 +1,4 @@
-"""
-The echo of what was sent is taken out of what is received; whether there is one is found out.
-"""
+"""The echo of what was sent is taken out of what is received; whether there is one is found out."""
 
 from typing import Any
 
@@ -147,9 +145,7 @@ def test_a_short_request_that_begins_like_the_last_answer_comes_with_silence() -
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 @pytest.mark.parametrize("setting", [None, True])
-def test_fewer_bytes_than_a_frame_has_may_come_before_an_echo(
-    take: Any, setting: bool | None, count: int
-) -> None:
+def test_fewer_bytes_than_a_frame_has_may_come_before_an_echo(take: Any, setting, count) -> None:
     echo = sent(setting, READ)
     stray = b"\xff\0\xff"[:count]
     assert take(echo, stray + READ + ANSWER) == stray + ANSWER

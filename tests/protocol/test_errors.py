@@ -1,6 +1,4 @@
-"""
-Errors, and rows of worked examples.
-"""
+"""Errors, and rows of worked examples."""
 
 import copy
 import json

@@ -1,17 +1,9 @@
-"""
-The sizes of frames, and ranges of numbers.
-"""
-
-from itertools import pairwise
+"""The sizes of frames, and ranges of numbers."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from libmodbus_py.protocol.errors import FrameError
 from libmodbus_py.protocol.framing import Frame, Framing, cut, is_one_frame, make_framer, split
-from libmodbus_py.protocol.tables import contains, joined, touches, without
-from tests.support.cases import each_case
 
 # Application protocol, section 4.1: a PDU has 253 bytes at most; the ADU of a serial line 256,
 # that of TCP 260. Serial line, section 2.5.2.1: in ASCII mode 513 characters.
@@ -22,9 +14,7 @@ PDU = bytes.fromhex("17 0000 007d 0000 0079 f2") + bytes(242)
 
 
 @pytest.mark.parametrize(("framing", "size"), LONGEST)
-def test_the_longest_frame_has_the_size_that_its_framing_allows(
-    framing: Framing, size: int
-) -> None:
+def test_the_longest_frame_has_the_size_that_its_framing_allows(framing, size) -> None:
     framer = make_framer(framing, "client")
     whole = framer.encode(Frame(1, PDU + bytes(253 - len(PDU))))
     assert len(whole) == getattr(framer, "max_size", size) == size  # a stream has no limit
@@ -54,9 +44,6 @@ def test_only_too_many_characters_are_an_overrun() -> None:
     assert {each.overrun for each in errors("rtu", bytes.fromhex("01 03 0000 0001 ffff"))} == {
         False
     }
-
-
-# --- chunks of whole frames with MBAP headers ---------------------------------------------
 
 
 def mbap(length: int, body: bytes, protocol: int = 0, transaction: int = 7) -> bytes:
@@ -94,50 +81,3 @@ def test_as_many_frames_are_cut_out_as_are_wanted() -> None:
         count = min(most, 5)
         assert found == [Frame(17, bytes([3, at]), at) for at in range(count)]
         assert end == 1 + 9 * count
-
-
-@each_case(
-    ("ranges", "together"),
-    [
-        ([], []),
-        ([range(5, 5)], []),
-        ([range(8, 9), range(3)], [range(3), range(8, 9)]),
-        ([range(3), range(3, 5)], [range(5)]),
-        ([range(9), range(2, 4)], [range(9)]),
-        ([range(2, 4), range(3, 6), range(7, 8)], [range(2, 6), range(7, 8)]),
-    ],
-)
-def test_ranges_are_joined(ranges: list[range], together: list[range]) -> None:
-    assert joined(ranges) == tuple(together)
-
-
-@given(st.lists(st.tuples(st.integers(0, 50), st.integers(0, 9))))
-def test_joined_ranges_have_the_same_addresses(found: list[tuple[int, int]]) -> None:
-    ranges = [range(first, first + size) for first, size in found]
-    together = joined(ranges)
-    addresses = {at for each in ranges for at in each}
-    assert [at for each in together for at in each] == sorted(addresses)
-    assert all(one.stop < other.start for one, other in pairwise(together))
-
-
-Spans = st.lists(st.tuples(st.integers(0, 50), st.integers(0, 9)))
-
-
-@given(Spans, Spans)
-def test_ranges_without_others(
-    given_: list[tuple[int, int]], others: list[tuple[int, int]]
-) -> None:
-    kept, taken = (joined(range(at, at + size) for at, size in each) for each in (given_, others))
-    left = without(kept, taken)
-    expected = {at for each in kept for at in each} - {at for each in taken for at in each}
-    assert [at for each in left for at in each] == sorted(expected)
-    assert all(left)
-
-
-@given(Spans, st.integers(0, 60), st.integers(1, 9))
-def test_searched_ranges(found: list[tuple[int, int]], address: int, count: int) -> None:
-    ranges = joined(range(at, at + size) for at, size in found)
-    all_of_it = {at for each in ranges for at in each}
-    asked = set(range(address, address + count))
-    assert contains(ranges, address, count) == (asked <= all_of_it)
-    assert touches(ranges, address, count) == bool(asked & all_of_it)

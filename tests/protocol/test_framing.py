@@ -38,15 +38,7 @@ from tests.support.framing import (
     single_bytes,
     take,
 )
-from tests.support.vectors import (
-    CHECKSUMS,
-    FRAMES,
-    Checksum,
-    FrameVector,
-    rows,
-)
-
-# --- the worked examples ---------------------------------------------------------------
+from tests.support.vectors import CHECKSUMS, FRAMES, Checksum, FrameVector, rows
 
 
 def _role(vector: FrameVector) -> str:
@@ -122,9 +114,6 @@ def test_checksums_of_nothing() -> None:
     assert lrc(b"") == 0
 
 
-# --- encoding ----------------------------------------------------------------------------
-
-
 class TestMakeFramer:
     @pytest.mark.parametrize("role", ["client", "server"])
     def test_each_framing_has_its_framer(self, role: Any) -> None:
@@ -167,9 +156,6 @@ class TestEncode:
         assert TcpFramer().encode(frame)[:2] == b"\xbe\xef"
         assert RtuFramer("client").encode(frame) == rtu(1, frame.pdu)
         assert AsciiFramer().encode(frame) == ascii_frame(1, frame.pdu)
-
-
-# --- TCP -----------------------------------------------------------------------------------
 
 
 class TestTcp:
@@ -222,8 +208,6 @@ class TestTcp:
             assert framer.silence() == []
         assert framer.feed(self.good[-1:]) == [self.frame]
 
-
-# --- whatever comes -----------------------------------------------------------------------
 
 PENDING = {TcpFramer: 260, RtuFramer: 264, AsciiFramer: 513}
 
@@ -316,9 +300,7 @@ class TestWhateverComes:
             ("tcp", b"\xff"),
         ],
     )
-    def test_flood_costs_little_and_is_answered_with_few_errors(
-        self, name: str, pattern: bytes, size: int
-    ) -> None:
+    def test_flood_costs_little_and_is_answered_with_few_errors(self, name, pattern, size) -> None:
         framer = ALL_FRAMERS[name]()
         flood = pattern * (65536 // len(pattern))
         began = time.process_time()

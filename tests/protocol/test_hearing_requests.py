@@ -55,10 +55,7 @@ AROUND = {
     ),
     "coils": (rtu("02 01 0000 0040"), with_data("02 01 08", WRITE)),
     "a server id": (rtu("02 11"), with_data("02 11 0A", b"\7\xff", WRITE)),
-    "a file": (
-        rtu("02 14 07 06 0004 0001 0004"),
-        with_data("02 14 0A 09 06", WRITE),
-    ),
+    "a file": (rtu("02 14 07 06 0004 0001 0004"), with_data("02 14 0A 09 06", WRITE)),
     "loopback": (with_data("02 08 0000", WRITE), with_data("02 08 0000", WRITE)),
     "long loopback": (with_data("02 08 0000", WRITE * 20), with_data("02 08 0000", WRITE * 20)),
     "canopen": (with_data("02 2B 0D 01", WRITE), with_data("02 2B 0D 01", WRITE)),
@@ -86,9 +83,7 @@ def test_a_request_behind_frames_of_others_is_found(name: str, size: int) -> Non
 
 
 @each_case("head", ["01 08 0000", "01 2B 0D", "01 41"])
-def test_a_frame_without_a_length_ends_with_silence_and_not_where_its_crc_fits_first(
-    head: str,
-) -> None:
+def test_a_frame_without_a_length_ends_with_silence_and_not_where_its_crc_fits_first(head) -> None:
     """Its data begin with a CRC that fits, and go on with a write."""
     early = with_data(head, b"\1\2")
     whole = with_data("", early, WRITE, b"\5\6")
@@ -180,9 +175,7 @@ NO_LENGTH = (8, 43)
 @each_case("before", NOISES)
 @each_case("behind", NOISES)
 @each_case("name", AROUND)
-def test_a_request_in_a_frame_of_others_between_noise_is_none(
-    name: str, before: bytes, behind: bytes
-) -> None:
+def test_a_request_in_a_frame_of_others_between_noise_is_none(name, before, behind) -> None:
     ask, answer = (before + each + behind for each in AROUND[name])
     for bursts in ((ask, answer), (answer,)):
         assert requests(heard(*bursts)) == [], bursts
@@ -213,9 +206,7 @@ def test_a_request_in_a_damaged_answer_of_others_is_none(head: str) -> None:
         (rtu("02 10 0160 0000 00 000000000000"), "answer 2 10"),
     ],
 )
-def test_a_burst_with_a_right_crc_is_one_frame_of_any_length(
-    burst: bytes, expected: str, size: int
-) -> None:
+def test_a_burst_with_a_right_crc_is_one_frame_of_any_length(burst, expected, size) -> None:
     assert named(heard(burst, OURS, size=size, unit=5)) == [expected, "request 5 03"]
     assert named(heard(burst + OUR_WRITE, OURS, size=size, unit=5))[-1] == "request 5 03"
 
@@ -262,8 +253,6 @@ def test_after_another_request_an_answer_is_awaited_no_more() -> None:
     assert heard(write, other, write) == [asked, Frame(3, other[1:-2]), asked]
 
 
-# --- as unit 5 ----------------------------------------------------------------------------
-
 BROADCAST = rtu("00 06 0001 0003")
 OURS, OUR_WRITE = rtu("05 03 0000 0001"), rtu("05 06 0001 0003")
 OTHERS, REFUSAL = rtu("02 06 0001 0003"), rtu("02 86 02")
@@ -303,9 +292,7 @@ def _name(each: Frame | FrameError) -> str:
         ([b"\5\3\0", b"\2\3", OURS + OURS], ["damage", "request 5 03", "request 5 03"]),
     ],
 )
-def test_each_frame_is_what_it_is_in_any_pieces(
-    bursts: list[bytes], expected: list[str], size: int
-) -> None:
+def test_each_frame_is_what_it_is_in_any_pieces(bursts, expected, size) -> None:
     assert named(heard(*bursts, size=size, unit=5)) == expected
 
 

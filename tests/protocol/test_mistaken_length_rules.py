@@ -1,6 +1,4 @@
-"""
-Length rules of registered classes that raise or return nonsense: a frame is lost, and no line.
-"""
+"""Length rules of registered classes that raise or return nonsense: only a frame is lost."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +16,8 @@ from libmodbus_py import (
     Server,
     pdu,
 )
-from libmodbus_py.protocol.framing import Frame, FrameError, RtuFramer
+from libmodbus_py.protocol.errors import FrameError
+from libmodbus_py.protocol.framing import Frame, RtuFramer
 from libmodbus_py.protocol.rtu import may_be
 from tests.simulation.stage import LineEnd, Stage
 from tests.support.cases import each_case

@@ -1,6 +1,4 @@
-"""
-Values as JSON can contain them.
-"""
+"""Values as JSON can contain them."""
 
 import json
 import math
@@ -16,18 +14,16 @@ import pytest
 from libmodbus_py import InvalidResponse, pdu
 from libmodbus_py.client.reconnecting import State
 from libmodbus_py.pdu import ReadHoldingRegisters
-from libmodbus_py.protocol.json_text import COMPACT_JSON, SORTED_JSON, each_once, json_text
 from libmodbus_py.protocol.mistakes import WrongValue
 from libmodbus_py.protocol.plain import (
-    bit_of,
+    COMPACT_JSON,
+    SORTED_JSON,
     clock_text,
-    decimal_of,
-    number_of,
+    each_once,
+    json_text,
     plain,
     text_of,
-    time_of,
     time_text,
-    units_of,
     value_of,
     without_controls,
 )
@@ -50,10 +46,7 @@ from tests.support.cases import each_case
         ([1, (b"\x02", float("inf"))], [1, ["02", None]]),
         ({1: b"\x03"}, {"1": "03"}),
         (pdu.ServerId(b"\x01", True, b""), {"identifier": "01", "running": True, "additional": ""}),
-        (
-            pdu.ServerId(b"A", None, b"C"),
-            {"identifier": "41", "running": None, "additional": "43"},
-        ),
+        (pdu.ServerId(b"A", None, b"C"), {"identifier": "41", "running": None, "additional": "43"}),
         (pdu.SubFunction.CLEAR_COUNTERS, 10),
         (State.CONNECTED, "connected"),
         (
@@ -73,9 +66,6 @@ def test_each_value_is_one_that_json_has(value: Any, made: Any) -> None:
 
 def test_what_a_terminal_would_obey_is_shown_instead() -> None:
     assert without_controls("a\x1b[2J\x9b\tb\nc \xe4") == "a\\x1b[2J\\x9b\\x09b\nc \xe4"
-
-
-# --- JSON ---------------------------------------------------------------------------------
 
 
 def test_text_is_in_ascii_and_numbers_are_finite() -> None:
@@ -100,17 +90,6 @@ def test_a_name_that_occurs_twice_is_refused() -> None:
         json.loads('{"a": 1, "a": 1}', object_pairs_hook=each_once)
 
 
-# --- points in time -----------------------------------------------------------------------
-
-
-PACKAGE = Path(__file__).parents[2] / "libmodbus_py"
-
-OTHERS = {
-    *("protocol/plain.py", "protocol/times.py"),  # values of registers
-    "services/fleet/journal/schema.py",  # SQL
-}
-
-
 @pytest.fixture
 def berlin(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     with monkeypatch.context() as patch:
@@ -132,49 +111,17 @@ def test_times_are_iso_8601_in_utc(berlin: None, seconds: float, text: str) -> N
     assert time_text(seconds) == text
 
 
-def test_a_clock_is_that_of_the_place(berlin: None) -> None:
-    assert clock_text(1_700_000_000) == "23:13:20"
-    assert clock_text(1_700_000_000.25, with_milliseconds=True) == "23:13:20.250"
-    assert clock_text(1_700_000_000.9996, with_milliseconds=True) == "23:13:21.000"
-
-
 @each_case("seconds", [-1e11, 253_402_300_800.0, 18_446_744_073_709.551, 1e300])
 def test_a_time_that_no_calendar_has_is_shown_in_seconds(seconds: float) -> None:
     """A capture holds any time of 64 bits."""
     assert time_text(seconds) == clock_text(seconds) == f"{seconds:.3f}s"
 
 
-def test_no_other_file_formats_times() -> None:
-    forms = re.compile(r"strftime\(|\.isoformat\(|fromtimestamp\(")
-    found = {
-        str(path.relative_to(PACKAGE))
-        for path in PACKAGE.rglob("*.py")
-        if forms.search(path.read_text())
-    }
-    assert found == OTHERS
-
-
-# --- what people read and type -----------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("text", "number"), [("31", 31), ("0x1F", 31), ("0b11", 3), ("-1", -1)])
-def test_integers_are_read_as_python_writes_them(text: str, number: int) -> None:
-    assert number_of("unit", text) == number
-
-
-@pytest.mark.parametrize("text", ["", "x", "1.5", "010"])
-def test_what_is_no_integer_is_refused_by_name(text: str) -> None:
-    with pytest.raises(ValueError, match="unit must be a number, not"):
-        number_of("unit", text)
-
-
 @pytest.mark.parametrize(
     ("response", "answers_another"),
     [(b"\x03", False), (b"\x83\x02\x00", False), (b"\x84\x02", True), (b"\x04\x02\x00\x01", True)],
 )
-def test_a_response_of_another_function_belongs_to_another_request(
-    response: bytes, answers_another: bool
-) -> None:
+def test_a_response_of_another_function_belongs_to_another_request(response, answers_another):
     with pytest.raises(InvalidResponse) as invalid:
         ReadHoldingRegisters(0, 1).decode_response(response)
     assert invalid.value.answers_another is answers_another
@@ -217,45 +164,20 @@ def test_a_value_is_typed_as_it_is_shown(kind: str, text: str, value: Any) -> No
     assert value_of(text, value_type(kind)) == value
 
 
-def test_bits_have_words() -> None:
-    for text, bit in (("0", False), ("off", False), ("FALSE", False)):
-        assert bit_of(text) is bit
-    for text in ("1", "on", "True"):
-        assert bit_of(text) is True
-    with pytest.raises(ValueError, match=r"^value must be one of 0, 1, off, on, false, true, not"):
-        bit_of("2")
+PACKAGE = Path(__file__).parents[2] / "libmodbus_py"
 
 
-def test_a_decimal_number_is_finite_unless_it_is_called_infinite() -> None:
-    assert decimal_of("-INF") == -math.inf
-    assert decimal_of("1e308") == 1e308
-    with pytest.raises(ValueError, match=r"^value is too large: '1e400'"):
-        decimal_of("1e400")
-    with pytest.raises(ValueError, match=r"^value must be a number, not 'x'"):
-        decimal_of("x")
+OTHERS = {
+    *("protocol/plain.py", "protocol/times.py"),  # values of registers
+    "services/fleet/journal/schema.py",  # SQL
+}
 
 
-@each_case("text", ["", "12", "1 0", "x", "-1", "0x1"])
-def test_bits_are_digits_0_and_1(text: str) -> None:
-    with pytest.raises(ValueError, match=r"^value must be digits 0 and 1, lowest bit first, not"):
-        value_of(text, value_type("bits16"))
-
-
-@each_case("text", ["2026-07-01T12:00:00", "2026-07-01", "noon", ""])
-def test_a_time_has_a_time_zone(text: str) -> None:
-    with pytest.raises(ValueError, match=r"^value must be a date and time with a time zone"):
-        time_of(text)
-
-
-@each_case(
-    ("text", "units"),
-    [("1", [1]), (" 0 , 255", [0, 255]), ("3-5,4", [3, 4, 5, 4]), ("7 - 7", [7])],
-)
-def test_units_are_numbers_and_ranges(text: str, units: list[int]) -> None:
-    assert units_of(text) == units
-
-
-@each_case("text", ["", "1,", "256", "5-3", "1-256", "-1", "1-2-3", "x", "0x1"])
-def test_what_is_no_list_of_units_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match=r"must (be|go up,) (a unit|within 0\.\.255)"):
-        units_of(text)
+def test_no_other_file_formats_times() -> None:
+    forms = re.compile(r"strftime\(|\.isoformat\(|fromtimestamp\(")
+    found = {
+        str(path.relative_to(PACKAGE))
+        for path in PACKAGE.rglob("*.py")
+        if forms.search(path.read_text())
+    }
+    assert found == OTHERS

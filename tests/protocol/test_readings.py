@@ -1,6 +1,4 @@
-"""
-All values that some registers may mean, and references, the 1-based notation of manuals.
-"""
+"""All values that some registers may mean, and references, the 1-based notation of manuals."""
 
 from typing import Any
 
@@ -8,19 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py.protocol.values import (
-    WIDE_ORDERS,
-    parse_reference,
-    readings,
-)
+from libmodbus_py.protocol.values import WIDE_ORDERS, parse_reference, readings
 from libmodbus_py.protocol.words import REFERENCE_TABLES
 from tests.support.cases import each_case
-from tests.support.values import (
-    NUMBERS,
-    cell,
-    decode,
-    words,
-)
+from tests.support.values import NUMBERS, cell, decode, words
 from tests.support.vectors import REFERENCES, Reference, rows
 
 # As the examples call the tables, and as this package does.

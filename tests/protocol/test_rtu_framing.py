@@ -9,11 +9,7 @@ from hypothesis import strategies as st
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.protocol.framing import (
-    Frame,
-    RtuFramer,
-    crc16,
-)
+from libmodbus_py.protocol.framing import Frame, RtuFramer, crc16
 from tests.support.cases import each_case
 from tests.support.framing import (
     ANSWER,
@@ -199,9 +195,7 @@ class TestRtu:
         ],
     )
     @each_case("role", ["client", "server"])
-    def test_function_without_length_ends_with_its_crc(
-        self, role: Any, head: bytes, size: int
-    ) -> None:
+    def test_function_without_length_ends_with_its_crc(self, role, head, size) -> None:
         body = head + bytes(at * 11 & 0xFF for at in range(size))
         good = rtu(17, body)
         assert not accidental(good[:-1], 1)
@@ -215,9 +209,7 @@ class TestRtu:
     @each_case("noise", [b"\x00", b"\x11\x03\x00", b"\x11\x41"])
     @each_case("body", [b"\x41\x01\x02", *(head + b"\xa5\x37" for head in ENDLESS)])
     @each_case("role", ["client", "server"])
-    def test_function_without_length_is_taken_after_a_silence(
-        self, role: Any, body: bytes, noise: bytes
-    ) -> None:
+    def test_function_without_length_is_taken_after_a_silence(self, role, body, noise) -> None:
         framer = RtuFramer(role)
         frames = take(framer, noise)[0] + quiet(framer)
         for _ in range(3):

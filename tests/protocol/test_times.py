@@ -1,6 +1,4 @@
-"""
-Times in registers, by the published layouts, and back.
-"""
+"""Times in registers, by the published layouts, and back."""
 
 from datetime import UTC, datetime, timedelta, timezone
 from typing import Any, get_args
@@ -104,9 +102,6 @@ def test_times_come_back(name: str, time: datetime, order: str) -> None:
     kept = time.replace(microsecond=time.microsecond // step * step)
     kind = value_type(name, order=order)
     assert kind.decode(kind.encode(time)) == kept
-
-
-# --- local times -------------------------------------------------------------------------------
 
 
 BERLIN = checked_time_zone("time_zone", "Europe/Berlin")

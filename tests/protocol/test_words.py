@@ -3,8 +3,6 @@ Tables, types and orders are taken as vendors and other tools write them, and ar
 the names of this package.
 """
 
-from __future__ import annotations
-
 from typing import Any, get_args
 
 import pytest
@@ -91,9 +89,6 @@ def test_clients_take_them() -> None:
             assert client.read_values("ir", 0, "u16", 2) == [0, 0]
             with pytest.raises(ValueError, match="table must be one of holding_registers"):
                 client.read_value("co", 0, "u16")
-
-
-# --- the four tables ----------------------------------------------------------------------
 
 
 def test_names_are_those_of_mappings_and_type_checkers() -> None:

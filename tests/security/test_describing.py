@@ -1,6 +1,4 @@
-"""
-Certificates: how they are made, and how they are described.
-"""
+"""Certificates: how they are made, and how they are described."""
 
 import hashlib
 import subprocess
@@ -16,9 +14,9 @@ from cryptography.x509.oid import NameOID
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from libmodbus_py.protocol.extras import how_to_add
-from libmodbus_py.security.describing import describe
+from libmodbus_py.security.certificates import describe
 from libmodbus_py.tools.certificates import make, write
+from libmodbus_py.version import how_to_add
 from tests.support import certificates
 from tests.support.cases import each_case
 
@@ -96,7 +94,7 @@ def test_any_bytes(noise: bytes, at: int, cut: int) -> None:
 def test_without_cryptography_it_is_the_fingerprint() -> None:
     program = (
         "import sys; sys.modules['cryptography'] = None\n"
-        "from libmodbus_py.security.describing import describe; print(describe(b'abc'))"
+        "from libmodbus_py.security.certificates import describe; print(describe(b'abc'))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     digest = hashlib.sha256(b"abc").hexdigest()

@@ -1,6 +1,4 @@
-"""
-What is read from files again: at SIGHUP, and for each connection to a broker.
-"""
+"""What is read from files again: at SIGHUP, and for each connection to a broker."""
 
 import asyncio
 import gc
@@ -10,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from libmodbus_py.security.renewed import Renewed, reload_all
+from libmodbus_py.security.security import Renewed, reload_all
 from libmodbus_py.services.engine.connection import EngineError, FileText, _identity, _trust
 from libmodbus_py.services.fleet.files import load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
@@ -46,9 +44,7 @@ def ca(pki: Pki) -> Path:
     return pki.ca
 
 
-def test_a_value_is_the_former_until_the_file_is_good_again(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_value_is_the_former_until_the_file_is_good_again(tmp_path, caplog) -> None:
     path = tmp_path / "number"
     path.write_text("1")
     renewed = Renewed(lambda: int(path.read_text()))
@@ -81,9 +77,6 @@ def test_what_is_not_used_any_more_is_not_read(tmp_path: Path) -> None:
     assert mistakes(path) == []
 
 
-# --- MQTT ---------------------------------------------------------------------------------------
-
-
 def test_a_password_file_of_mqtt_is_read_again(tmp_path: Path) -> None:
     (tmp_path / "map.csv").write_text("name,table,address,type\npower,holding,0,uint16\n")
     write_secret(tmp_path / "secret", "first\n")
@@ -114,9 +107,6 @@ def test_the_authorities_of_mqtt_are_read_again(ca: Path) -> None:
     assert len(mistakes(ca)) == 1
 
 
-# --- NATS ---------------------------------------------------------------------------------------
-
-
 def test_the_authorities_of_nats_are_read_again(ca: Path) -> None:
     from libmodbus_py.services.engine.client import SteadyClient
 
@@ -131,9 +121,7 @@ def test_the_authorities_of_nats_are_read_again(ca: Path) -> None:
     assert len(mistakes(ca)) == 1
 
 
-def test_credentials_of_nats_are_read_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_credentials_of_nats_are_read_again(tmp_path, monkeypatch) -> None:
     """As nats-py reads them, which reads a file without credentials for ever."""
     from libmodbus_py.services.engine import connection
     from libmodbus_py.services.engine.client import SteadyClient
@@ -154,9 +142,7 @@ def test_credentials_of_nats_are_read_again(
 
 
 @pytest.mark.parametrize("name", ["NATS_CREDS", "NATS_NKEY"])
-def test_a_file_without_credentials_is_refused_at_the_start(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_a_file_without_credentials_is_refused_at_the_start(tmp_path, monkeypatch, name) -> None:
     from libmodbus_py.services.engine import connection
 
     monkeypatch.setattr(connection, "find_spec", lambda name: name)

@@ -1,6 +1,4 @@
-"""
-The requirements of Modbus Security: key exchange, and the state of a tunnel.
-"""
+"""The requirements of Modbus Security: key exchange, and the state of a tunnel."""
 
 import random
 import re

@@ -1,6 +1,4 @@
-"""
-Certificates that are revoked, and files that are read again.
-"""
+"""Certificates that are revoked, and files that are read again."""
 
 import logging
 import os
@@ -14,7 +12,7 @@ import pytest
 from libmodbus_py import Security
 from libmodbus_py.security import security as security_module
 from libmodbus_py.security.files import PemFile, Revoked
-from libmodbus_py.security.renewed import reload_all
+from libmodbus_py.security.security import reload_all
 from tests.support import certificates
 from tests.support.cases import each_case
 from tests.support.certificates import Files, Pki
@@ -147,9 +145,7 @@ def at(monkeypatch: pytest.MonkeyPatch, when: float) -> None:
     monkeypatch.setattr(security_module, "time", SimpleNamespace(time=lambda: when))
 
 
-def test_an_end_that_is_near_is_told_once_a_day(
-    pki: Pki, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_end_that_is_near_is_told_once_a_day(pki: Pki, monkeypatch, caplog) -> None:
     files = pki.files(certificates.server(days=100))
     security = Security(files.cert, files.key, trust=pki.ca)
     end = certificates.end(certificates.server(days=100).certificate).timestamp()
@@ -172,9 +168,7 @@ def test_an_end_that_is_near_is_told_once_a_day(
         assert caplog.messages == expected, days
 
 
-def test_the_end_of_a_revocation_list_is_told_too(
-    tmp_path: Path, pki: Pki, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_end_of_a_revocation_list_is_told_too(tmp_path, pki: Pki, caplog) -> None:
     """When it has ended, OpenSSL refuses everybody."""
     listed = tmp_path / "crl"
     security = pki.server(crl=written(listed, days=3))

@@ -1,6 +1,4 @@
-"""
-Roles in certificates: MB-TCP-Security-v36, R-21, R-22, R-23 and R-65, and X.690 for the DER.
-"""
+"""Roles in certificates: MB-TCP-Security-v36, R-21, R-22, R-23 and R-65, and X.690 for the DER."""
 
 import subprocess
 import sys
@@ -11,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzz.checks import check_certificate, check_role_value
-from libmodbus_py.protocol.extras import how_to_add
-from libmodbus_py.security.role import ROLE_OID, RoleError, encode_role, role_of
+from libmodbus_py.security.certificates import ROLE_OID, RoleError, encode_role, role_of
+from libmodbus_py.version import how_to_add
 from tests.support import certificates
 from tests.support.cases import each_case
 
@@ -152,7 +150,7 @@ def test_any_certificate(data: bytes) -> None:
 def test_without_cryptography_it_says_what_to_install() -> None:
     program = (
         "import sys; sys.modules['cryptography'] = None\n"
-        "from libmodbus_py.security.role import role_of; role_of(b'')"
+        "from libmodbus_py.security.certificates import role_of; role_of(b'')"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 1
@@ -162,7 +160,7 @@ def test_without_cryptography_it_says_what_to_install() -> None:
 
 
 def test_cryptography_is_imported_late() -> None:
-    program = "import libmodbus_py.cli.main, libmodbus_py.security.role, sys\n"
+    program = "import libmodbus_py.cli.main, libmodbus_py.security.certificates, sys\n"
     program += "import libmodbus_py.cli.certificates; print('cryptography' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.stdout == "False\n"

@@ -1,6 +1,4 @@
-"""
-Own files and those of others: what is wrong with them is said at once, by name.
-"""
+"""Own files and those of others: what is wrong with them is said at once, by name."""
 
 import hashlib
 import os
@@ -161,9 +159,6 @@ def test_a_file_that_one_may_not_read_is_named(pki: Pki) -> None:
         assert done.stdout == f"key {str(identity.key)!r}: Permission denied\n", done.stderr
 
 
-# --- encrypted keys -----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("form", ["PKCS #8", "traditional"])
 def test_an_encrypted_key_needs_its_password(tmp_path: Path, pki: Pki, form: str) -> None:
     identity = certificates.client()
@@ -221,9 +216,6 @@ def test_a_password_is_never_asked_for_at_the_terminal(pki: Pki) -> None:
     assert b"pass phrase" not in said
 
 
-# --- whom one trusts ----------------------------------------------------------------------------
-
-
 def test_trust_or_pin_but_not_both(pki: Pki, files: Files) -> None:
     for options in ({}, {"trust": pki.ca, "pin": files.cert}):
         with pytest.raises(ValueError, match="either trust, the authorities, or pin"):
@@ -265,9 +257,7 @@ def digest(certificate: bytes) -> str:
         (bytes(32), TypeError, "pin must be a file or a SHA-256, not int"),
     ],
 )
-def test_what_is_no_pin_is_named(
-    files: Files, pin: Any, error: type[Exception], reason: str
-) -> None:
+def test_what_is_no_pin_is_named(files: Files, pin, error, reason) -> None:
     with pytest.raises(error, match=reason):
         Security(files.cert, files.key, pin=pin)
 

@@ -1,6 +1,4 @@
-"""
-What the tests of servers share.
-"""
+"""What the tests of servers share."""
 
 from collections.abc import Iterator
 

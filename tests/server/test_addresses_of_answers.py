@@ -75,9 +75,7 @@ def test_ipv6(scheme: str, device: Device) -> None:
             assert values_of(scheme, host, port) == [1000, 1001]
 
 
-def test_a_datagram_to_all_nodes_is_answered_from_an_address_of_the_interface(
-    device: Device,
-) -> None:
+def test_a_datagram_to_all_nodes_is_answered_from_an_address_of_the_interface(device: Device):
     """A multicast address cannot be that of an answer (RFC 4291, 2.7)."""
     request = bytes.fromhex("0001 0000 0006 11 03 0064 0002")
     answer = bytes.fromhex("0001 0000 0007 11 03 04 03e8 03e9")
@@ -103,10 +101,7 @@ def sent(client: socket.socket, request: bytes, port: int, interface: int) -> bo
 
 def test_empty_datagrams_say_nothing(device: Device) -> None:
     server = Server({UNIT: device})
-    with (
-        served(server, "udp") as port,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
-    ):
+    with served(server, "udp") as port, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         for _ in range(100):
             other.sendto(b"", ("127.0.0.1", port))
         assert values_of("udp", "127.0.0.1", port) == [1000, 1001]

@@ -1,6 +1,4 @@
-"""
-Servers on a line with other units: what these ask and answer is neither carried out nor damage.
-"""
+"""Servers on a line with other units, whose frames are neither carried out nor damage."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -93,8 +91,7 @@ def damaged(frame: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    "scheme",
-    [each for each, (made, rules) in LINES.items() if made is rtu and not rules.is_serial],
+    "scheme", [each for each, (made, rules) in LINES.items() if made is rtu and not rules.is_serial]
 )
 def test_answers_of_others_in_one_connection_count_no_error(stage: Stage, scheme: str) -> None:
     """As a serial device server passes them on that hears its own line."""
@@ -219,9 +216,7 @@ def test_a_loopback_that_holds_a_write_comes_back_whole(stage: Stage, scheme: st
 
 @each_stream
 @pytest.mark.parametrize("is_gateway", [False, True])
-def test_only_the_last_of_the_requests_that_wait_is_answered(
-    stage: Stage, scheme: str, is_gateway: bool
-) -> None:
+def test_only_the_last_of_the_requests_that_wait_is_answered(stage: Stage, scheme: str, is_gateway):
     """All came before the server could look: whoever sent another one has given up the first."""
     frame, url = LINES[scheme][0], place_on(scheme)
     requests = [frame(f"01 06 0001 {number:04X}") for number in (5, 6, 7)]
@@ -231,9 +226,7 @@ def test_only_the_last_of_the_requests_that_wait_is_answered(
 
 
 @each_stream
-def test_a_request_to_another_unit_takes_back_the_answer_that_waits(
-    stage: Stage, scheme: str
-) -> None:
+def test_a_request_to_another_unit_takes_back_the_answer_that_waits(stage: Stage, scheme: str):
     frame, url = LINES[scheme][0], place_on(scheme)
     mine, other = frame("01 03 0001 0001"), frame("02 03 0000 0001")
     with unit_one(url), saying(stage, url) as say:

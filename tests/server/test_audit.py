@@ -1,13 +1,11 @@
-"""
-The audit trail: each write and each refusal, by whom, with the values before and after.
-"""
+"""The audit trail: each write and each refusal, by whom, with the values before and after."""
 
 import errno
 import json
 import os
 import re
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -80,10 +78,7 @@ def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
     with served.background(url) as one, closed.background(url) as other:
         with Client(one.urls[0], unit=5, timeout=20) as client:
             client.write_register(0, 1)
-        with (
-            Client(other.urls[0], unit=5, timeout=0.1) as client,
-            pytest.raises(ModbusError),
-        ):
+        with Client(other.urls[0], unit=5, timeout=0.1) as client, pytest.raises(ModbusError):
             client.write_register(0, 1)
     assert {each.event for each in events} == {"write", "disallowed"}
     for peer in (*told, *(each.peer for each in events)):
@@ -115,9 +110,7 @@ def test_each_write_is_recorded_with_old_and_new_values(transport: str, events: 
     assert first["data"] == "10000100020400140" + "01e"
 
 
-def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(
-    events: Events,
-) -> None:
+def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(events: Events) -> None:
     rules = Rules({None: Allow(read=["coils"], write=["holding_registers"])})
     with asking(Server(device(authorize=rules), audit=events.append)) as plc:
         plc.read_coils(0, 1)
@@ -136,9 +129,7 @@ def test_a_write_that_fails_and_one_that_is_not_allowed_are_recorded(
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_only_what_authorize_does_not_allow_is_recorded_as_refused(
-    transport: str, events: Events
-) -> None:
+def test_only_what_authorize_does_not_allow_is_recorded_as_refused(transport, events: Events):
     """Others get exception 1, too; and a status of 1 looks like one (section 6.7)."""
 
     def authorize(asked: Asked) -> bool:
@@ -258,9 +249,7 @@ def test_the_life_of_a_server_and_of_a_client_with_a_certificate_are_recorded(
 
 
 @pytest.mark.parametrize("transport", ["tcp", "udp"])
-def test_a_peer_from_another_network_is_recorded_once_a_minute(
-    transport: str, events: Events
-) -> None:
+def test_a_peer_from_another_network_is_recorded_once_a_minute(transport, events: Events) -> None:
     server = Server(device(), limits=Limits(allow=["192.0.2.0/24"]), audit=events.append)
     with server.background(f"{transport}://127.0.0.1:0") as running:
         for _ in range(3):
@@ -273,9 +262,6 @@ def test_a_peer_from_another_network_is_recorded_once_a_minute(
     assert [(each.event, each.result) for each in events] == [
         ("disallowed", "not in an allowed network")
     ]
-
-
-# --- an audit trail that fails -----------------------------------------------------------------
 
 
 class Failing:
@@ -293,9 +279,7 @@ class Failing:
 
 
 @pytest.mark.parametrize("kind", ["server", "gateway"])
-def test_writes_are_refused_while_a_required_trail_fails(
-    kind: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_writes_are_refused_while_a_required_trail_fails(kind, caplog) -> None:
     """The write whose record failed waits, and comes first when the trail works again."""
     trail = Failing()
     audit = Audit(trail, required=True)
@@ -321,9 +305,7 @@ def test_writes_are_refused_while_a_required_trail_fails(
     ]
 
 
-def test_writes_go_on_while_another_trail_fails_and_what_is_lost_is_told(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_writes_go_on_while_another_trail_fails_and_what_is_lost_is_told(caplog) -> None:
     trail = Failing()
     with asking(Server(device(), audit=trail)) as plc:
         trail.fails = True
@@ -370,11 +352,7 @@ TROUBLES = [
 
 @pytest.mark.parametrize(("trouble", "reason"), TROUBLES)
 def test_no_write_is_carried_out_that_a_required_file_cannot_record(
-    trouble: Callable[[Path], None],
-    reason: str,
-    tmp_path: Path,
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
+    trouble, reason, tmp_path, caplog, monkeypatch
 ) -> None:
     monkeypatch.setattr(audit, "ROOM_BYTES", audit.ROOM_BYTES)
     path, reader = tmp_path / "audit.json", -1
@@ -413,9 +391,6 @@ def test_what_is_no_function_is_refused() -> None:
     for wrong in (5, "audit.json"):
         with pytest.raises(TypeError, match=r"audit must be a function, not (int|str)"):
             Server(device(), audit=wrong)  # type: ignore[arg-type]
-
-
-# --- files -------------------------------------------------------------------------------------
 
 
 def event(result: str = "ok") -> AuditEvent:

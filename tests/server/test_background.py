@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py import Access, Device, Mapping, Server
-from libmodbus_py.device.reply import replier
+from libmodbus_py.binding.library import replier
 from libmodbus_py.serve import Running
 from tests.support.attacks import PATIENCE, READ_ONE, adu, ask, connect, receive
 
@@ -212,8 +212,6 @@ def test_a_system_without_threads_is_told(where: str, monkeypatch: pytest.Monkey
     assert is_left(before)
 
 
-# --- hooks that end the program ----------------------------------------------------------
-
 ENDS = [SystemExit(3), KeyboardInterrupt()]
 
 
@@ -240,9 +238,7 @@ ANSWER = adu(bytes.fromhex("03 02 0000"))
 
 @pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
 @pytest.mark.parametrize("scheme", ["tcp", "udp"])
-def test_what_ends_the_program_is_raised_where_the_block_is_left(
-    scheme: str, error: BaseException
-) -> None:
+def test_what_ends_the_program_is_raised_where_the_block_is_left(scheme, error) -> None:
     before = left()
     with raised(error), ending(error).background(*URLS) as running:
         end(running, scheme)

@@ -1,10 +1,8 @@
-"""
-Certificates that expire, are revoked, or are renewed while connections are open, at either end.
-"""
+"""Certificates that expire, are revoked or renewed while connections are open."""
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -59,9 +57,7 @@ def gateway(pki: Pki, **options: Any) -> Iterator[tuple[Gateway, int]]:
 
 
 @pytest.mark.parametrize("served", [serving, gateway])
-def test_a_client_whose_certificate_is_revoked_is_closed(
-    pki: Pki, crl: Path, served: Callable[..., Any]
-) -> None:
+def test_a_client_whose_certificate_is_revoked_is_closed(pki: Pki, crl: Path, served) -> None:
     security = pki.server(crl=crl)
     with (
         served(pki, security=security, limits=QUICK) as (server, port),
@@ -78,9 +74,7 @@ def test_a_client_whose_certificate_is_revoked_is_closed(
         assert server.statistics.closed_untrusted == 1
 
 
-def test_a_client_whose_certificate_has_expired_is_closed(
-    pki: Pki, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_client_whose_certificate_has_expired_is_closed(pki: Pki, monkeypatch) -> None:
     with (
         serving(pki, limits=QUICK) as (server, port),
         Client(f"tls://127.0.0.1:{port}", security=pki.client()) as plc,
@@ -159,9 +153,6 @@ def test_a_client_leaves_a_server_whose_certificate_has_expired(
         monkeypatch.setattr(files, "time", now)
         plc.read_holding_registers(0, 1)
         assert server.statistics.accepted == 2
-
-
-# --- the end of the checks -----------------------------------------------------------------------
 
 
 PLACE = "tls://10.0.0.1:802"

@@ -1,20 +1,15 @@
-"""
-Requests that are answered by the chunk, in C, against the same requests one by one.
-"""
+"""Requests that are answered by the chunk, in C, against the same requests one by one."""
 
 import struct
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from libmodbus_py import Device, Mapping
-from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.protocol.framing import Frame, cut, is_one_frame, split
 from tests.support.cases import each_case
 from tests.support.chunks import (
     HOLES,
@@ -63,9 +58,7 @@ def test_same_answers_contents_counters_and_statistics(
     st.lists(st.tuples(bodies(), st.sampled_from([1, 1, 1, 2, 9, 3])), min_size=1, max_size=12),
     st.integers(0, 30),
 )
-def test_same_for_connections_that_send_one_request_each(
-    asked: list[tuple[bytes, int]], cut: int
-) -> None:
+def test_same_for_connections_that_send_one_request_each(asked: list[tuple[bytes, int]], cut: int):
     """Together, as in one turn of the server; one of them may send a part, and then the rest."""
     states = []
     for kind in ("chunk", "frames"):
@@ -86,9 +79,6 @@ def test_same_for_connections_that_send_one_request_each(
         tables = [contents(device) for device in devices.values()]
         states.append((sent, totals, tables, [notes(device) for device in devices.values()]))
     assert states[0] == states[1]
-
-
-# --- holes --------------------------------------------------------------------------------------
 
 
 def touched(body: bytes) -> set[int]:
@@ -152,9 +142,6 @@ def test_the_event_log_has_the_latest_of_many_requests() -> None:
             end.receive(adu(bytes([3, 0, address, 0, 1]), number))
         states.append(notes(device))
     assert states[0] == states[1]
-
-
-# --- worked examples ---------------------------------------------------------------------------
 
 
 def test_all_functions_of_libmodbus_are_answered_in_c(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,9 +208,7 @@ LIMITS = {1: 2000, 2: 2000, 3: 125, 4: 125, 15: 1968, 16: 123}
         *[pytest.param(bytes([function, 0]), False, id=f"cut {function}") for function in REPLIED],
     ],
 )
-def test_counts_are_checked_in_c(
-    body: bytes, is_good: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_counts_are_checked_in_c(body, is_good, monkeypatch) -> None:
     monkeypatch.delattr(Device, "_respond", raising=False)
     end = End(Device(Mapping(65536, 65536, 65536, 65536)), "chunk")
     end.receive(adu(body, 1))
@@ -248,9 +233,6 @@ def test_nothing_beside_a_table_is_touched_whatever_libmodbus_checks(
     assert done.stdout == f"{65536 * 6 * 11 - executed} refused, {executed} executed\n"
 
 
-# --- more than one call has room for ----------------------------------------------------------
-
-
 def test_more_answers_than_one_call_has_room_for() -> None:
     """A thousand of the longest answers are 259 000 bytes."""
     device = made_device()
@@ -258,35 +240,3 @@ def test_more_answers_than_one_call_has_room_for() -> None:
     end.receive(b"".join(adu(b"\x03\0\x07\0\x7d", number) for number in range(1000)))
     answer = device.answer(b"\x03\0\x07\0\x7d")
     assert end.sent == b"".join(adu(answer, number) for number in range(1000))
-
-
-# --- headers -----------------------------------------------------------------------------------
-
-
-@each_case("length", [*range(10), *range(250, 260), 0x1FE, 0xFFFF])
-@each_case("protocol", [0, 1, 0xFF00])
-def test_c_and_python_agree_on_headers(protocol: int, length: int) -> None:
-    """What C answers is a frame for Python, too; a frame that C leaves is not complete yet."""
-    request = bytes.fromhex("03 0007 0001")
-    data = struct.pack(">HHHB", 1, protocol, length, 1) + request.ljust(300, b"\0")
-    device = made_device()
-    end, *_ = device.answer_chunk(data, 0, 1)
-    found: list[Any] = []
-    try:
-        cut_at = cut(data, 0, found, 1)
-    except FrameError:
-        cut_at = 0
-    is_frame = bool(found) and isinstance(found[0], Frame)
-    is_whole = 6 + length <= len(data)
-    assert (end > 0) is (is_frame and is_whole)
-    assert end in (0, cut_at)
-    assert is_one_frame(data[: 6 + length]) is (is_frame and is_whole)
-
-
-@given(st.lists(bodies(), min_size=1, max_size=5))
-def test_a_chunk_is_split_as_it_is_cut(asked: list[bytes]) -> None:
-    frames = [adu(body, number) for number, body in enumerate(asked)]
-    assert list(split(b"".join(frames))) == frames
-    found: list[Any] = []
-    assert cut(b"".join(frames), 0, found, 99) == len(b"".join(frames))
-    assert [each.pdu for each in found] == asked

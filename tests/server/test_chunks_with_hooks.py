@@ -1,6 +1,4 @@
-"""
-Hooks and handlers: what they want is answered in Python, all else by the chunk, in C.
-"""
+"""Hooks and handlers: what they want is answered in Python, all else by the chunk, in C."""
 
 from collections.abc import Callable
 from typing import Any
@@ -308,10 +306,7 @@ WRITE_READ = b"\x17" + in_words(100, 1, 300, 1) + b"\2\0\1"
     ],
 )
 def test_only_what_hooks_and_handlers_want_is_answered_in_python(
-    hooks: dict[str, Any],
-    in_c: list[bytes],
-    in_python: list[bytes],
-    monkeypatch: pytest.MonkeyPatch,
+    hooks, in_c, in_python, monkeypatch
 ) -> None:
     device = Device(Mapping(400, 400, 400, 400), **hooks)
     assert [is_answered_in_c(device, body, monkeypatch) for body in in_c] == [True] * len(in_c)

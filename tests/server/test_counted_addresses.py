@@ -1,6 +1,4 @@
-"""
-What counts as one address: in limits, rates and handshakes, and in the turns of a gateway.
-"""
+"""What counts as one address: in limits, rates and handshakes, and in the turns of a gateway."""
 
 from __future__ import annotations
 
@@ -9,7 +7,6 @@ import asyncio
 import pytest
 
 from libmodbus_py.ports.hosts import host_and_port
-from libmodbus_py.server import limits as module
 from libmodbus_py.server import tls
 from libmodbus_py.server.limits import (
     Address,
@@ -22,7 +19,6 @@ from libmodbus_py.server.limits import (
 )
 from libmodbus_py.server.service import Session
 from libmodbus_py.server.tls import Handshakes, TlsSession
-from tests.simulation.network import Network
 from tests.support.cases import each_case
 from tests.support.certificates import Pki
 from tests.support.chunks import FakeChannel
@@ -47,22 +43,14 @@ def test_an_ipv6_address_counts_as_its_64(host: str, counted: str) -> None:
     assert host_of(host_and_port(host, 502)) == counted
 
 
-def test_a_serial_port_counts_as_itself() -> None:
-    for path in ("/dev/ttyUSB0", "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0"):
-        assert host_of(path) == path
-
-
-def test_all_addresses_of_a_64_share_an_allowance() -> None:
-    async def main() -> None:
-        addresses: Addresses[Paused] = Addresses(2.0)
-        for last in range(3):
-            address = addresses.get(f"2001:db8::{last}")
-            addresses.keep(address)
-            address.spend(1)
-        assert addresses.get("2001:db8::ffff").is_overspent()
-        assert not addresses.get("2001:db8:0:1::1").is_overspent()
-
-    asyncio.run(main())
+async def test_all_addresses_of_a_64_share_an_allowance() -> None:
+    addresses: Addresses[Paused] = Addresses(2.0)
+    for last in range(3):
+        address = addresses.get(f"2001:db8::{last}")
+        addresses.keep(address)
+        address.spend(1)
+    assert addresses.get("2001:db8::ffff").is_overspent()
+    assert not addresses.get("2001:db8:0:1::1").is_overspent()
 
 
 class Client(FakeChannel):
@@ -81,36 +69,33 @@ def never(_: object) -> Session:
     raise AssertionError("no handshake ends here")
 
 
-def test_half_open_handshakes_of_one_address_take_nobody_elses_place(
-    monkeypatch: pytest.MonkeyPatch, pki: Pki
+async def test_half_open_handshakes_of_one_address_take_nobody_elses_place(
+    monkeypatch, pki: Pki
 ) -> None:
     monkeypatch.setattr(tls, "HALF_OPEN", 10)
 
-    async def main() -> None:
-        statistics = ServerStatistics()
-        security = pki.server()
-        handshakes = Handshakes(security, Limits(), statistics)
-        sessions: list[TlsSession] = []
+    statistics = ServerStatistics()
+    security = pki.server()
+    handshakes = Handshakes(security, Limits(), statistics)
+    sessions: list[TlsSession] = []
 
-        def begin(address: str) -> Client:
-            client = Client(address)
-            session = TlsSession(client, handshakes, never)
-            sessions.append(session)
-            session.receive(b"\x16")
-            return client
+    def begin(address: str) -> Client:
+        client = Client(address)
+        session = TlsSession(client, handshakes, never)
+        sessions.append(session)
+        session.receive(b"\x16")
+        return client
 
-        innocent = begin("192.0.2.1:1000")
-        crowd = [begin(f"2001:db8::{number:x}:1000") for number in range(30)]
-        other = begin("192.0.2.2:1000")
-        assert not innocent.is_closed
-        assert not other.is_closed
-        assert [each.is_closed for each in crowd] == [True] * 22 + [False] * 8
-        assert statistics.closed_for_others == 22
-        for session in sessions:
-            session.close()
-        assert (handshakes._count, handshakes._half_open, handshakes._line) == (0, {}, {})
-
-    asyncio.run(main())
+    innocent = begin("192.0.2.1:1000")
+    crowd = [begin(f"2001:db8::{number:x}:1000") for number in range(30)]
+    other = begin("192.0.2.2:1000")
+    assert not innocent.is_closed
+    assert not other.is_closed
+    assert [each.is_closed for each in crowd] == [True] * 22 + [False] * 8
+    assert statistics.closed_for_others == 22
+    for session in sessions:
+        session.close()
+    assert (handshakes._count, handshakes._half_open, handshakes._line) == (0, {}, {})
 
 
 def test_handshakes_of_addresses_take_turns(monkeypatch: pytest.MonkeyPatch, pki: Pki) -> None:
@@ -136,9 +121,6 @@ def test_handshakes_of_addresses_take_turns(monkeypatch: pytest.MonkeyPatch, pki
     assert stepped[:3] == ["192.0.2.1:0", "192.0.2.2:5", "192.0.2.1:1"]
 
 
-# --- addresses that are remembered ---------------------------------------------------------------
-
-
 class Waiting:
     """A connection that waits until its address may send again."""
 
@@ -150,34 +132,3 @@ class Waiting:
     def resume(self) -> None:
         self.resumed.append(asyncio.get_running_loop().time())
         self.address.spend(self.asks)
-
-
-def overspent(addresses: Addresses[Waiting], host: str) -> Address[Waiting]:
-    address = addresses.get(host)
-    address.spend(1000)
-    addresses.keep(address)
-    return address
-
-
-def test_an_address_with_a_connection_is_remembered_whatever_comes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(module, "REMEMBERED_MAX", 1)
-
-    async def main() -> None:
-        addresses: Addresses[Waiting] = Addresses(1.0)
-        connected = addresses.get("192.0.2.1")
-        client = Waiting(connected)
-        connected.connections[client] = None
-        connected.spend(1000)
-        addresses.keep(connected)
-        for last in range(2, 9):
-            overspent(addresses, f"192.0.2.{last}")
-        assert addresses.get("192.0.2.1") is connected
-        connected.forget(client)
-        addresses.keep(connected)
-        assert addresses.get("192.0.2.1") is connected  # its connection is gone, its limit not
-        overspent(addresses, "192.0.2.9")
-        assert addresses.get("192.0.2.1") is not connected
-
-    Network().run(main)

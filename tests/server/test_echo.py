@@ -1,6 +1,4 @@
-"""
-Servers on a line that returns all that is sent: their answers are not carried out as requests.
-"""
+"""Servers on a line that returns all that is sent: no answer is carried out as a request."""
 
 import logging
 import time
@@ -89,13 +87,7 @@ def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
 @pytest.mark.parametrize("stray", STRAYS)
 @pytest.mark.parametrize("is_set", [False, True])
 def test_writes_are_carried_out_once(
-    stage: Stage,
-    scheme: str,
-    is_gateway: bool,
-    request_: str,
-    stray: tuple[bytes, bytes],
-    is_set: bool,
-    caplog: pytest.LogCaptureFixture,
+    stage: Stage, scheme, is_gateway, request_, stray, is_set, caplog
 ) -> None:
     """From the first on if the echo is set; else from the first read on, which shows it."""
     frame = FRAMES[scheme]
@@ -159,13 +151,7 @@ def test_an_echo_over_tcp_is_found_beside_writes_that_go_round(
 @pytest.mark.parametrize("late", [0.0, 0.016])
 @pytest.mark.parametrize("stray", STRAYS)
 def test_a_line_on_which_nothing_was_read_carries_out_writes_once(
-    stage: Stage,
-    scheme: str,
-    baudrate: int,
-    late: float,
-    stray: tuple[bytes, bytes],
-    is_gateway: bool,
-    caplog: pytest.LogCaptureFixture,
+    stage: Stage, scheme, baudrate, late, stray, is_gateway, caplog
 ) -> None:
     """USB adapters keep bytes for up to 16 ms. Nothing was read, which would show the echo."""
     frame = FRAMES[scheme]
@@ -252,9 +238,7 @@ def test_a_server_that_is_closed_while_it_asks_the_line(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("scheme", FRAMES)
-def test_an_echo_over_tcp_that_is_set(
-    stage: Stage, scheme: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_echo_over_tcp_that_is_set(stage: Stage, scheme, caplog) -> None:
     frame = FRAMES[scheme]
     with unit_one(f"{scheme}+tcp://{TCP}?echo=1") as (server, writes):
         end = Converter(stage, 0.02)
@@ -278,9 +262,7 @@ def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(stage: Stag
             assert server.statistics.requests == 3
 
 
-def test_connections_with_an_echo_are_counted_each_and_told_once(
-    stage: Stage, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_connections_with_an_echo_are_counted_each_and_told_once(stage: Stage, caplog) -> None:
     with unit_one(f"rtu+tcp://{TCP}") as (server, _):
         for count in (1, 2, 3):
             end = Converter(stage, 0.01)
@@ -324,9 +306,7 @@ def test_an_answer_that_trickles_comes_back_as_it_leaves(stage: Stage, scheme: s
             assert len(writes) == count
 
 
-def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(
-    stage: Stage,
-) -> None:
+def test_a_request_that_begins_like_the_last_answer_is_answered_after_silence(stage: Stage) -> None:
     """Status 41h: the answer to function 7 is its request and a zero byte."""
     device = Device(Mapping(holding_registers=4), exception_status=0x41)
     for url in (f"rtu://{LINE}", f"rtu+tcp://{TCP}"):

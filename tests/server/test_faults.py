@@ -1,6 +1,4 @@
-"""
-The faults that a server accepts: a keyword of its own, and any object that can do what `Fault` can.
-"""
+"""The faults that a server accepts: a keyword, and any object that can do what `Fault` can."""
 
 from dataclasses import dataclass
 from typing import Any

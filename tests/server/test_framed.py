@@ -1,6 +1,4 @@
-"""
-The base of sessions: what is found in received bytes, what is written and traced, and its state.
-"""
+"""The base of sessions: frames of received bytes, what is written and traced, and its state."""
 
 import struct
 
@@ -26,9 +24,6 @@ def request(number: int = 1) -> bytes:
 
 def answer(number: int = 1) -> bytes:
     return framed(ANSWER, number)
-
-
-# --- requests that arrive glued together or cut in pieces ---------------------------------
 
 
 @pytest.mark.timeout(60)

@@ -1,6 +1,4 @@
-"""
-Masters that write the same again and again, as a heartbeat: no echo, each is carried out.
-"""
+"""Masters that write the same again and again, as a heartbeat: no echo, each is carried out."""
 
 from typing import Any
 
@@ -72,9 +70,7 @@ def beat(master: Master, frame: Any, request: str) -> None:
 @pytest.mark.parametrize("scheme", URLS)
 @pytest.mark.parametrize("is_gateway", [False, True])
 @pytest.mark.parametrize("pause", PAUSES)
-def test_each_of_many_equal_writes_is_carried_out(
-    stage: Stage, scheme: str, is_gateway: bool, pause: float
-) -> None:
+def test_each_of_many_equal_writes_is_carried_out(stage: Stage, scheme, is_gateway, pause) -> None:
     url, frame = URLS[scheme], FRAMES[scheme.partition("+")[0]]
     for check, request in each(HEARTBEATS):
         with check, unit_one(url, is_gateway=is_gateway) as (server, written):

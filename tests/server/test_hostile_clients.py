@@ -1,10 +1,7 @@
-"""
-Hostile clients: what they send, and what others see of their attacks.
-"""
+"""Hostile clients: what they send, and what others see of their attacks."""
 
 import random
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -12,17 +9,13 @@ from hypothesis import strategies as st
 
 from libmodbus_py import Client, Device, Limits, Mapping, Server, framing
 from libmodbus_py.server.peer import READ_BYTES
+from libmodbus_py.server.sessions import ByChunk
 from tests.simulation.attackers import Attackers, Innocent
 from tests.simulation.stage import Stage
-from tests.support.attacks import (
-    ATTACKS,
-    UNIT,
-    Attack,
-    adu,
-    ask,
-    connect,
-)
+from tests.support.attacks import ATTACKS, UNIT, Attack, adu, ask, connect
 from tests.support.certificates import Pki
+from tests.support.served import ask as server_ask
+from tests.support.served import served
 
 READ, READ_ANSWER = bytes.fromhex("03 0064 0002"), bytes.fromhex("03 04 03e8 03e9")
 
@@ -49,9 +42,7 @@ LYING = [
 
 
 @pytest.mark.parametrize("body", LYING, ids=lambda body: body[:8].hex())
-def test_a_lying_request_changes_nothing_and_hurts_nobody(
-    port: int, device: Device, body: bytes
-) -> None:
+def test_a_lying_request_changes_nothing_and_hurts_nobody(port: int, device: Device, body) -> None:
     before = contents(device)
     with connect(port) as liar, Client(f"tcp://127.0.0.1:{port}", unit=17) as innocent:
         liar.sendall(adu(body) + adu(READ, 2))
@@ -108,10 +99,7 @@ def test_random_bytes_change_nothing(stage: Stage, scheme: str, device: Device) 
         assert contents(device) == before
 
 
-@settings(
-    max_examples=60,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(body=st.binary(min_size=1, max_size=253), transaction=st.integers(0, 0xFFFF))
 def test_any_request_gets_one_answer_or_none(port: int, body: bytes, transaction: int) -> None:
     with connect(port) as connection:
@@ -148,9 +136,7 @@ def enough(attack: Attack) -> Attack:
 @pytest.mark.parametrize(
     "attack", [*map(enough, ATTACKS)], ids=lambda attack: attack.name.replace(" ", "-")
 )
-def test_an_innocent_client_waits_for_few_of_the_others(
-    stage: Stage, attack: Attack, tmp_path: Path
-) -> None:
+def test_an_innocent_client_waits_for_few_of_the_others(stage: Stage, attack, tmp_path) -> None:
     """The innocent speaks TCP; an attack on TLS meets another endpoint of the same server."""
     server = Server(
         {UNIT: Device(Mapping(holding_registers=2000))},
@@ -170,3 +156,21 @@ def test_an_innocent_client_waits_for_few_of_the_others(
         assert waited.longest <= others(attack) + 1
         assert stage.until(lambda: server.statistics.connections == 1)
         assert innocent.poll(5).turns == [0] * 5
+
+
+def test_a_defect_of_ours_costs_its_connection_and_no_other(stage: Stage, monkeypatch, caplog):
+    receive = ByChunk.receive
+
+    def fail_at_noise(session: ByChunk, data: bytes) -> int:
+        if data == b"!":
+            raise RuntimeError("a defect")
+        return receive(session, data)
+
+    monkeypatch.setattr(ByChunk, "receive", fail_at_noise)
+    with served(stage) as server:
+        bad, good = server.connect(), server.connect()
+        bad.sendall(b"!")
+        server_ask(good)
+        assert bad.is_closed()
+        assert server.counts(connections=1)
+    assert "connection closed" in caplog.text

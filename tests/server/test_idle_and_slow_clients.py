@@ -36,14 +36,9 @@ LATE = {None: [Fault("delay", seconds=500)]}
 NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
 
 
-# --- frame_timeout -----------------------------------------------------------------------
-
-
 @KIND
 @pytest.mark.parametrize("frame_timeout", [0.4, 1000])
-def test_a_trickle_does_not_extend_the_time_of_a_frame(
-    stage: Stage, kind: str, frame_timeout: float
-) -> None:
+def test_a_trickle_does_not_extend_the_time_of_a_frame(stage: Stage, kind: str, frame_timeout):
     with served(stage, kind, frame_timeout=frame_timeout) as server:
         slow, silent = server.connect(), server.connect()
         ask(slow)
@@ -101,9 +96,6 @@ def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(stage: Stag
         assert server.counts(closed_slow=1)
 
 
-# --- idle_timeout ------------------------------------------------------------------------
-
-
 @KIND
 @pytest.mark.parametrize("idle_timeout", [0.5, 3600])
 def test_who_asks_nothing_is_closed(stage: Stage, kind: str, idle_timeout: float) -> None:
@@ -156,18 +148,13 @@ def test_clients_of_the_system_are_closed_in_time(sent: bytes) -> None:
     """The real copy of what this file shows in simulated seconds."""
     limits = Limits(frame_timeout=0.1, idle_timeout=0.2)
     server = Server({17: Device(Mapping(holding_registers=1))}, limits=limits)
-    with (
-        server.background("tcp://127.0.0.1:0") as running,
-        connect(running.urls[0]) as client,
-    ):
+    with server.background("tcp://127.0.0.1:0") as running, connect(running.urls[0]) as client:
         client.sendall(sent)
         assert client.recv(1) == b""
     assert (server.statistics.closed_slow, server.statistics.closed_idle) == (
         (1, 0) if sent else (0, 1)
     )
 
-
-# --- max_unsent --------------------------------------------------------------------------
 
 # More answers than the network in memory carries at once, and the server keeps.
 MANY = 1200

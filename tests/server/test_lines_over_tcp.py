@@ -38,11 +38,7 @@ def served(scheme: str, devices: Any = None) -> Iterator[tuple[Server, str]]:
 def test_a_client_mutes_the_device_for_itself_only(scheme: str, all_units: bool) -> None:
     frame = FRAMES[scheme]
     devices = Device(Mapping(holding_registers={0: [7]})) if all_units else None
-    with (
-        served(scheme, devices) as (server, url),
-        connect(url) as mute,
-        connect(url) as other,
-    ):
+    with served(scheme, devices) as (server, url), connect(url) as mute, connect(url) as other:
         ask(other, frame(READ), frame(ANSWER))
         mute.sendall(frame(LISTEN_ONLY) + frame(READ))
         until(lambda: server.statistics.requests == 3)
@@ -64,11 +60,7 @@ def test_broadcasts_of_a_muted_connection_are_not_executed() -> None:
 
 
 def test_a_delimiter_is_of_the_connection_that_asked_for_it() -> None:
-    with (
-        served("ascii+tcp") as (_, url),
-        connect(url) as odd,
-        connect(url) as other,
-    ):
+    with served("ascii+tcp") as (_, url), connect(url) as odd, connect(url) as other:
         ask(odd, ascii_frame(SEMICOLON), ascii_frame(SEMICOLON))
         ask(odd, ascii_frame(READ, b"\r;"), ascii_frame(ANSWER, b"\r;"))
         ask(other, ascii_frame(READ), ascii_frame(ANSWER))

@@ -135,9 +135,7 @@ TROUBLES: dict[str, tuple[Callable[..., AbstractContextManager[Any]], str]] = {
 
 
 @pytest.mark.parametrize("trouble", TROUBLES)
-def test_trouble_is_a_line_and_then_a_line_a_minute(
-    stage: Stage, pki: Pki, trouble: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_trouble_is_a_line_and_then_a_line_a_minute(stage: Stage, pki: Pki, trouble, caplog):
     cause, text = TROUBLES[trouble]
     with ExitStack() as stack, caplog.at_level(logging.WARNING):
         stack.enter_context(cause(stage, pki))

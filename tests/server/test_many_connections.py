@@ -90,9 +90,7 @@ def wait_until_accepted(server: ServerProcess, descriptors: int) -> None:
 @pytest.mark.parametrize(
     ("work", "count"), [(churn, CYCLES), (pipeline, REQUESTS)], ids=["cycles", "requests"]
 )
-def test_what_comes_and_goes_leaves_nothing(
-    work: Callable[[int, int], None], count: int, record_property: Record
-) -> None:
+def test_what_comes_and_goes_leaves_nothing(work, count, record_property) -> None:
     with ServerProcess() as server:
         work(server.port, count // 4)
         descriptors = server.settled_descriptors()
@@ -127,9 +125,7 @@ def ask_on(server: Served, cycles: int) -> None:
 
 @pytest.mark.parametrize("kind", OVER_TCP)
 @pytest.mark.parametrize("work", [come_and_go, ask_on])
-def test_what_comes_and_goes_leaves_no_byte_in_the_server(
-    stage: Stage, kind: str, work: Callable[[Served, int], None]
-) -> None:
+def test_what_comes_and_goes_leaves_no_byte_in_the_server(stage: Stage, kind, work) -> None:
     """A leak of one object in ten cycles shows."""
     package = [tracemalloc.Filter(True, "*/libmodbus_py/*")]
 
@@ -148,9 +144,6 @@ def test_what_comes_and_goes_leaves_no_byte_in_the_server(
             assert allocated() - before < 15
         finally:
             tracemalloc.stop()
-
-
-# --- descriptor 0 --------------------------------------------------------------------------------
 
 
 READ, ANSWER = bytes.fromhex("03 0001 0001"), bytes.fromhex("03 02 0000")

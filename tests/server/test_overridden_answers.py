@@ -1,6 +1,4 @@
-"""
-A subclass of Device that overrides `answer` is asked for every request, on every transport.
-"""
+"""A subclass of Device that overrides `answer` is asked for every request, on every transport."""
 
 from typing import Any
 from unittest import mock

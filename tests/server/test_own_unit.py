@@ -36,10 +36,7 @@ def answers(server: Server, scheme: str, units: list[int]) -> list[int | bytes |
     frames = [adu(READ_ONE, at, unit) for at, unit in enumerate(units)]
     # Unit 1 always answers, and so tells that nothing more comes.
     frames.append(adu(READ_ONE, 999, 1))
-    with (
-        server.background(f"{scheme}://127.0.0.1:0") as running,
-        connect(running.urls[0]) as peer,
-    ):
+    with server.background(f"{scheme}://127.0.0.1:0") as running, connect(running.urls[0]) as peer:
         together = asked(peer, [b"".join(frames)] if scheme == "tcp" else frames)
         assert together == asked(peer, frames)
     return [together.get(at) for at in range(len(units))]
@@ -100,9 +97,7 @@ def test_devices_that_have_these_units_are_asked_themselves(scheme: str) -> None
         (holding(7), 1, ValueError, "one device answers every unit"),
     ],
 )
-def test_units_that_the_server_cannot_be(
-    devices: Any, unit: Any, error: type[Exception], message: str
-) -> None:
+def test_units_that_the_server_cannot_be(devices, unit, error, message) -> None:
     with pytest.raises(error, match=message):
         Server(devices, own_unit=unit)
 
@@ -122,16 +117,10 @@ def test_lines_know_no_such_units() -> None:
 @both
 @pytest.mark.parametrize(
     ("faults", "codes"),
-    [
-        ({1: 6}, [6, 6]),
-        ({255: 5}, [None, 5]),
-        ({1: 6, 255: 5}, [6, 5]),
-    ],
+    [({1: 6}, [6, 6]), ({255: 5}, [None, 5]), ({1: 6, 255: 5}, [6, 5])],
     ids=str,
 )
-def test_faults_happen_to_whom_the_server_is(
-    scheme: str, faults: dict[int | None, int], codes: list[int | None]
-) -> None:
+def test_faults_happen_to_whom_the_server_is(scheme: str, faults, codes) -> None:
     """But for those of the units themselves."""
     given = {unit: [Fault("exception", code=code)] for unit, code in faults.items()}
     server = Server({1: holding(7)}, faults=given)
@@ -147,9 +136,6 @@ def test_faults_happen_to_whom_the_server_is(
             except errors.ExceptionResponse as refusal:
                 found.append(refusal.code)
     assert found == codes
-
-
-# --- messages ----------------------------------------------------------------------------------
 
 
 @pytest.fixture(params=["tcp", "udp", "rtu+tcp"])
@@ -207,9 +193,6 @@ def test_a_message_that_cannot_be_answered_is_one(scheme: str) -> None:
         ask(peer, adu(b"\x08\0\x0b\0\0", 2), adu(b"\x08\0\x0b\0\2", 2))
 
 
-# --- which faults units have --------------------------------------------------------------
-
-
 READ = b"\3\0\0\0\1"
 
 
@@ -220,25 +203,6 @@ def test_a_fault_that_cannot_happen_leaves_others_their_turn() -> None:
         faults = Faults({1: [transaction, answer]})
         found = faults.due(Frame(1, READ), has_transaction=has_transaction)
         assert found == expected
-
-
-def test_faults_that_are_given_again_go_on_counting() -> None:
-    third, other = Fault("no_answer", every=3), Fault("exception", code=2, every=3)
-    before = Faults({1: [third]})
-    for _ in range(2):
-        assert before.due(Frame(1, READ), has_transaction=True) is None
-    after = Faults({1: [third, third, other]}, before)
-    found = [after.due(Frame(1, READ), has_transaction=True) for _ in range(3)]
-    assert found == [third, None, third]
-
-
-def test_no_faults_are_none() -> None:
-    assert not Faults({})
-    assert not Faults({1: [], None: []})
-    assert Faults({1: [], 2: [Fault("no_answer")]})
-    faults = Faults({1: [Fault("no_answer")]})
-    assert [faults.concerns(unit) for unit in (0, 1, 2)] == [False, True, False]
-    assert Faults({None: [Fault("no_answer")]}).concerns(7)
 
 
 @pytest.mark.parametrize("pdu", [b"\x41\1", b"\x08\0\0\0\7", b"\x07", b"\3"])

@@ -1,13 +1,10 @@
-"""
-How many requests of an address are answered in a second: `requests_per_second`, in simulated time.
-"""
+"""How many requests of an address are answered in a second: `requests_per_second`."""
 
 import gc
 from contextlib import ExitStack
 
 import pytest
 
-from libmodbus_py.server.limits import Allowance
 from libmodbus_py.server.peer import READ_BYTES, Peer
 from tests.simulation.stage import Stage
 from tests.support.attacks import READ_ONE, adu
@@ -20,29 +17,6 @@ NEVER_ENDED = bytes.fromhex("11 10 0000 007b f6")
 
 # A header whose length cannot be: the connection is closed.
 OUT_OF_STEP = bytes.fromhex("0001 0000 ffff 11 03")
-
-
-def test_an_allowance_is_of_one_second_and_grows_with_time() -> None:
-    allowance = Allowance(10, now=100)
-    allowance.spend(10)
-    assert allowance.until(100) == 100
-    allowance.spend(5)
-    assert allowance.until(100) == pytest.approx(100.5)
-    assert allowance.until(100.2) == pytest.approx(100.5)
-    assert allowance.until(100.5) == 100.5
-    allowance.spend(1)
-    assert allowance.until(100.5) == pytest.approx(100.6)
-    allowance.until(1000)
-    allowance.spend(11)
-    assert allowance.until(1000) == pytest.approx(1000.1)
-
-
-def test_a_slow_allowance_begins_with_one_request() -> None:
-    allowance = Allowance(0.1, now=0)
-    allowance.spend(1)
-    assert allowance.until(0) == 0
-    allowance.spend(1)
-    assert allowance.until(0) == pytest.approx(10)
 
 
 @KIND
@@ -124,9 +98,7 @@ def test_connections_of_an_address_share_what_it_may_ask(stage: Stage, kind: str
 @pytest.mark.parametrize(
     ("count", "rest"), [(1, b""), (2, OUT_OF_STEP)], ids=["one", "two and what ends it"]
 )
-def test_a_new_connection_brings_nothing_new_to_ask(
-    stage: Stage, kind: str, count: int, rest: bytes
-) -> None:
+def test_a_new_connection_brings_nothing_new_to_ask(stage: Stage, kind: str, count, rest) -> None:
     with served(stage, kind, requests_per_second=5) as server:
         begun = stage.now
         for _ in range(100):
@@ -156,9 +128,7 @@ def test_to_be_refused_brings_nothing_new_to_ask_either(stage: Stage) -> None:
 
 
 @KIND
-def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(
-    stage: Stage, kind: str
-) -> None:
+def test_a_connection_that_waits_and_is_closed_does_not_keep_the_others(stage: Stage, kind: str):
     with served(stage, kind, requests_per_second=2) as server:
         first, second = server.connect(), server.connect()
         for _ in range(4):

@@ -1,6 +1,4 @@
-"""
-Other devices and faults while a server serves: who is connected stays, and sees the new ones.
-"""
+"""Other devices and faults while a server serves: who is connected stays, and sees the new ones."""
 
 import asyncio
 import gc
@@ -39,10 +37,7 @@ def holding(value: int) -> Device:
 @contextmanager
 def connected(transport: str, server: Server) -> Iterator[Client]:
     """A client of unit 1."""
-    with (
-        serving(transport, server) as url,
-        Client(url, unit=1, timeout=2) as client,
-    ):
+    with serving(transport, server) as url, Client(url, unit=1, timeout=2) as client:
         yield client
 
 
@@ -73,9 +68,7 @@ def refuses(client: Client) -> bool:
     return False
 
 
-def test_an_endpoint_that_is_still_looked_up_opens_with_the_new_devices(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_endpoint_that_is_still_looked_up_opens_with_the_new_devices(monkeypatch) -> None:
     server = Server(holding(1))
     bound = udp.bound
 

@@ -1,6 +1,4 @@
-"""
-How many connections a server has, of all clients and of one address, and who goes for others.
-"""
+"""How many connections a server has, of all clients and of one address, and who goes for others."""
 
 import pytest
 
@@ -74,9 +72,6 @@ def test_connections_left_at_the_end_are_closed(stage: Stage) -> None:
     assert server.statistics.connections == 0
 
 
-# --- connections_per_address -------------------------------------------------------------
-
-
 @KIND
 def test_an_address_with_too_many_makes_room_among_its_own(stage: Stage, kind: str) -> None:
     with served(stage, kind, max_connections=6, connections_per_address=3) as server:
@@ -127,9 +122,6 @@ def test_ipv4_within_ipv6_is_the_same_address(stage: Stage) -> None:
         assert server.counts(refused_address=1)
 
 
-# --- allow -------------------------------------------------------------------------------
-
-
 @KIND
 def test_hosts_outside_are_closed_at_once(stage: Stage, kind: str) -> None:
     with served(stage, kind, allow=["127.0.0.2", "127.1.0.0/16"]) as server:
@@ -145,10 +137,7 @@ def test_hosts_outside_are_closed_at_once(stage: Stage, kind: str) -> None:
 @pytest.mark.parametrize(("allow", "allowed"), [("::1", True), ("2001:db8::/32", False)])
 def test_hosts_of_ipv6(allow: str, allowed: bool) -> None:
     server = Server(Device(Mapping(holding_registers=1)), limits=Limits(allow=[allow]))
-    with (
-        server.background("tcp://[::1]:0") as running,
-        connect(running.urls[0]) as connection,
-    ):
+    with server.background("tcp://[::1]:0") as running, connect(running.urls[0]) as connection:
         if allowed:
             connection.sendall(adu(READ_ONE))
             assert receive(connection, ONE_ANSWER) == adu(ANSWER_ONE)

@@ -1,13 +1,10 @@
-"""
-A server on a serial line: noise, requests to others, and a port that is unplugged.
-"""
+"""A server on a serial line: noise, requests to others, and a port that is unplugged."""
 
 import asyncio
 import itertools
 import os
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -99,9 +96,7 @@ def is_answered(context: Client) -> bool:
         return False
 
 
-def test_an_unplugged_port_is_opened_again(
-    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unplugged_port_is_opened_again(device: Device, tmp_path, monkeypatch) -> None:
     """The path stays, as udev keeps it; what it leads to is another port."""
     monkeypatch.setattr(serial_server, "REOPEN_AFTER", 0.05)
     path = tmp_path / "ttyUSB0"
@@ -121,9 +116,7 @@ def test_an_unplugged_port_is_opened_again(
     ("url", "data_bits", "is_silent"),
     [("ascii://{}", 7, False), ("ascii://{}?data_bits=8", 8, False), ("rtu://{}", 8, True)],
 )
-def test_ascii_ports_have_seven_data_bits(
-    device: Device, url: str, data_bits: int, is_silent: bool
-) -> None:
+def test_ascii_ports_have_seven_data_bits(device: Device, url, data_bits, is_silent) -> None:
     """Pseudo-terminals ignore them, so what the port is told is looked at."""
 
     async def made() -> SerialServer:
@@ -133,9 +126,6 @@ def test_ascii_ports_have_seven_data_bits(
     port = asyncio.run(made())._port
     assert port.data_bits == data_bits
     assert (port.silence.seconds > 0) is is_silent
-
-
-# --- answers that wait ---------------------------------------------------------------------------
 
 
 ANSWERS = [b"%04d" % number * 64 for number in range(1000)]
@@ -179,9 +169,6 @@ def test_the_latest_answers_wait_and_no_more_than_a_port_keeps() -> None:
     found = b"".join(line.requests)
     pieces = [found[at : at + 256] for at in range(0, len(found), 256)]
     assert pieces == [ANSWERS[0], *ANSWERS[-16:]]
-
-
-# --- the silence between two answers -------------------------------------------------------------
 
 
 SHORT_ANSWERS = [rtu(f"01 03 04 {number:04X} 0000") for number in range(4)]

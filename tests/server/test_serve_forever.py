@@ -1,6 +1,4 @@
-"""
-Programs that do nothing but serve, as processes of their own, and the signals that end them.
-"""
+"""Programs that do nothing but serve, as processes of their own, and the signals that end them."""
 
 import asyncio
 import logging
@@ -162,9 +160,6 @@ def test_all_ways_log_where_they_listen(caplog: pytest.LogCaptureFixture) -> Non
     with Server(Device(Mapping())).background("tcp://127.0.0.1:0") as running:
         time.sleep(0)
     assert caplog.messages == [f"listening on {running.urls[0]}"]
-
-
-# --- signals ------------------------------------------------------------------------------
 
 
 def test_the_handlers_of_a_program_are_back_after_a_failure() -> None:

@@ -1,6 +1,4 @@
-"""
-A server begins, ends, and can be entered once at a time.
-"""
+"""A server begins, ends, and can be entered once at a time."""
 
 import asyncio
 import errno
@@ -52,13 +50,8 @@ def test_a_port_that_is_taken_is_a_clear_error(device: Device) -> None:
         ("tcp://no-such-host.invalid:0", "no-such-host"),
     ],
 )
-def test_an_endpoint_that_cannot_be_opened_is_a_clear_error(
-    device: Device, url: str, named: str
-) -> None:
-    with (
-        pytest.raises(ModbusConnectionError, match=named),
-        Server(device).background(url),
-    ):
+def test_an_endpoint_that_cannot_be_opened_is_a_clear_error(device: Device, url, named) -> None:
+    with pytest.raises(ModbusConnectionError, match=named), Server(device).background(url):
         pass
 
 

@@ -1,6 +1,4 @@
-"""
-Lines on which a byte takes longer than a computer keeps one back: silence ends no frame too soon.
-"""
+"""Lines on which a byte takes longer than a computer keeps one back: no frame ends too soon."""
 
 import pytest
 

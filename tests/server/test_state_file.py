@@ -1,6 +1,4 @@
-"""
-The file that keeps the values of served devices: what it has, who may use it, and what fails.
-"""
+"""The file that keeps the values of served devices: what it has, who may use it, and what fails."""
 
 import errno
 import json
@@ -126,9 +124,7 @@ OTHERS = [
 
 
 @each_case(("change", "message"), OTHERS)
-def test_values_of_another_device_are_refused(
-    change: tuple[str, str], message: str, folder: Path
-) -> None:
+def test_values_of_another_device_are_refused(change, message, folder: Path) -> None:
     after_a_write(folder)
     before = (folder / "state").read_bytes()
     assert change[0] in PLANT
@@ -156,9 +152,7 @@ def test_only_changes_are_written(folder: Path) -> None:
     close(file)
 
 
-def test_a_slow_write_is_followed_by_a_pause_four_times_as_long(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_slow_write_is_followed_by_a_pause_four_times_as_long(folder: Path, monkeypatch) -> None:
     pauses: list[float] = []
     clock = SimpleNamespace(monotonic=iter([0, 2, 10, 10.01]).__next__)
     monkeypatch.setattr(state_file, "time", clock)
@@ -177,9 +171,6 @@ def test_it_is_written_while_it_is_served(folder: Path, monkeypatch: pytest.Monk
     while '"coils"' not in (folder / "state").read_text():
         pass
     close(file)
-
-
-# --- who may use it -------------------------------------------------------------------------
 
 
 def test_a_second_program_is_refused(folder: Path) -> None:
@@ -230,9 +221,6 @@ def test_what_a_killed_process_left_is_removed(folder: Path) -> None:
     }
 
 
-# --- what fails -----------------------------------------------------------------------------
-
-
 def failing(number: int) -> Callable[..., Any]:
     def fail(*_: object, **__: object) -> None:
         raise OSError(number, os.strerror(number))
@@ -250,11 +238,7 @@ def failing(number: int) -> Callable[..., Any]:
     ],
 )
 def test_a_file_that_cannot_be_written_is_told_once(
-    step: str,
-    number: int,
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    step, number, folder: Path, monkeypatch, caplog
 ) -> None:
     caplog.clear()
     (folder / "state").unlink(missing_ok=True)
@@ -277,12 +261,7 @@ def test_a_file_that_cannot_be_written_is_told_once(
 
 
 @each_case("number", [errno.EACCES, errno.EROFS, errno.ENOSPC])
-def test_a_folder_that_takes_no_files(
-    number: int,
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_folder_that_takes_no_files(number, folder: Path, monkeypatch, caplog) -> None:
     caplog.clear()
     (folder / "state").unlink(missing_ok=True)
     (folder / "state.lock").unlink(missing_ok=True)
@@ -304,9 +283,6 @@ def test_a_folder_that_takes_no_files(
         assert units[2].answer(pdu.ReadCoils(1, 1).encode()) == b"\1\1\1"
     close(file)
     assert caplog.messages[1:] == [f"{folder / 'state'}: values are kept again"]
-
-
-# --- of a server ----------------------------------------------------------------------------
 
 
 def registers() -> Device:
@@ -357,9 +333,7 @@ def wrong_files(tmp_path: Path) -> Path:
         ("half", r"line 1, column 2: not JSON: .* \(is the file cut off\?\); no value was loaded"),
     ],
 )
-def test_a_wrong_file_is_refused_before_the_server_starts(
-    name: str, message: str, wrong_files: Path
-) -> None:
+def test_a_wrong_file_is_refused_before_the_server_starts(name, message, wrong_files: Path) -> None:
     path = wrong_files / name
     with (
         pytest.raises(ValueError, match=f"^state: {path}: {message}"),
@@ -368,9 +342,7 @@ def test_a_wrong_file_is_refused_before_the_server_starts(
         pytest.fail("it serves")
 
 
-def test_a_folder_that_goes_is_a_line_and_the_server_goes_on(
-    folder: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_folder_that_goes_is_a_line_and_the_server_goes_on(folder: Path, caplog) -> None:
     place = folder / "place"
     place.mkdir()
     device = registers()

@@ -16,9 +16,9 @@ from types import SimpleNamespace
 import pytest
 
 from libmodbus_py import Access, Device, Mapping, Server
-from libmodbus_py.protocol.extras import how_to_add
-from libmodbus_py.security.role import encode_role
+from libmodbus_py.security.certificates import encode_role
 from libmodbus_py.tools.certificates import Identity
+from libmodbus_py.version import how_to_add
 from tests.simulation.stage import Stage
 from tests.support import certificates
 from tests.support.attacks import PATIENCE
@@ -49,9 +49,6 @@ def served(stage: Stage, pki: Pki, noting: Device, events: Events) -> Iterator[t
         yield served
 
 
-# --- roles --------------------------------------------------------------------------------------
-
-
 def test_an_authority_below_may_have_signed_if_it_is_shown(
     stage: Stage, served: tuple[Server, int], pki: Pki, roles: list[str | None]
 ) -> None:
@@ -60,8 +57,6 @@ def test_an_authority_below_may_have_signed_if_it_is_shown(
         assert client.is_answered()
     assert roles == ["Chief"]
 
-
-# --- versions and suites ------------------------------------------------------------------------
 
 GCM = "AES128-GCM-SHA256"
 
@@ -76,12 +71,7 @@ GCM = "AES128-GCM-SHA256"
     ],
 )
 def test_the_suites_that_must_be_there_are(
-    stage: Stage,
-    pki: Pki,
-    key: str,
-    version: str,
-    ciphers: str | None,
-    negotiated: str,
+    stage: Stage, pki: Pki, key: str, version: str, ciphers: str | None, negotiated: str
 ) -> None:
     keys = {"key": certificates.rsa_key()} if key == "rsa" else {}
     security = pki.security(certificates.server(**keys))
@@ -126,9 +116,7 @@ def test_suites_that_are_weak_are_refused(stage: Stage, pki: Pki, key: str, ciph
 
 
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1, ssl.TLSVersion.TLSv1_1])
-def test_older_versions_are_refused(
-    stage: Stage, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
-) -> None:
+def test_older_versions_are_refused(stage: Stage, pki: Pki, served: tuple[Server, int], version):
     told = context(pki, certificates.client(), version, "ALL:@SECLEVEL=0")
     with (
         TlsClient(served[1], told, stage=stage) as client,
@@ -136,9 +124,6 @@ def test_older_versions_are_refused(
     ):
         client.handshake()
     assert stage.until(lambda: served[0].statistics.handshakes_refused == 1)
-
-
-# --- who is refused -----------------------------------------------------------------------------
 
 
 def tampered() -> Identity:
@@ -294,9 +279,6 @@ def test_without_cryptography_only_roles_are_refused(pki: Pki) -> None:
     assert how_to_add("security") in logged
 
 
-# --- pins ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("how", ["one", "several", "with a hash"])
 def test_only_those_that_are_pinned_get_in(stage: Stage, pki: Pki, how: str) -> None:
     mine = certificates.self_signed(role="Installer")
@@ -327,15 +309,10 @@ def digest(identity: Identity | None) -> str:
     return hashlib.sha256(identity.der).hexdigest()
 
 
-def test_what_a_pinned_one_has_signed_is_not_pinned(
-    stage: Stage, pki: Pki, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_a_pinned_one_has_signed_is_not_pinned(stage: Stage, pki: Pki, caplog) -> None:
     """OpenSSL takes it, for the pinned one is what it trusts."""
     security = pki.server(pin=pki.authority(certificates.authority()))
-    with (
-        caplog.at_level(logging.INFO),
-        talking(stage, pki, security=security) as (server, client),
-    ):
+    with caplog.at_level(logging.INFO), talking(stage, pki, security=security) as (server, client):
         assert client.ask(ONE, 1) == b""
         assert (server.statistics.handshakes, server.statistics.handshakes_refused) == (0, 1)
     assert "none of the pins" in caplog.text
@@ -370,9 +347,6 @@ def test_a_pinned_one_may_be_old_also_when_it_resumes(
         assert server.statistics.handshakes_resumed == 1
 
 
-# --- sessions resumed ---------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("how", ["1.2", "1.2 without tickets", "1.3"])
 def test_a_session_that_is_resumed_keeps_its_role(
     stage: Stage, pki: Pki, served: tuple[Server, int], roles: list[str | None], how: str
@@ -393,12 +367,7 @@ def test_a_session_that_is_resumed_keeps_its_role(
 
 @VERSION
 def test_a_certificate_that_expired_meanwhile_resumes_nothing(
-    stage: Stage,
-    pki: Pki,
-    served: tuple[Server, int],
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
-    version: ssl.TLSVersion,
+    stage: Stage, pki: Pki, served: tuple[Server, int], caplog, monkeypatch, version: ssl.TLSVersion
 ) -> None:
     """OpenSSL looks at the dates when a session begins, and not again."""
     server, port = served
@@ -410,10 +379,7 @@ def test_a_certificate_that_expired_meanwhile_resumes_nothing(
         session = client.tls.session
     later = SimpleNamespace(time=lambda: end.timestamp() + 1)
     monkeypatch.setattr("libmodbus_py.security.tunnel.time", later)
-    with (
-        caplog.at_level(logging.INFO),
-        TlsClient(port, told, session, stage=stage) as client,
-    ):
+    with caplog.at_level(logging.INFO), TlsClient(port, told, session, stage=stage) as client:
         client.handshake()
         assert client.tls.session_reused
         assert client.ask(ONE, 1) == b""

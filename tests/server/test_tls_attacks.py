@@ -1,6 +1,4 @@
-"""
-TLS of the hostile, the slow and the lost: nothing crashes, nothing is left, others are served.
-"""
+"""TLS of the hostile, the slow and the lost: nothing is left, others are served."""
 
 import array
 import contextlib
@@ -42,8 +40,6 @@ from tests.support.tls import (
 )
 from tests.support.tls_clients import descriptors
 
-# --- hostile: before the handshake ---------------------------------------------------------------
-
 
 def record(kind: int, data: bytes) -> bytes:
     return struct.pack(">BHH", kind, 0x0303, len(data)) + data
@@ -84,13 +80,7 @@ GARBAGE: dict[str, Callable[[], bytes]] = {
 
 @pytest.mark.parametrize("what", GARBAGE)
 @pytest.mark.parametrize("behind", ["at once", "behind a hello"])
-def test_what_is_no_tls_ends_the_connection(
-    stage: Stage,
-    pki: Pki,
-    what: str,
-    behind: str,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_what_is_no_tls_ends_the_connection(stage: Stage, pki: Pki, what, behind, caplog) -> None:
     sent = (hello(pki) if behind != "at once" else b"") + GARBAGE[what]()
     limits = Limits(handshake_timeout=1)
     with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):
@@ -105,9 +95,7 @@ def test_what_is_no_tls_ends_the_connection(
         assert is_served(pki, port, stage)
 
 
-def test_a_hello_with_anything_in_it_does_no_harm(
-    stage: Stage, pki: Pki, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_hello_with_anything_in_it_does_no_harm(stage: Stage, pki: Pki, caplog) -> None:
     """Bytes of a good one are changed, a few at a time."""
     good, chance = hello(pki), random.Random(7)
     with nothing_loud(caplog), serving(pki) as (server, port):
@@ -145,9 +133,6 @@ def test_resets_at_any_time_leave_nothing(pki: Pki, caplog: pytest.LogCaptureFix
         assert is_served(pki, port)
 
 
-# --- hostile: behind it -------------------------------------------------------------------------
-
-
 def flipped(data: bytes) -> bytes:
     return data[:-1] + bytes([data[-1] ^ 1])
 
@@ -169,11 +154,7 @@ AFTER: dict[str, Callable[[TlsClient], bytes]] = {
 @VERSION
 @pytest.mark.parametrize("what", AFTER)
 def test_what_is_no_record_ends_the_connection_but_no_other(
-    stage: Stage,
-    pki: Pki,
-    what: str,
-    version: ssl.TLSVersion,
-    caplog: pytest.LogCaptureFixture,
+    stage: Stage, pki: Pki, what: str, version: ssl.TLSVersion, caplog: pytest.LogCaptureFixture
 ) -> None:
     with (
         nothing_loud(caplog),
@@ -303,9 +284,6 @@ def test_what_comes_and_goes_leaves_no_memory(pki: Pki) -> None:
             tracemalloc.stop()
 
 
-# --- the end, at any time -----------------------------------------------------------------------
-
-
 def test_a_server_that_ends_leaves_no_handshake(pki: Pki, caplog: pytest.LogCaptureFixture) -> None:
     first = hello(pki)
     told = context(pki, certificates.client())
@@ -333,14 +311,9 @@ def test_a_server_that_ends_leaves_no_handshake(pki: Pki, caplog: pytest.LogCapt
     assert wait_until(lambda: descriptors() <= before)
 
 
-# --- memory -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("what", ["half open", "idle"])
 @pytest.mark.filterwarnings("ignore:record_property is incompatible")
-def test_a_thousand_connections_have_room(
-    pki: Pki, what: str, record_property: Callable[[str, object], None]
-) -> None:
+def test_a_thousand_connections_have_room(pki: Pki, what, record_property) -> None:
     url = pki.url("tls://127.0.0.1:0", certificates.server())
     told, first = context(pki, certificates.client()), hello(pki)
     count, some = 200, 20

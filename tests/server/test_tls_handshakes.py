@@ -1,6 +1,4 @@
-"""
-Handshakes that are slow, many, or never end: others are served, and wait for none of them.
-"""
+"""Handshakes that are slow, many, or never end: others are served, and wait for none of them."""
 
 import contextlib
 import ssl
@@ -28,9 +26,7 @@ from tests.support.tls import (
 
 
 @pytest.mark.parametrize("how", ["connects only", "greets only", "trickles"])
-def test_a_handshake_must_end_in_time(
-    stage: Stage, pki: Pki, how: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_handshake_must_end_in_time(stage: Stage, pki: Pki, how, caplog) -> None:
     first, limits = hello(pki), Limits(handshake_timeout=100)
     with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):
         begun = stage.now
@@ -69,9 +65,7 @@ def test_a_slow_handshake_is_not_hurried(stage: Stage, pki: Pki, version: ssl.TL
         assert server.statistics.closed_slow == 0
 
 
-def test_the_oldest_half_open_one_makes_room(
-    stage: Stage, pki: Pki, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_oldest_half_open_one_makes_room(stage: Stage, pki: Pki, monkeypatch) -> None:
     monkeypatch.setattr(server_tls, "HALF_OPEN", 5)
     first = hello(pki)
     with serving(pki) as (server, port), contextlib.ExitStack() as stack:

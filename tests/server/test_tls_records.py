@@ -55,8 +55,7 @@ def answers(count: int) -> bytes:
 
 @VERSION
 @pytest.mark.parametrize(
-    "cut",
-    ["a record", "a byte in a record", "a record in bytes", "two records", "one and a half"],
+    "cut", ["a record", "a byte in a record", "a record in bytes", "two records", "one and a half"]
 )
 def test_records_may_cut_requests_anywhere(
     stage: Stage, pki: Pki, way: dict[str, Any], cut: str, version: ssl.TLSVersion
@@ -131,10 +130,7 @@ def test_requests_in_the_last_flight_of_the_handshake_are_answered(
     stage: Stage, pki: Pki, version: ssl.TLSVersion
 ) -> None:
     told = context(pki, certificates.client(), version)
-    with (
-        serving(pki) as (_, port),
-        TlsClient(port, told, stage=stage) as client,
-    ):
+    with serving(pki) as (_, port), TlsClient(port, told, stage=stage) as client:
         client.socket.sendall(client.hello())
         # The client's own end of the handshake, and 50 requests behind it, in one segment.
         while True:
@@ -210,9 +206,7 @@ def test_who_does_not_read_is_not_read_and_gets_all_when_he_does(
             assert answer == struct.pack(">H", number) + MOST_ANSWER[2:]
 
 
-def test_requests_per_second_hold_within_a_record(
-    stage: Stage, pki: Pki, way: dict[str, Any]
-) -> None:
+def test_requests_per_second_hold_within_a_record(stage: Stage, pki: Pki, way: dict[str, Any]):
     limits = Limits(requests_per_second=200)
     with talking(stage, pki, limits=limits, **way) as (server, client):
         begin = stage.now
@@ -261,9 +255,6 @@ def records(stream: bytes) -> Iterator[tuple[int, int]]:
         stream = stream[5 + size :]
 
 
-# --- the end ------------------------------------------------------------------------------------
-
-
 def record_of(size: int) -> Callable[[TlsClient], object]:
     """Return what sends so many bytes of a record."""
     return lambda client: client.socket.send(client.encrypt(ONE)[:size])
@@ -300,9 +291,7 @@ def test_whom_the_server_closes_gets_a_goodbye(
 
 
 @VERSION
-def test_the_server_says_goodbye_when_it_ends(
-    stage: Stage, pki: Pki, version: ssl.TLSVersion
-) -> None:
+def test_the_server_says_goodbye_when_it_ends(stage: Stage, pki: Pki, version: ssl.TLSVersion):
     with serving(pki) as (_, port):
         client = connected(stage, pki, port, version)
         assert client.is_answered()

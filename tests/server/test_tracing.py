@@ -147,9 +147,7 @@ SPOILT = [
 
 
 @each_case(("fault", "spoilt"), SPOILT)
-def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(
-    fault: Fault, spoilt: list[tuple[bytes, int | None]]
-) -> None:
+def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(fault, spoilt) -> None:
     told: list[Traced] = []
     with connected(told.append, faults={17: [fault]}) as (one, _):
         ask(one, READ, ANSWER)
@@ -221,10 +219,7 @@ def test_a_gateway_tells_what_its_clients_say() -> None:
     told: list[Traced] = []
     with Server({5: made_device()}).background("tcp://127.0.0.1:0") as behind:
         gateway = Gateway([Route(behind.urls[0], "17", 5)], trace=told.append)
-        with (
-            gateway.background("tcp://127.0.0.1:0") as running,
-            connect(running.urls[0]) as one,
-        ):
+        with gateway.background("tcp://127.0.0.1:0") as running, connect(running.urls[0]) as one:
             ask(one, READ, ANSWER)
     assert said(told) == [("received", READ), ("sent", ANSWER)]
     assert {each.endpoint for each in told} == set(running.urls)
@@ -264,13 +259,8 @@ def test_others_come_and_go() -> None:
         server.tracing(None)  # type: ignore[arg-type]
 
 
-# --- attacks ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("error", [ValueError("mine"), GeneratorExit(), ModbusError("no")])
-def test_one_that_fails_costs_no_answer_and_is_logged_once(
-    error: BaseException, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_one_that_fails_costs_no_answer_and_is_logged_once(error, caplog) -> None:
     def broken(traced: Traced) -> None:
         raise error
 
@@ -283,9 +273,7 @@ def test_one_that_fails_costs_no_answer_and_is_logged_once(
 
 @pytest.mark.parametrize("direction", ["received", "sent"])
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
-def test_one_that_ends_the_program_does_after_the_answers(
-    error: type[BaseException], direction: str
-) -> None:
+def test_one_that_ends_the_program_does_after_the_answers(error, direction) -> None:
     def ending(traced: Traced) -> None:
         if traced.direction == direction:
             raise error("enough")
@@ -351,9 +339,6 @@ def test_hooks_and_c_alike_are_told() -> None:
         ask(one, READ, ANSWER)
         ask(one, READ[:6] + b"\x12" + READ[7:], ANSWER[:6] + b"\x12" + ANSWER[7:])
     assert [each.unit for each in told] == [17, 17, 18, 18]
-
-
-# --- log handlers that fail ---------------------------------------------------------------
 
 
 HERE = "tcp://127.0.0.1:0"

@@ -1,12 +1,8 @@
-"""
-The server on UDP: one request in a datagram, its answer in another to whoever asked.
-"""
+"""The server on UDP: one request in a datagram, its answer in another to whoever asked."""
 
-import asyncio
 import contextlib
 import gc
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import pytest
 
@@ -33,9 +29,7 @@ OTHER_MACHINES = ("192.0.2.1", "2001:db8::1", "::ffff:192.0.2.1")
 @pytest.mark.parametrize(
     "url", ["udp://127.0.0.1:0", pytest.param("udp://[::1]:0", marks=NEEDS_IPV6)]
 )
-def test_answers_go_to_who_asked_with_the_transaction_of_the_request(
-    url: str, device: Device
-) -> None:
+def test_answers_go_to_who_asked_with_the_transaction_of_the_request(url, device: Device) -> None:
     other, other_answer = bytes.fromhex("03 0066 0002"), bytes.fromhex("03 04 03ea 03eb")
     server = Server({UNIT: device})
     with (
@@ -77,9 +71,7 @@ def test_the_longest_request_and_the_longest_answer(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("faulty", [False, True])
-def test_worked_requests_are_answered_as_on_tcp(
-    stage: Stage, subtests: pytest.Subtests, faulty: bool
-) -> None:
+def test_worked_requests_are_answered_as_on_tcp(stage: Stage, subtests: pytest.Subtests, faulty):
     """The same device as on TCP, and that the answer is of this request."""
     faults = {None: [Fault("no_answer", function=100)]} if faulty else None
     for number, vector in enumerate(WORKED):
@@ -95,9 +87,6 @@ def test_worked_requests_are_answered_as_on_tcp(
             (frame,) = framing.TcpFramer().feed(answers[0])
             assert (frame.unit, frame.transaction) == (vector.unit, vector.transaction)
             assert frame.pdu[0] & 0x7F == vector.function
-
-
-# --- limits ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("allow", ["10.255.0.2/32", "2001:db8::/32"])
@@ -130,8 +119,6 @@ def test_too_many_requests_are_dropped_for_one_address_only(stage: Stage) -> Non
         assert not eager.has_input()
         ask(eager, 600)
 
-
-# --- sources that are forged -------------------------------------------------------------
 
 WRITE = bytes.fromhex("06 0064 0007")  # its answer is the same bytes
 QUERY = bytes.fromhex("08 0000 1234")
@@ -192,9 +179,7 @@ def test_clients_that_write_or_ask_again_are_answered(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("source", [502, 802, None], ids=str)
-def test_a_client_may_send_from_the_ports_of_modbus_and_of_the_server(
-    stage: Stage, source: int | None
-) -> None:
+def test_a_client_may_send_from_the_ports_of_modbus_and_of_the_server(stage: Stage, source) -> None:
     with served(stage, scheme="udp") as server:
         for transaction in range(30):
             place = ("10.0.0.9", source or server.place[1])
@@ -238,9 +223,7 @@ def test_addresses_of_other_machines_get_no_more_than_a_thousand_answers_a_secon
     assert admitted() == later
 
 
-def test_however_many_sources_are_forged_little_is_remembered(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_however_many_sources_are_forged_little_is_remembered(monkeypatch) -> None:
     monkeypatch.setattr(source_module, "REMEMBERED_MAX", 300)
     monkeypatch.setattr(limits, "REMEMBERED_MAX", 200)
 
@@ -248,21 +231,15 @@ def test_however_many_sources_are_forged_little_is_remembered(
         gc.collect()
         return sum(isinstance(each, kind) for each in gc.get_objects())
 
-    async def flood() -> None:
-        sources = Sources(Limits(), ServerStatistics())
-        before = remembered(Address), remembered(Allowance)
-        for number in range(2000):
-            source = (f"10.0.{number >> 8}.{number & 255}", 40_000)
-            datagram = adu(WRITE)
-            assert sources.admit(datagram, source)
-            sources.note_answer(datagram, datagram[7:], source)
-        assert remembered(Address) - before[0] == 200
-        assert remembered(Allowance) - before[1] == 200 + 300
-
-    asyncio.run(flood())
-
-
-# --- faults ------------------------------------------------------------------------------
+    sources = Sources(Limits(), ServerStatistics())
+    before = remembered(Address), remembered(Allowance)
+    for number in range(2000):
+        source = (f"10.0.{number >> 8}.{number & 255}", 40_000)
+        datagram = adu(WRITE)
+        assert sources.admit(datagram, source)
+        sources.note_answer(datagram, datagram[7:], source)
+    assert remembered(Address) - before[0] == 200
+    assert remembered(Allowance) - before[1] == 200 + 300
 
 
 def test_a_late_answer_does_not_hold_up_the_others(stage: Stage) -> None:
@@ -308,9 +285,7 @@ def test_an_answer_still_kept_back_does_not_keep_the_server(stage: Stage) -> Non
     assert stage.now - begun < 0.01
 
 
-def test_no_more_than_so_many_answers_are_kept_back(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_more_than_so_many_answers_are_kept_back(stage: Stage, monkeypatch) -> None:
     """Requests that arrive meanwhile are lost."""
     monkeypatch.setattr(source_module, "REMEMBERED_MAX", 100)
     faults = {None: [Fault("delay", seconds=600)]}
@@ -321,9 +296,6 @@ def test_no_more_than_so_many_answers_are_kept_back(
         stage.pass_time(600)
         client.send(adu(READ_ONE, 2000))
         assert server.counts(requests=101)
-
-
-# --- datagrams that are no frame -----------------------------------------------------------------
 
 
 FRAMES: dict[str, Callable[[str], bytes]] = {
@@ -378,9 +350,7 @@ def damaged(scheme: str) -> Iterator[bytes]:
     ids=["plain", "faulty", "gateway"],
 )
 @pytest.mark.parametrize("scheme", DATAGRAMS)
-def test_a_datagram_that_is_no_frame_is_counted_once(
-    stage: Stage, scheme: str, settings: dict[str, Any]
-) -> None:
+def test_a_datagram_that_is_no_frame_is_counted_once(stage: Stage, scheme, settings) -> None:
     url, made = f"{scheme}://10.0.0.1:1502", DATAGRAMS[scheme]
     with unit_one(url, **settings) as (server, _), stage.talk(url) as client:
         statistics = server.statistics

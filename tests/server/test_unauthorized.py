@@ -1,6 +1,4 @@
-"""
-What a role may not do, over every transport: exception 1, counted, and nothing done.
-"""
+"""What a role may not do, over every transport: exception 1, counted, and nothing done."""
 
 import contextlib
 import threading
@@ -89,9 +87,6 @@ def test_faults_refuse_without_asking() -> None:
     assert seen == []
 
 
-# --- roles from certificates --------------------------------------------------------------
-
-
 RULES = Rules(
     {
         "Viewer": Allow(read=["holding_registers"]),
@@ -128,9 +123,7 @@ def allowed(ask: Callable[[pdu.Request[object]], object]) -> list[bool]:
         ("viewer", [False, False, False, False]),
     ],
 )
-def test_rules_go_by_the_role_of_the_certificate(
-    pki: Pki, role: str | None, expected: list[bool]
-) -> None:
+def test_rules_go_by_the_role_of_the_certificate(pki: Pki, role, expected) -> None:
     device = Device(Mapping(holding_registers=1), authorize=RULES)
     server = Server(device, security=pki.server())
     with (

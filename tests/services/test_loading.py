@@ -1,6 +1,4 @@
-"""
-Files of any kind are told apart by what they contain.
-"""
+"""Files of any kind are told apart by what they contain."""
 
 from pathlib import Path
 

@@ -1,6 +1,4 @@
-"""
-URLs of brokers, databases and NATS servers, and the files with their secrets: one rule for all.
-"""
+"""URLs of brokers, databases and NATS servers, and the files with their secrets."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -74,9 +72,6 @@ def test_a_wrong_url_is_refused(text: str) -> None:
         read(text)
 
 
-# --- logins ---------------------------------------------------------------------------------
-
-
 @each_case(("scheme", "take", "setting"), TAKEN)
 @each_case(
     "text",
@@ -86,9 +81,7 @@ def test_a_wrong_url_is_refused(text: str) -> None:
         *("x://me:secret@h", "me:secret@h", "{}://me:secret@[::1", "{}://me:se cret@h#secret"),
     ],
 )
-def test_a_login_in_a_url_is_refused_and_not_shown(
-    scheme: str, take: Callable[[str], Any], setting: str, text: str
-) -> None:
+def test_a_login_in_a_url_is_refused_and_not_shown(scheme, take, setting, text) -> None:
     with pytest.raises(ValueError, match="must not contain a user or password: use ") as caught:
         take(text.format(scheme, scheme))
     assert setting in str(caught.value)
@@ -96,9 +89,7 @@ def test_a_login_in_a_url_is_refused_and_not_shown(
 
 
 @each_case(("scheme", "take", "setting"), TAKEN)
-def test_a_token_in_a_query_is_refused_and_not_shown(
-    scheme: str, take: Callable[[str], Any], setting: str
-) -> None:
+def test_a_token_in_a_query_is_refused_and_not_shown(scheme, take, setting) -> None:
     with pytest.raises(ValueError, match="must be a URL") as caught:
         take(f"{scheme}://h/?token=secret")
     assert "secret" not in str(caught.value)
@@ -129,18 +120,13 @@ def test_a_password_in_a_fleet_file_is_refused_and_not_shown(tmp_path: Path, val
     assert "4711" not in str(caught.value)
 
 
-# --- files with secrets ---------------------------------------------------------------------
-
-
 SECRETS: list[Callable[[Path], Any]] = [SecretFile, lambda path: FileText("NATS_CREDS", str(path))]
 """What reads a file with a secret."""
 
 
 @each_case("read_file", SECRETS)
 @each_case("mode", [0o600, 0o400, 0o604, 0o644, 0o444])
-def test_a_secret_is_taken_only_if_others_cannot_read_it(
-    tmp_path: Path, read_file: Callable[[Path], Any], mode: int
-) -> None:
+def test_a_secret_is_taken_only_if_others_cannot_read_it(tmp_path, read_file, mode) -> None:
     path = write_secret(tmp_path / "secret", "sesame")
     path.chmod(mode)
     if not mode & 0o077:

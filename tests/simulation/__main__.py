@@ -54,9 +54,7 @@ def main() -> int:
     parser.add_argument("--cast", choices=list(CASTS), help="play this one only")
     parser.add_argument("--hours", type=float, help="of a whole plant in place of fresh seeds")
     parser.add_argument(
-        "--broken",
-        action="store_true",
-        help="take out one rule at a time; each must be found",
+        "--broken", action="store_true", help="take out one rule at a time; each must be found"
     )
     options = parser.parse_args()
     logging.disable(logging.CRITICAL)
@@ -107,9 +105,6 @@ def _tell(failure: Failure) -> None:
     print(f"\nseed {failure.options.seed}\n{failure.error}\n{failure.options}\n")
     for line in list(failure.exchange.raw())[-LINES:]:
         print(line)
-
-
-# --- rules that are broken on purpose -------------------------------------------------------------
 
 
 def _find_all() -> int:

@@ -1,6 +1,4 @@
-"""
-Rules of the package broken on purpose, to see that the simulated world finds each of them.
-"""
+"""Rules of the package broken on purpose, to see that the simulated world finds each of them."""
 
 import contextlib
 from collections.abc import Callable, Iterator

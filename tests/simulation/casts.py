@@ -1,6 +1,4 @@
-"""
-Casts of a simulated world: who asks whom, over what, and what goes wrong.
-"""
+"""Casts of a simulated world: who asks whom, over what, and what goes wrong."""
 
 import asyncio
 import contextlib

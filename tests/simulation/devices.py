@@ -19,8 +19,7 @@ from .lines import Party, SerialLine
 from .network import Network
 from .sockets import DELAY, MemorySocket
 
-COUNT = 5
-"""How many registers a read asks for."""
+COUNT = 5  # how many registers a read asks for
 
 # Of the time in an answer, in seconds.
 RESOLUTION = 1e-6
@@ -45,8 +44,7 @@ class Behaviour:
     drop: float = 0.0  # the connection, in place of an answer
 
 
-Executed = Callable[[int, bytes], object]
-"""Told that a unit carries out a request PDU, now."""
+Executed = Callable[[int, bytes], object]  # told that a unit carries out a request PDU, now
 
 
 class Unit:

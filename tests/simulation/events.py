@@ -1,6 +1,4 @@
-"""
-What happens when, in simulated seconds. One seed decides every choice.
-"""
+"""What happens when, in simulated seconds. One seed decides every choice."""
 
 import heapq
 import itertools

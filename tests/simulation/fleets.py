@@ -1,6 +1,4 @@
-"""
-Casts with fleets: whole workers share devices through an engine, and something happens to them.
-"""
+"""Casts with fleets: workers share devices through an engine, and something happens to them."""
 
 import asyncio
 import itertools

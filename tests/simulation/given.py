@@ -1,6 +1,4 @@
-"""
-Tests that are coroutines: each is given first what was made for it, and then its fixtures.
-"""
+"""Tests that are coroutines: each is given first what was made for it, and then its fixtures."""
 
 import functools
 import inspect
@@ -14,11 +12,9 @@ Test = Callable[..., Coroutine[Any, Any, None]]
 
 def giving(run: Callable[[Test], None], count: int = 1) -> Callable[[Test], Callable[..., None]]:
     """
-    Return a decorator of tests.
-
-    Args:
-        run: calls what it is given with what it has made, and runs the coroutine to its end.
-        count: of the arguments with which `run` calls it; all further ones are fixtures.
+    Return a decorator of tests. `run`: calls what it is given with what it has made, and runs the
+    coroutine to its end; `count`: of the arguments with which `run` calls it; all further ones are
+    fixtures.
     """
 
     def decorate(test: Test) -> Callable[..., None]:

@@ -1,6 +1,4 @@
-"""
-Serial lines in memory: what one party writes, all others hear, a character at a time.
-"""
+"""Serial lines in memory: what one party writes, all others hear, a character at a time."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-An event loop on simulated time: when all wait, the clock moves to whatever is next.
-"""
+"""An event loop on simulated time: when all wait, the clock moves to whatever is next."""
 
 import asyncio
 import contextlib
@@ -151,11 +149,9 @@ class Selector(selectors._BaseSelectorImpl):
 
 class VirtualLoop(asyncio.SelectorEventLoop):
     """
-    An event loop whose time is that of the events.
-
-    Attributes:
-        early: the seconds by which timers end before their time. asyncio allows a loop the
-            resolution of its clock, which is one step of a float here unless a test says more.
+    An event loop whose time is that of the events. `early`: the seconds by which timers end before
+    their time. asyncio allows a loop the resolution of its clock, which is one step of a float here
+    unless a test says more.
     """
 
     early: float = 0.0
@@ -241,10 +237,8 @@ def complaints_of(loop: asyncio.AbstractEventLoop) -> Iterator[list[Mapping[str,
 
 def cancel_all(loop: VirtualLoop) -> set[asyncio.Task[Any]]:
     """
-    Cancel the tasks that are left, wait until they end, and return them.
-
-    Raises:
-        AssertionError: some do not end; they are named.
+    Cancel the tasks that are left, wait until they end, and return them. Raise `AssertionError`:
+    some do not end; they are named.
     """
     loop.before_cancelling()
     left = asyncio.all_tasks(loop)

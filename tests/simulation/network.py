@@ -1,6 +1,4 @@
-"""
-The network of a simulated world: hosts and lines by name, and the package made to use them.
-"""
+"""The network of a simulated world: hosts and lines by name, and the package made to use them."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,4 @@
-"""
-A plant of scripted units on one connection, which a fleet polls in simulated time.
-"""
+"""A plant of scripted units on one connection, which a fleet polls in simulated time."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable

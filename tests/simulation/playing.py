@@ -1,6 +1,4 @@
-"""
-Runs of a simulated world: which one a seed stands for, and the shortest that fails as it does.
-"""
+"""Runs of a simulated world: that of a seed, and the shortest that fails as it does."""
 
 import inspect
 import json
@@ -26,9 +24,8 @@ TEMPI = ((0.01, 20.0), (0.1, 60.0), (1.0, 60.0), (30.0, 4 * 3600.0))
 LONGEST = {"fleet": 60.0, "workers": 300.0, "busy line": 120.0, "odd hosts": 60.0}
 
 
-BY_NAME = ("plant", "new clients")
-"""Casts that are played when they are named. New clients of a line whose answers are late take more
-than one wrong value of 500, where two late answers meet."""
+BY_NAME = ("plant",)
+"""Casts that are played when they are named."""
 
 
 def chosen(seed: int) -> Options:

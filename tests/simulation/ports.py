@@ -12,7 +12,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, cast
 
-from libmodbus_py.ports.making import port_class
+from libmodbus_py.ports.port import port_class
 from libmodbus_py.ports.schemes import Transport
 from libmodbus_py.ports.waiting import READ, WRITE, Ready, Steps, Waker, Woken, milliseconds
 from libmodbus_py.protocol.errors import ModbusConnectionError
@@ -84,12 +84,7 @@ class _InMemory:
 
     descriptor: int
 
-    def join(
-        self,
-        descriptors: Descriptors,
-        connect: Connect,
-        waker: Callable[[], Waker],
-    ) -> None:
+    def join(self, descriptors: Descriptors, connect: Connect, waker: Callable[[], Waker]) -> None:
         """Use a network in memory."""
         self._descriptors = descriptors
         self._connect = connect

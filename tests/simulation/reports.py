@@ -21,8 +21,7 @@ Ask = Callable[[AsyncClient, int], Awaitable[None]]
 # A unit that the client does not ask: what its own master asks, and what it answers.
 OTHER = (rtu("f0 03 0000 0001"), rtu("f0 03 02 0007"))
 
-TRIES = 10
-"""After so many requests each unit has answered, although others go on to talk."""
+TRIES = 10  # after so many requests each unit has answered, although others go on to talk
 
 
 async def on_busy_line(world: World) -> None:
@@ -53,11 +52,13 @@ async def _talk(world: World, pieces: tuple[bytes, ...], pause: tuple[float, flo
 
 
 async def with_new_clients(world: World) -> None:
-    """A client for each poll of five requests, as in a function; some answers are late."""
+    """A client for each poll of five requests, as in a function; one answer in 40 is late."""
     timeout = 0.1
     world.options = replace(world.options, faults=("late",))
     is_serial = world.random.random() < 0.5
     url = _line(world, timeout) if is_serial else _host(world, "rtu+tcp", timeout)
+    for unit in world.units:
+        unit.behaviour = replace(unit.behaviour, late=1 / 40)
     until = world.events.now + world.options.seconds
     while world.events.now < until:
         await asyncio.sleep(world.pause())

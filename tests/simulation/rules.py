@@ -21,8 +21,7 @@ EXACT = 2e-6
 # How long a request may be on its way to a gateway.
 ARRIVING = 0.001
 
-Key = tuple[int, bytes]
-"""A unit and a request PDU."""
+Key = tuple[int, bytes]  # a unit and a request PDU
 
 
 class Broken(AssertionError):
@@ -194,9 +193,6 @@ def _text(key: Key) -> str:
     unit, pdu = key
     kind = {3: "read", 6: "write"}.get(pdu[0], str(pdu[0]))
     return f"unit {unit} {kind} {pdu[1:].hex(' ')}"
-
-
-# --- what is sent ---------------------------------------------------------------------------------
 
 
 class Wire:

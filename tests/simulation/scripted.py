@@ -1,6 +1,4 @@
-"""
-Peers that do what a test says, on a network in memory: over TCP, TLS and UDP, and on a line.
-"""
+"""Peers that do what a test says, on a network in memory: over TCP, TLS and UDP, and on a line."""
 
 from collections import deque
 from collections.abc import Callable

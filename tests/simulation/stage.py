@@ -31,11 +31,9 @@ from .sockets import MemorySocket
 
 Result = TypeVar("Result")
 
-DESCRIPTORS = 20_000
-"""What a process of the simulated machine may have open, whatever this one may."""
+DESCRIPTORS = 20_000  # what a process of the simulated machine may have open, whatever this one may
 
-PATIENCE = 3600.0
-"""Simulated seconds that a test waits for what is to come."""
+PATIENCE = 3600.0  # simulated seconds that a test waits for what is to come
 
 
 class Stage(Network):

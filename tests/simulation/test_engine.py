@@ -1,6 +1,4 @@
-"""
-The simulated engine: whole workers run on it, and it fails in the ways it is told to.
-"""
+"""The simulated engine: whole workers run on it, and it fails in the ways it is told to."""
 
 import asyncio
 

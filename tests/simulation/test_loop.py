@@ -1,11 +1,8 @@
-"""
-The clock, the loop and the network of the simulated world.
-"""
+"""The clock, the loop and the network of the simulated world."""
 
 import asyncio
 import math
 import struct
-from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,13 +10,11 @@ from typing import Any
 import pytest
 
 from libmodbus_py import (
-    AsyncClient,
     Client,
     Device,
     Fault,
     Fleet,
     Mapping,
-    ModbusConnectionError,
     ModbusTimeoutError,
     Server,
 )
@@ -34,10 +29,9 @@ from tests.support.served import ANSWER_ONE, served
 
 from .casts import CASTS
 from .events import START
-from .loop import Stuck, VirtualLoop
+from .loop import VirtualLoop
 from .network import Network
 from .playing import chosen, play
-from .scripted import Scripted
 from .stage import Stage
 
 # The casts without a whole plant, which takes minutes.
@@ -70,57 +64,6 @@ def test_no_timer_ends_before_its_time_or_more_than_a_step_later(start: float) -
             assert due <= loop.time() <= math.nextafter(due, math.inf)
 
     network.run(wait)
-
-
-async def ask_the_clock() -> None:
-    while True:
-        await asyncio.sleep(0)
-
-
-async def set_a_timer_that_is_due() -> None:
-    loop = asyncio.get_running_loop()
-    while True:
-        await asyncio.sleep(math.ulp(loop.time()) / 4)
-
-
-@each_case("spin", [ask_the_clock, set_a_timer_that_is_due])
-def test_who_keeps_the_loop_turning_at_one_time_ends_it(
-    spin: Callable[[], Coroutine[Any, Any, None]],
-) -> None:
-    with pytest.raises(Stuck, match=r"the loop turns without end at 1000\.0 s"):
-        Network().run(spin)
-
-
-async def wait_in_vain() -> None:
-    while True:
-        try:
-            await asyncio.get_running_loop().create_future()
-        except asyncio.CancelledError:
-            continue
-
-
-async def never_wait() -> None:
-    while True:
-        try:
-            await asyncio.sleep(0)
-        except asyncio.CancelledError:
-            continue
-
-
-@each_case("last", [wait_in_vain, never_wait])
-def test_a_task_that_does_not_end_is_named(last: Callable[[], Coroutine[Any, Any, None]]) -> None:
-    kept: list[asyncio.Task[None]] = []
-
-    async def main() -> None:
-        task = asyncio.create_task(last(), name="the endless one")
-        await asyncio.sleep(0)
-        kept.append(task)  # else it is garbage while it waits, of which asyncio complains
-
-    with pytest.raises(AssertionError, match=r"did not end: .*the endless one"):
-        Network().run(main)
-
-
-# --- timers that end early ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("cast", QUICK)
@@ -175,50 +118,6 @@ def patch_with_note(patch: pytest.MonkeyPatch, name: str, calls: list[str]) -> N
 
 
 READ = bytes.fromhex("0001 0000 0006 11 03 0002 0001")
-
-
-def test_pauses_between_attempts_to_connect_are_those_of_the_seed() -> None:
-    def times(seed: int) -> list[float]:
-        network = Network(seed)
-        peer = Scripted(network, "tcp://10.0.0.1", lambda request, write: peer.drop_all())
-
-        async def main() -> None:
-            async with AsyncClient(peer.url, timeout=10) as plc:
-                for _ in range(5):
-                    with pytest.raises(ModbusConnectionError):
-                        await plc.read_coils(0, 1)
-
-        network.run(main)
-        return peer.times
-
-    assert times(1) == times(1) != times(2)
-
-
-def test_waiting_for_an_answer_takes_simulated_seconds_only() -> None:
-    network = Network()
-    peer = Scripted(network, "tcp://10.0.0.1", lambda request, write: None)
-    before = network.events.now
-    with (
-        network.installed(),
-        Client(peer.url, timeout=86_400) as context,
-        pytest.raises(ModbusTimeoutError, match="within 86400 s"),
-    ):
-        context.read_holding_registers(0, 1)
-    assert 86_400 <= network.events.now - before < 86_401
-
-
-def test_nobody_listens() -> None:
-    network = Network()
-
-    async def main() -> None:
-        with pytest.raises(ModbusConnectionError, match="Connection refused"):
-            await AsyncClient("tcp://10.0.0.1").connect()
-        network.unreachable.add("10.0.0.1")
-        with pytest.raises(ModbusConnectionError, match="within 7 s"):
-            await AsyncClient("tcp://10.0.0.1", timeout=7).connect()
-        assert network.events.now >= 1007
-
-    network.run(main)
 
 
 def test_on_a_stage_time_passes_only_while_the_test_waits() -> None:

@@ -1,6 +1,4 @@
-"""
-A simulated world: a network, a witness, units that misbehave, and how clients ask them.
-"""
+"""A simulated world: a network, a witness, units that misbehave, and how clients ask them."""
 
 import asyncio
 import random
@@ -16,8 +14,7 @@ from .network import Network
 from .processes import HOST
 from .rules import Call, Wire, Witness
 
-Ask = Callable[[int], Awaitable[None]]
-"""Asks a unit once."""
+Ask = Callable[[int], Awaitable[None]]  # asks a unit once
 
 FAULTS = ("silent", "late", "refuse", "split", "flip", "drop", "other_function", "cancel", "twice")
 """What may go wrong; each may be left out to find the shortest run that fails."""

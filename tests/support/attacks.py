@@ -42,9 +42,7 @@ def adu(pdu: bytes, transaction: int = 1, unit: int = UNIT, **changed: int) -> b
 def connect(target: str | int, source: str = "") -> socket.socket:
     """
     Connect to a URL, or to a port of 127.0.0.1; over UDP, be ready to send datagrams there.
-
-    Args:
-        source: the address that the connection comes from.
+    `source`: the address that the connection comes from.
     """
     endpoint = parse(f"tcp://127.0.0.1:{target}" if isinstance(target, int) else target)
     place = (endpoint.host, endpoint.port)
@@ -79,13 +77,8 @@ def ask(connection: socket.socket, request: bytes, answer: bytes) -> None:
 @contextlib.contextmanager
 def descriptor_limit(wanted: int | None = None) -> Iterator[int]:
     """
-    Set the limit of descriptors of this process and of those it starts.
-
-    Args:
-        wanted: None for as many as there may be.
-
-    Returns:
-        How many there are.
+    Set the limit of descriptors of this process and of those it starts. `wanted`: None for as many
+    as there may be. Return how many there are.
     """
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     soft = before[1] if wanted is None else wanted
@@ -98,11 +91,8 @@ def descriptor_limit(wanted: int | None = None) -> Iterator[int]:
 
 class ServerProcess:
     """
-    ``libmodbus-py serve`` on a free port; it must stop when it is told to.
-
-    Args:
-        pki: for TLS, of the first endpoint.
-        attacked: the scheme of another endpoint on 127.0.0.1; None for the same one.
+    ``libmodbus-py serve`` on a free port; it must stop when it is told to. `pki`: for TLS, of the
+    first endpoint; `attacked`: the scheme of another endpoint on 127.0.0.1; None for the same one.
     """
 
     def __init__(
@@ -167,8 +157,6 @@ class ServerProcess:
         return True
 
 
-# --- honest work, and much of it ---------------------------------------------------------
-
 ANSWER_ONE = bytes.fromhex("03 02 0000")
 BLOCK = 100
 
@@ -194,9 +182,6 @@ def pipeline(port: int, requests: int) -> None:
             assert receive(connection, len(expected)) == expected
 
 
-# --- the attacks -------------------------------------------------------------------------
-
-
 class Step(NamedTuple):
     """What an attacker sends, how many bytes it waits for then, and how many seconds."""
 
@@ -211,10 +196,7 @@ Script = Callable[[], Iterator[Step]]
 
 @dataclass(frozen=True)
 class Attack:
-    """
-    Attributes:
-        on_tls: whether it is for a server that speaks TLS.
-    """
+    """`on_tls`: whether it is for a server that speaks TLS."""
 
     name: str
     connections: int

@@ -1,6 +1,4 @@
-"""
-Programs in C that talk through libmodbus, compiled once for all tests.
-"""
+"""Programs in C that talk through libmodbus, compiled once for all tests."""
 
 import shutil
 import subprocess

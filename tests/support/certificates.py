@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from libmodbus_py import Security, Server
-from libmodbus_py.security.role import ROLE_OID, encode_role
+from libmodbus_py.security.certificates import ROLE_OID, encode_role
 from libmodbus_py.tools.certificates import Identity, make
 
 HOSTS = ("localhost", "127.0.0.1", "::1")
@@ -82,12 +82,8 @@ def revocation_list(
     *revoked: Identity, issuer: Identity | None = None, days: float = 30.0
 ) -> bytes:
     """
-    Return a revocation list in PEM.
-
-    Args:
-        revoked: whose certificates it has.
-        issuer: who signs it; the authority if not given.
-        days: how long it is valid; negative for one that has ended.
+    Return a revocation list in PEM. `revoked`: whose certificates it has; `issuer`: who signs it;
+    the authority if not given; `days`: how long it is valid; negative for one that has ended.
     """
     issuer = issuer or authority()
     begin = datetime.now(UTC) - timedelta(days=400)
@@ -118,10 +114,8 @@ def with_roles(
 ) -> Identity:
     """
     The same with these role extensions instead of its own: none, two, or what is not a role.
-
-    Args:
-        values: bytes as they are, text as it should be.
-        issuer: who signs; the authority if not given.
+    `values`: bytes as they are, text as it should be; `issuer`: who signs; the authority if not
+    given.
     """
     role = x509.ObjectIdentifier(ROLE_OID)
     roles = [encode_role(value) if isinstance(value, str) else value for value in values]
@@ -162,10 +156,8 @@ class Files:
 
 class Pki:
     """
-    An authority and the certificates of both sides of a test, in files of one directory.
-
-    Attributes:
-        ca: the authority that both trust.
+    An authority and the certificates of both sides of a test, in files of one directory. `ca`: the
+    authority that both trust.
     """
 
     def __init__(self, directory: Path) -> None:

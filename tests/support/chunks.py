@@ -1,6 +1,4 @@
-"""
-A server's end of a connection, without the connection, and random requests for it.
-"""
+"""A server's end of a connection, without the connection, and random requests for it."""
 
 from __future__ import annotations
 
@@ -14,15 +12,14 @@ from libmodbus_py import Device, Mapping, pdu
 from libmodbus_py.ports.endpoint import parse
 from libmodbus_py.ports.trace import Trace
 from libmodbus_py.protocol.errors import FrameError
-from libmodbus_py.security.describing import CertificateHolder
+from libmodbus_py.security.certificates import CertificateHolder
 from libmodbus_py.server.framed import SessionSettings
 from libmodbus_py.server.limits import ServerStatistics
 from libmodbus_py.server.service import SessionState
 from libmodbus_py.server.sessions import ByChunk, ByFrame, Singles
 from libmodbus_py.server.units import TcpUnits, Units
 
-REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
-"""The functions that libmodbus answers from a mapping."""
+REPLIED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)  # the functions that libmodbus answers from a mapping
 
 
 BITS = [number % 3 == 0 for number in range(37)]

@@ -22,8 +22,7 @@ from tests.simulation.scripted import Scripted
 from tests.support.peers import OnRequest
 from tests.support.urls import url_for
 
-KINDS = ["blocking", "asyncio"]
-"""`Client` and `AsyncClient`."""
+KINDS = ["blocking", "asyncio"]  # `Client` and `AsyncClient`
 
 ALL = pytest.mark.parametrize("kind", KINDS)
 
@@ -39,12 +38,7 @@ def read(client: Any, address: int) -> int:
 
 
 class Awaited:
-    """
-    An `AsyncClient` with the calls of a `Client`.
-
-    Args:
-        run: returns what an awaitable returns.
-    """
+    """An `AsyncClient` with the calls of a `Client`. `run`: returns what an awaitable returns."""
 
     def __init__(self, run: Callable[[Any], Any], plc: AsyncClient) -> None:
         vars(self).update(_run=run, _plc=plc)
@@ -88,9 +82,6 @@ class Awaited:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-# --- on the real system -----------------------------------------------------------------------
 
 
 @contextmanager
@@ -137,16 +128,10 @@ def running_loop() -> Iterator[asyncio.AbstractEventLoop]:
     assert not left
 
 
-# --- on a network in memory -------------------------------------------------------------------
-
-
 class World:
     """
     Clients of one kind, and peers for them, on a network in memory: waiting takes no time, and
-    times are exact.
-
-    Attributes:
-        kind: one of `KINDS`.
+    times are exact. `kind`: one of `KINDS`.
     """
 
     def __init__(self, kind: str, network: Network, loop: VirtualLoop) -> None:
@@ -187,11 +172,8 @@ class World:
     @contextmanager
     def lasting(self, seconds: float, more: float = 0.002) -> Iterator[None]:
         """
-        Demand that what is done within takes so many seconds.
-
-        Args:
-            more: how much longer it may take: the way of a request, and the millisecond that
-                `poll` counts.
+        Demand that what is done within takes so many seconds. `more`: how much longer it may take:
+        the way of a request, and the millisecond that `poll` counts.
         """
         start = self.now
         yield

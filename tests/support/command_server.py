@@ -40,10 +40,8 @@ def import_everything() -> None:
 
 def serve(requests: socket.socket) -> dict[str, Any] | None:
     """
-    Fork a process for each request.
-
-    Returns:
-        The request, in the process that is to run it; None at the end of the requests.
+    Fork a process for each request. Return the request, in the process that is to run it; None at
+    the end of the requests.
     """
     while True:
         data, descriptors, _, _ = socket.recv_fds(requests, LONGEST_REQUEST, 3)

@@ -38,8 +38,7 @@ ROOT = Path(__file__).parents[2]
 PAGE_TOKEN = {"LIBMODBUS_PY_PAGE_TOKEN": "Bookmarked-by_the-plant-2026"}
 """The environment of a command whose page has a known token."""
 
-PATIENCE = 60.0
-"""Seconds until a command that does not end is a failure."""
+PATIENCE = 60.0  # seconds until a command that does not end is a failure
 
 PR_SET_CHILD_SUBREAPER = 36
 
@@ -52,9 +51,6 @@ def page_url(line: str) -> str:
     return url.replace("...", *PAGE_TOKEN.values())
 
 
-# --- in this process ------------------------------------------------------------------------
-
-
 class Done(NamedTuple):
     """How a command ended: its exit code, and what it printed."""
 
@@ -64,17 +60,12 @@ class Done(NamedTuple):
 
 
 def run(
-    *arguments: object,
-    out: TextIO | None = None,
-    environment: Mapping[str, str] | None = None,
+    *arguments: object, out: TextIO | None = None, environment: Mapping[str, str] | None = None
 ) -> Done:
     """
-    Call the command line in this process.
-
-    Args:
-        arguments: as they are typed, without the name of the program.
-        out: the standard output; None collects it.
-        environment: variables beside those of this process.
+    Call the command line in this process. `arguments`: as they are typed, without the name of the
+    program; `out`: the standard output; None collects it; `environment`: variables beside those of
+    this process.
     """
     printed, errors = _Collected(), _Collected()
     with (
@@ -117,9 +108,6 @@ def _as_a_program(environment: Mapping[str, str]) -> Iterator[None]:
         os.environ.update(variables)
 
 
-# --- in a process of its own ----------------------------------------------------------------
-
-
 @cache
 def _command_server() -> socket.socket:
     """Start the process that forks commands; it ends with this one."""
@@ -158,16 +146,10 @@ def _fork(request: Mapping[str, object], descriptors: list[int]) -> int:
 
 class Started:
     """
-    A command in a process of its own, with the methods of `subprocess.Popen`.
-
-    Args:
-        stdin, stdout, stderr: descriptors; None is a pipe for both outputs, and an empty input.
-        environment: variables beside those of this process.
-        folder: the command's; None is that of this process.
-
-    Attributes:
-        stdout, stderr: the pipes.
-        returncode: None while the command runs.
+    A command in a process of its own, with the methods of `subprocess.Popen`. `stdin, stdout,
+    stderr`: descriptors; None is a pipe for both outputs, and an empty input; `environment`:
+    variables beside those of this process; `folder`: the command's; None is that of this process.
+    `stdout, stderr`: the pipes; `returncode`: None while the command runs.
     """
 
     def __init__(
@@ -223,10 +205,8 @@ class Started:
 
     def wait(self, seconds: float = PATIENCE) -> int:
         """
-        Wait until the command ends, and return its exit code; minus a signal's number.
-
-        Raises:
-            subprocess.TimeoutExpired: the command still runs.
+        Wait until the command ends, and return its exit code; minus a signal's number. Raise
+        `subprocess.TimeoutExpired`: the command still runs.
         """
         if self.poll() is None:
             descriptor = os.pidfd_open(self.pid)
@@ -277,15 +257,10 @@ def _pipe(given: contextlib.ExitStack, descriptor: int | None) -> tuple[TextIO, 
     return open(reading, encoding="utf-8", errors="replace"), writing
 
 
-# --- on a terminal --------------------------------------------------------------------------
-
-
 class Terminal:
     """
-    A command whose input and outputs are a terminal.
-
-    Args:
-        stdout: a descriptor in place of the terminal.
+    A command whose input and outputs are a terminal. `stdout`: a descriptor in place of the
+    terminal.
     """
 
     def __init__(

@@ -1,6 +1,4 @@
-"""
-Contexts that are libmodbus, for a URL; and slaves by hand, each in a thread.
-"""
+"""Contexts that are libmodbus, for a URL; and slaves by hand, each in a thread."""
 
 import contextlib
 import threading

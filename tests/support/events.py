@@ -1,6 +1,4 @@
-"""
-What an audit trail records, parted by whose events they are, and the certificates in it.
-"""
+"""What an audit trail records, parted by whose events they are, and the certificates in it."""
 
 from cryptography import x509
 from cryptography.hazmat.primitives.hashes import SHA256

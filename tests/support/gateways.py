@@ -1,6 +1,4 @@
-"""
-What the tests of gateways share: devices behind a line of any kind, and a gateway before it.
-"""
+"""What the tests of gateways share: devices behind a line of any kind, and a gateway before it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,12 +11,7 @@ from tests.support.transports import serving
 
 
 class Passage(NamedTuple):
-    """
-    A gateway that serves.
-
-    Attributes:
-        url: where clients find it.
-    """
+    """A gateway that serves. `url`: where clients find it."""
 
     gateway: Gateway
     url: str
@@ -30,11 +23,8 @@ class Passage(NamedTuple):
 @contextmanager
 def at_one_end(scheme: str, served: Any, stage: Stage | None, name: str) -> Iterator[str]:
     """
-    Serve on one kind of line, and yield the URL of a client.
-
-    Args:
-        served: a server or a gateway.
-        stage: where the line is, in place of the system; a serial one then has this name.
+    Serve on one kind of line, and yield the URL of a client. `served`: a server or a gateway;
+    `stage`: where the line is, in place of the system; a serial one then has this name.
     """
     if stage is not None and scheme in ("rtu", "ascii"):
         url = f"{scheme}:///dev/{name}?baudrate={BAUDRATE}"
@@ -58,12 +48,9 @@ def passage(
     **options: Any,
 ) -> Iterator[Passage]:
     """
-    Devices on one kind of line, clients on another.
-
-    Args:
-        line_options: of the gateway's client, as in URLs.
-        route: further arguments of the route; options: of the gateway.
-        stage: where all of it is, in place of the system.
+    Devices on one kind of line, clients on another. `line_options`: of the gateway's client, as in
+    URLs; `route`: further arguments of the route; options: of the gateway; `stage`: where all of it
+    is, in place of the system.
     """
     given = {UNIT: make_device()} if devices is None else devices
     with at_one_end(back, Server(given, faults=faults), stage, "back") as line:

@@ -4,7 +4,7 @@ Long outputs that are compared with files: `tests/FOLDER/golden/NAME`.
 `./run test --make-golden tests/cli` writes the files again; `git diff` then shows what has changed.
 """
 
-import ast
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -40,17 +40,18 @@ def refused(request: pytest.FixtureRequest, golden: Golden) -> Refused:
     """
     Return a function that compares a golden file of mistakes with what is said of them.
 
-    For each mistake the file has what is given, as Python writes it, with the message in the next
-    line; then an empty line. The function takes the name of the file, and what takes what is given
-    and raises a TypeError or ValueError of one line.
+    For each mistake the file has what is given, an expression of Python, with the message in the
+    next line; then an empty line. The function takes the name of the file, and what takes what is
+    given and raises a ValueError, or a TypeError, of one line.
     """
 
     def compare(name: str, call: Callable[[Any], object]) -> None:
         lines = []
         for given in (request.path.parent / "golden" / name).read_text().split("\n")[::3]:
             with pytest.raises((TypeError, ValueError)) as caught:
-                call(ast.literal_eval(given))
-            message = str(caught.value)
+                call(eval(given, {"math": math}))
+            kind = "TypeError: " if isinstance(caught.value, TypeError) else ""
+            message = f"{kind}{caught.value}"
             assert message.isprintable()
             assert len(message) < 1000
             lines += [given, f"    {message}", ""]

@@ -1,6 +1,4 @@
-"""
-Tests of the asyncio client that run in one event loop, with a peer, in simulated time.
-"""
+"""Tests of the asyncio client that run in one event loop, with a peer, in simulated time."""
 
 from collections.abc import Awaitable, Callable
 from typing import Any

@@ -109,9 +109,6 @@ def restore_through(context: Client, function: int) -> None:
             context.write_registers(first, cells(holding_register, first, 100))
 
 
-# --- ids ---------------------------------------------------------------------------
-
-
 # A case of a table, and its id.
 Case = TypeVar("Case")
 Record = Callable[[str, object], None]
@@ -122,10 +119,8 @@ def tried(
 ) -> Generator[tuple[Check, Case], None, None]:
     """
     Yield each case with its check, as `each` does, and record under its id what became of it.
-
-    Args:
-        record: the fixture record_property, whose records interop_report.py reads.
-        cases: each with its id, of `case_id`.
+    `record`: the fixture record_property, whose records interop_report.py reads; `cases`: each with
+    its id, of `case_id`.
     """
     for check, (name, case) in each(cases, lambda case: case[0]):
         yield check, case
@@ -134,22 +129,13 @@ def tried(
 
 def case_id(peer: str, role: str, transport: str, function: int, *more: str) -> str:
     """
-    Name a test, or a case of one, as interop_report.py reads it.
-
-    Such a name is "mbpoll-server-tcp-fc03-most".
-
-    Args:
-        peer: the other program.
-        role: "client" or "server": what this package is.
-        transport: the scheme of the URL.
-        function: the function code.
-        more: what else tells it from its neighbours. "refused" says that an
-            exception is the right answer, "pinned" that the peer errs.
+    Name a test, or a case of one, as interop_report.py reads it. Such a name is
+    "mbpoll-server-tcp-fc03-most". `peer`: the other program; `role`: "client" or "server": what
+    this package is; `transport`: the scheme of the URL; `function`: the function code; `more`: what
+    else tells it from its neighbours. "refused" says that an exception is the right answer,
+    "pinned" that the peer errs.
     """
     return "-".join([peer, role, transport, f"fc{function:02}", *more])
-
-
-# --- our server ----------------------------------------------------------------------
 
 
 class Place(NamedTuple):
@@ -192,9 +178,6 @@ def our_tls_server(pki: Pki, devices: Device | dict[int, Device]) -> Iterator[Tc
         yield wire
 
 
-# --- other programs --------------------------------------------------------------------
-
-
 @contextlib.contextmanager
 def program(*command: object) -> Iterator[subprocess.Popen[str]]:
     """Run a program with pipes for input and output until the block ends."""
@@ -224,9 +207,6 @@ def c_serving(server: Path, transport: str) -> Iterator[str]:
             yield f"rtu://{wire.client}?baudrate={BAUDRATE}"
         else:
             yield f"tcp://127.0.0.1:{port}"
-
-
-# --- what our clients ask -----------------------------------------------------------------
 
 
 def connected(url: str, **options: Any) -> Client:
@@ -314,9 +294,6 @@ def check_all(context: Client) -> None:
     for exchange in refusals():
         with pytest.raises(IllegalDataAddress):
             exchange.ask(context)
-
-
-# --- our clients and a server of others -----------------------------------------------------
 
 
 def of_a_client(

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import pytest
 from _pytest.logging import caplog_records_key
 
-from libmodbus_py.device.reply import replier
+from libmodbus_py.binding.library import replier
 
 # Threads and processes that are about to end may take so long, in seconds. Only what is left
 # behind for good waits for all of it.
@@ -52,13 +52,8 @@ def lasts(descriptor: int, process: int) -> None:
 
 class Snapshot(NamedTuple):
     """
-    What there is at one time.
-
-    Attributes:
-        descriptors: numbers, as text.
-        threads: those that Python knows by name.
-        started: how many threads run Python in all.
-        children: process ids.
+    What there is at one time. `descriptors`: numbers, as text; `threads`: those that Python knows
+    by name; `started`: how many threads run Python in all; `children`: process ids.
     """
 
     descriptors: frozenset[str]
@@ -101,9 +96,6 @@ def _children() -> frozenset[str]:
         with contextlib.suppress(OSError):  # a thread that has ended meanwhile
             found.update((task / "children").read_text().split())
     return frozenset(found)
-
-
-# --- names -------------------------------------------------------------------------------
 
 
 def _names(before: Snapshot, after: Snapshot) -> list[str]:
@@ -162,15 +154,10 @@ def _named_process(number: str) -> str:
     return ""
 
 
-# --- event loops -------------------------------------------------------------------------
-
-
 class Loops:
     """
-    The event loops of a test, and what they held when they were closed.
-
-    Attributes:
-        left: tasks and timers of loops that were closed since the last look, by name.
+    The event loops of a test, and what they held when they were closed. `left`: tasks and timers of
+    loops that were closed since the last look, by name.
     """
 
     def __init__(self) -> None:
@@ -243,9 +230,6 @@ def _tell_before(owner: Any, name: str, tell: Callable[..., None]) -> None:
     setattr(owner, name, telling)
 
 
-# --- each test ---------------------------------------------------------------------------
-
-
 def freeze() -> None:
     """Leave what lives now out of every later collection, which it makes slow; PyPy cannot."""
     if hasattr(gc, "freeze"):
@@ -278,11 +262,8 @@ def _let_go_of_logs(item: pytest.Item) -> None:
 
 def settled(before: Snapshot, names: list[str]) -> list[str]:
     """
-    Collect garbage, and return the names of what is still there after a moment.
-
-    Args:
-        before: what there was.
-        names: of what event loops left.
+    Collect garbage, and return the names of what is still there after a moment. `before`: what
+    there was; `names`: of what event loops left.
     """
     # Frozen is what lived when the last test ended; so this looks at what this one made.
     gc.collect()

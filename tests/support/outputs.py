@@ -1,6 +1,4 @@
-"""
-Outputs that a pump writes to, or a test directly, and one that takes what it likes.
-"""
+"""Outputs that a pump writes to, or a test directly, and one that takes what it likes."""
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence
@@ -19,15 +17,11 @@ def reading(device: str, name: str, value: Any = 1, time: float = 100.0) -> Read
 
 class FakeOutput(Output):
     """
-    An output that takes what it likes.
-
-    Attributes:
-        is_away: True while it can neither be opened nor written to.
-        next: what the next writes do: an exception to raise, or seconds to take.
-        refused: devices; a write with readings of one raises `error`.
-        batches: the readings of each write that succeeded.
-        failed: the number of writes that were refused.
-        opened_at: the times of the loop at which it was opened.
+    An output that takes what it likes. `is_away`: True while it can neither be opened nor written
+    to; `next`: what the next writes do: an exception to raise, or seconds to take; `refused`:
+    devices; a write with readings of one raises `error`; `batches`: the readings of each write that
+    succeeded; `failed`: the number of writes that were refused; `opened_at`: the times of the loop
+    at which it was opened.
     """
 
     def __init__(

@@ -42,9 +42,6 @@ Answer = Callable[[bytes], Iterable[bytes]]
 """Returns for a request the bytes that answer it, in pieces."""
 
 
-# --- what is answered -----------------------------------------------------------------------
-
-
 def answering(*answers: Answer | None) -> OnRequest:
     """Answer as the first says, then as the next; the last goes on. None closes the connection."""
     rest = list(answers)
@@ -108,18 +105,11 @@ def answer(request: bytes, scheme: str, unit: int | None = None) -> bytes:
     return body + framing.crc16(body).to_bytes(2, "little")
 
 
-# --- who answers ------------------------------------------------------------------------------
-
-
 class Peer:
     """
-    Runs in a thread of its own between `__enter__` and `__exit__`.
-
-    Attributes:
-        on_request: called in that thread, with each request and what answers it.
-        requests: all that came, oldest first; `times` when (time.monotonic).
-        connections: how many were made.
-        url: where the client goes.
+    Runs in a thread of its own between `__enter__` and `__exit__`. `on_request`: called in that
+    thread, with each request and what answers it; `requests`: all that came, oldest first; `times`
+    when (time.monotonic); `connections`: how many were made; `url`: where the client goes.
     """
 
     url: str
@@ -186,11 +176,8 @@ class Peer:
 
 class TcpPeer(Peer):
     """
-    Answers all connections.
-
-    Args:
-        scheme: of the URL. "tcp" and "tls" have each request cut out whole; else whatever came
-            together is one.
+    Answers all connections. `scheme`: of the URL. "tcp" and "tls" have each request cut out whole;
+    else whatever came together is one.
     """
 
     def __init__(self, on_request: OnRequest, scheme: str = "tcp") -> None:
@@ -300,15 +287,8 @@ class TcpPeer(Peer):
 
 class UdpPeer(Peer):
     """
-    Answers datagrams.
-
-    Args:
-        scheme: of the URL.
-        family: AF_INET or AF_INET6, on the loopback address.
-        port: 0 for any that is free.
-
-    Attributes:
-        clients: the address of each request's sender.
+    Answers datagrams. `scheme`: of the URL; `family`: AF_INET or AF_INET6, on the loopback address;
+    `port`: 0 for any that is free. `clients`: the address of each request's sender.
     """
 
     def __init__(
@@ -345,12 +325,7 @@ class UdpPeer(Peer):
 
 
 class LinePeer(Peer):
-    """
-    A unit on a pseudo-terminal.
-
-    Attributes:
-        path: of the device.
-    """
+    """A unit on a pseudo-terminal. `path`: of the device."""
 
     def __init__(self, on_request: OnRequest, scheme: str = "rtu") -> None:
         super().__init__(on_request)
@@ -396,9 +371,6 @@ class FakeUnit(LinePeer):
 
     def __init__(self, *answers: Answer) -> None:
         super().__init__(answering(*answers))
-
-
-# --- who does not answer ------------------------------------------------------------------------
 
 
 @contextlib.contextmanager

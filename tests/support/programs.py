@@ -1,6 +1,4 @@
-"""
-Programs that tests, fuzzers and benchmarks start, found also where a user's PATH does not lead.
-"""
+"""Programs that tests, fuzzers and benchmarks start, also those outside a user's PATH."""
 
 import os
 import shutil
@@ -20,12 +18,7 @@ def find(name: str) -> str | None:
 
 
 def program(name: str) -> str:
-    """
-    Return the path of a program.
-
-    Raises:
-        FileNotFoundError: the program is not installed.
-    """
+    """Return the path of a program. Raise `FileNotFoundError`: the program is not installed."""
     found = find(name)
     if found is None:
         raise FileNotFoundError(f"{name} is not installed")
@@ -47,12 +40,9 @@ def run_to_end(
 
 class HeldPort:
     """
-    A port of 127.0.0.1 that the system gives to nobody else until it is closed.
-
-    A program that sets SO_REUSEADDR may listen there, as servers do, and may end and start again.
-
-    Attributes:
-        number: of the port.
+    A port of 127.0.0.1 that the system gives to nobody else until it is closed. A program that sets
+    SO_REUSEADDR may listen there, as servers do, and may end and start again. `number`: of the
+    port.
     """
 
     def __init__(self) -> None:
@@ -73,10 +63,8 @@ class HeldPort:
 
 def listens(process: subprocess.Popen[Any], port: int) -> None:
     """
-    Wait until a server accepts connections at a port of 127.0.0.1.
-
-    Raises:
-        AssertionError: the server ended, or does not listen for 20 s.
+    Wait until a server accepts connections at a port of 127.0.0.1. Raise `AssertionError`: the
+    server ended, or does not listen for 20 s.
     """
     for _ in range(2000):
         try:

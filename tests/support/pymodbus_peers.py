@@ -1,6 +1,4 @@
-"""
-Clients and servers of pymodbus, on each transport that it has.
-"""
+"""Clients and servers of pymodbus, on each transport that it has."""
 
 import asyncio
 import contextlib
@@ -13,19 +11,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from pymodbus.client import (
-    ModbusSerialClient,
-    ModbusTcpClient,
-    ModbusTlsClient,
-    ModbusUdpClient,
-)
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient, ModbusTlsClient, ModbusUdpClient
 from pymodbus.framer import FramerType
-from pymodbus.server import (
-    ModbusSerialServer,
-    ModbusTcpServer,
-    ModbusTlsServer,
-    ModbusUdpServer,
-)
+from pymodbus.server import ModbusSerialServer, ModbusTcpServer, ModbusTlsServer, ModbusUdpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from libmodbus_py.ports.endpoint import parse

@@ -1,6 +1,4 @@
-"""
-Reads of one register each, and a peer that answers a read with its address.
-"""
+"""Reads of one register each, and a peer that answers a read with its address."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""
-What answers the requests of a `Talk`, whatever their framing.
-"""
+"""What answers the requests of a `Talk`, whatever their framing."""
 
 import pytest
 
@@ -29,11 +27,8 @@ def exchange(
     talk: Talk, address: int, result: int | None = None, unit: int = 1, after: float = 0.0
 ) -> None:
     """
-    Ask for a register, and check that what is answered is the result at once.
-
-    Args:
-        result: what is answered; by default the address.
-        after: how many seconds the answer takes.
+    Ask for a register, and check that what is answered is the result at once. `result`: what is
+    answered; by default the address; `after`: how many seconds the answer takes.
     """
     number = address if result is None else result
     batch = talk.ask(address, unit=unit)

@@ -26,15 +26,9 @@ def run(main: Coroutine[Any, Any, Any]) -> Any:
 
 class Scripted:
     """
-    Cuts what comes into whole MBAP requests and hands each to `on_request`.
-
-    Args:
-        on_request: called with a request and what writes to its client; None in
-            place of an answer closes the connection.
-
-    Attributes:
-        requests: all that came, oldest first.
-        connections: how many were made.
+    Cuts what comes into whole MBAP requests and hands each to `on_request`. `on_request`: called
+    with a request and what writes to its client; None in place of an answer closes the connection.
+    `requests`: all that came, oldest first; `connections`: how many were made.
     """
 
     def __init__(self, on_request: Callable[[bytes, Write], object]) -> None:

@@ -1,6 +1,4 @@
-"""
-Files with passwords, tokens and seeds, which only their owner can read.
-"""
+"""Files with passwords, tokens and seeds, which only their owner can read."""
 
 from pathlib import Path
 

@@ -1,6 +1,4 @@
-"""
-The server's side of TLS for peers that tests write, without a socket: bytes in, bytes out.
-"""
+"""The server's side of TLS for peers that tests write, without a socket: bytes in, bytes out."""
 
 import contextlib
 import ssl
@@ -46,12 +44,7 @@ def with_certificates(url: str) -> str:
 
 
 class Sealing:
-    """
-    One connection of a server.
-
-    Attributes:
-        is_ended: the client said goodbye, or is refused.
-    """
+    """One connection of a server. `is_ended`: the client said goodbye, or is refused."""
 
     def __init__(self) -> None:
         self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()

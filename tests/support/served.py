@@ -1,6 +1,4 @@
-"""
-A server on a stage, and the requests that tests of its limits send there.
-"""
+"""A server on a stage, and the requests that tests of its limits send there."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,14 +22,12 @@ MOST_ANSWER = len(adu(ANSWER_MOST))
 KINDS = ["plain", "hooked", "faulty"]
 """Most of the server's ways to answer: in C by the chunk, through hooks, with faults."""
 
-OVER_TCP = [*KINDS, "tls"]
-"""The kinds of servers with connections: the same, and one behind TLS."""
+OVER_TCP = [*KINDS, "tls"]  # the kinds of servers with connections: the same, and one behind TLS
 
 NEVER = Fault("no_answer", function=100)
 """Happens to nobody here, but makes every answer go the way of faults."""
 
-OTHER = "10.255.0.2"
-"""The address of a client that is another one than the usual."""
+OTHER = "10.255.0.2"  # the address of a client that is another one than the usual
 
 # What a request and its answer take on the network in memory, at most.
 ROUND_TRIP = 0.001
@@ -75,11 +71,8 @@ class SealedTalker:
 
 class Served:
     """
-    A server on a stage.
-
-    Attributes:
-        statistics: what it counts.
-        url: where it listens; `place` the same as a host and a port.
+    A server on a stage. `statistics`: what it counts; `url`: where it listens; `place` the same as
+    a host and a port.
     """
 
     def __init__(self, stage: Stage, server: Server, url: str) -> None:
@@ -129,12 +122,8 @@ def unit_one(
     url: str, *, is_gateway: bool = False, **settings: Any
 ) -> Iterator[tuple[Any, list[Access]]]:
     """
-    Serve unit 1 from a device, or through a gateway on the stage.
-
-    Args:
-        settings: of the server.
-
-    Yields what serves there, and all that is written, oldest first.
+    Serve unit 1 from a device, or through a gateway on the stage. `settings`: of the server. Yields
+    what serves there, and all that is written, oldest first.
     """
     writes: list[Access] = []
     device = Device(Mapping(holding_registers=4, coils=4), before_write=writes.append)

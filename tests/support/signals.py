@@ -1,6 +1,4 @@
-"""
-What happens to this process in the midst of a test: signals, and forks.
-"""
+"""What happens to this process in the midst of a test: signals, and forks."""
 
 import os
 import signal

@@ -1,6 +1,4 @@
-"""
-SunSpec devices for tests: chains of models as registers, and servers of them.
-"""
+"""SunSpec devices for tests: chains of models as registers, and servers of them."""
 
 import json
 import struct
@@ -47,11 +45,8 @@ def serving(cells: Sequence[int], base: int = 40000) -> Generator[str]:
 
 class Walked:
     """
-    A procedure that is carried out on registers in memory.
-
-    Attributes:
-        result: its result.
-        requests: address and count of each of its requests.
+    A procedure that is carried out on registers in memory. `result`: its result; `requests`:
+    address and count of each of its requests.
     """
 
     def __init__(self, steps: Generator[Any, Any, Any], cells: dict[int, int]) -> None:

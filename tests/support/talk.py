@@ -18,7 +18,7 @@ from libmodbus_py.client.connection import Transactions
 from libmodbus_py.client.history import forget_lines
 from libmodbus_py.client.options import checked_options
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.ports.making import make_port
+from libmodbus_py.ports.port import make_port
 
 TCP = "tcp://192.0.2.1"
 LINE = "rtu:///dev/nowhere?silence=0"
@@ -29,17 +29,11 @@ LOST = ModbusConnectionError("closed by the other side", errno=104)
 
 class Talk:
     """
-    What a driver does, with a clock that the test moves.
-
-    Args:
-        url: whose connection; nothing is opened. The line has been open for long; `is_new` for one
-            that was just opened.
-        after: another client, which was closed in the same process.
-        options: of the client; 16 may be in flight where frames carry ids.
-
-    Attributes:
-        now: seconds since the connection stood.
-        sent: all ADUs that went out, oldest first, and `times` when.
+    What a driver does, with a clock that the test moves. `url`: whose connection; nothing is
+    opened. The line has been open for long; `is_new` for one that was just opened; `after`: another
+    client, which was closed in the same process; `options`: of the client; 16 may be in flight
+    where frames carry ids. `now`: seconds since the connection stood; `sent`: all ADUs that went
+    out, oldest first, and `times` when.
     """
 
     def __init__(

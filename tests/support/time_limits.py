@@ -41,12 +41,7 @@ class TimeLimit(KeyboardInterrupt):
 
 
 class Limit:
-    """
-    The limit of the test that runs.
-
-    Attributes:
-        text: what the report says; "" before the limit.
-    """
+    """The limit of the test that runs. `text`: what the report says; "" before the limit."""
 
     def __init__(self, seconds: float, item: pytest.Item) -> None:
         self.text = ""
@@ -93,8 +88,6 @@ def where(frame: FrameType | None) -> str:
             stacks[f"thread {names.get(number, number)!r}"] = traceback.format_stack(top)
     return "\n".join(f"{name}:\n{''.join(lines[-FRAMES:])}" for name, lines in stacks.items())
 
-
-# --- pytest ------------------------------------------------------------------------------------
 
 LIMIT = pytest.StashKey[Limit]()
 

@@ -1,6 +1,4 @@
-"""
-A TLS client that is none of ours: Python's ssl, with a hand on each record.
-"""
+"""A TLS client that is none of ours: Python's ssl, with a hand on each record."""
 
 import contextlib
 import logging
@@ -45,12 +43,8 @@ def context(
     ciphers: str | None = None,
 ) -> ssl.SSLContext:
     """
-    A client's, which trusts the authority.
-
-    Args:
-        identity: what it shows; None for no certificate.
-        version: the one it speaks; None for what it can.
-        ciphers: of TLS 1.2 and older.
+    A client's, which trusts the authority. `identity`: what it shows; None for no certificate;
+    `version`: the one it speaks; None for what it can; `ciphers`: of TLS 1.2 and older.
     """
     made = ssl.create_default_context(cafile=str(pki.ca))
     if ciphers is not None:
@@ -67,15 +61,8 @@ def context(
 
 class TlsClient:
     """
-    A connection.
-
-    Args:
-        source: the address that it comes from.
-        stage: where the server is, in place of the system.
-
-    Attributes:
-        socket: what the records go over.
-        tls: the state of TLS.
+    A connection. `source`: the address that it comes from; `stage`: where the server is, in place
+    of the system. `socket`: what the records go over; `tls`: the state of TLS.
     """
 
     def __init__(
@@ -101,10 +88,7 @@ class TlsClient:
         self.socket.close()
 
     def handshake(self) -> Self:
-        """
-        Raises:
-            ssl.SSLError: the server refused, or ended the connection.
-        """
+        """Raise `ssl.SSLError`: the server refused, or ended the connection."""
         self._until(self.tls.do_handshake)
         return self
 
@@ -138,11 +122,8 @@ class TlsClient:
 
     def read(self, most: int = 65536) -> bytes:
         """
-        Return what comes next; b"" after a close_notify.
-
-        Raises:
-            ssl.SSLEOFError: the server ended the connection without a goodbye.
-            ssl.SSLError: an alert.
+        Return what comes next; b"" after a close_notify. Raise `ssl.SSLEOFError`: the server ended
+        the connection without a goodbye; `ssl.SSLError`: an alert.
         """
         return self._until(lambda: self.tls.read(most))
 

@@ -1,6 +1,4 @@
-"""
-What tests of clients over TLS share.
-"""
+"""What tests of clients over TLS share."""
 
 import os
 from collections.abc import Callable
@@ -9,11 +7,9 @@ from typing import Any
 
 from .tls_peers import TlsServer
 
-LONG = 20.0
-"""A timeout in seconds that no good answer needs, on a machine that is busy."""
+LONG = 20.0  # a timeout in seconds that no good answer needs, on a machine that is busy
 
-SOON = 10.0
-"""What comes at once takes no longer, in seconds, on a machine that is busy."""
+SOON = 10.0  # what comes at once takes no longer, in seconds, on a machine that is busy
 
 Serving = Callable[..., TlsServer]
 """Makes a server of a script, an identity, a version and options of `context_of`."""

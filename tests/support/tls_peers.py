@@ -25,12 +25,8 @@ HANDSHAKE, APPLICATION_DATA = 22, 23
 
 class Peer:
     """
-    One connection of a server.
-
-    Attributes:
-        sock: beneath it.
-        tls: Python's end.
-        cut: how what is sent goes out.
+    One connection of a server. `sock`: beneath it; `tls`: Python's end; `cut`: how what is sent
+    goes out.
     """
 
     cut: Callable[[bytes], Iterable[bytes]] = staticmethod(lambda data: [data])
@@ -109,10 +105,8 @@ Script = Callable[[Peer], object]
 
 class Accepting:
     """
-    Talks on one connection after the other, in a thread, and closes each at its end.
-
-    Attributes:
-        connections: how many were accepted.
+    Talks on one connection after the other, in a thread, and closes each at its end. `connections`:
+    how many were accepted.
     """
 
     def __init__(self, talk: Callable[[socket.socket], object]) -> None:
@@ -151,16 +145,10 @@ class Accepting:
 
 class TlsServer(Accepting):
     """
-    Shakes hands on one connection after the other, and hands each to a script.
-
-    Args:
-        context: see `context_of`.
-        script: called with each connection that is through; closes it at its end.
-
-    Attributes:
-        resumed: for each connection that is through, whether it was.
-        errors: of handshakes that failed.
-        ended: how many scripts came to their end, and their connections with them.
+    Shakes hands on one connection after the other, and hands each to a script. `context`: see
+    `context_of`; `script`: called with each connection that is through; closes it at its end.
+    `resumed`: for each connection that is through, whether it was; `errors`: of handshakes that
+    failed; `ended`: how many scripts came to their end, and their connections with them.
     """
 
     def __init__(self, context: ssl.SSLContext, script: Script = Peer.serve) -> None:
@@ -188,11 +176,9 @@ class TlsServer(Accepting):
 
 class Sealed:
     """
-    The records that a server sends in TLS 1.3, AES-256-GCM with SHA-384, made here.
-
-    Args:
-        log: the context's keylog_filename, of which the last connection counts.
-        count: how many records were sent with these keys before: the tickets.
+    The records that a server sends in TLS 1.3, AES-256-GCM with SHA-384, made here. `log`: the
+    context's keylog_filename, of which the last connection counts; `count`: how many records were
+    sent with these keys before: the tickets.
     """
 
     def __init__(self, log: Path, count: int = 0) -> None:
@@ -237,12 +223,8 @@ class Sealed:
 
 class Relay:
     """
-    Stands between a client and a server on this machine.
-
-    Args:
-        port: of the server.
-        alter: what becomes of what the server sends, chunk by chunk.
-        host: where the client comes.
+    Stands between a client and a server on this machine. `port`: of the server; `alter`: what
+    becomes of what the server sends, chunk by chunk; `host`: where the client comes.
     """
 
     def __init__(

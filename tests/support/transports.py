@@ -1,6 +1,4 @@
-"""
-A server on every transport of the real system, and the URL with which a client reaches it.
-"""
+"""A server on every transport of the real system, and the URL with which a client reaches it."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager

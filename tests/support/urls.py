@@ -1,6 +1,4 @@
-"""
-URLs of every scheme, made from the table of transports.
-"""
+"""URLs of every scheme, made from the table of transports."""
 
 from libmodbus_py.ports.schemes import SCHEMES, TRANSPORTS, TransportRules
 
@@ -17,12 +15,9 @@ def url_for(
     scheme: str, host: str = "10.0.0.1", line: str = "/dev/line", path: str | None = None
 ) -> str:
     """
-    Return a URL of a scheme.
-
-    Args:
-        host: of networks, with its port if it needs one.
-        line: the path of serial ports, with its settings.
-        path: the path of others that have one; by default that of the documentation.
+    Return a URL of a scheme. `host`: of networks, with its port if it needs one; `line`: the path
+    of serial ports, with its settings; `path`: the path of others that have one; by default that of
+    the documentation.
     """
     rules = rules_of(scheme)
     if rules.is_serial:

@@ -18,15 +18,10 @@ def frame_row(
     id: str, place: str, unit: int, pdu: bytes, fields: dict[str, Any], answers: str | None = None
 ) -> dict[str, Any]:
     """
-    Return the row of a message in each form.
-
-    Args:
-        id: of the row.
-        place: where in its document the example stands.
-        unit: the unit of the frames.
-        pdu: the message.
-        fields: what the document says of it, for `tests/protocol/pdu/examples.py`.
-        answers: the id of the request, for a response.
+    Return the row of a message in each form. `id`: of the row; `place`: where in its document the
+    example stands; `unit`: the unit of the frames; `pdu`: the message; `fields`: what the document
+    says of it, for `tests/protocol/pdu/examples.py`; `answers`: the id of the request, for a
+    response.
     """
     body = bytes([unit]) + pdu
     kind = "exception" if pdu[0] & 0x80 else "response" if answers else "request"

@@ -12,6 +12,7 @@ from typing import Any
 from ...maps.holes import Holes, carried_out, reading
 from ...maps.items import Borders
 from ...maps.plan import Plan
+from ...protocol.errors import ModbusError
 from .items import Item, cells_of, requests_of
 
 
@@ -45,5 +46,6 @@ class ItemPlan(Plan):
             cells[at] = cells_of(item, [next(answers) for _ in requests])
         return cells
 
-    def _decoded(self, name: Any, cells: list[Any]) -> Any:
-        return [int(cell) for cell in cells]
+    def _values(self, name: Any, answers: list[Any]) -> Any:
+        cells = self._cells(name, answers)
+        return cells if isinstance(cells, ModbusError) else [int(cell) for cell in cells]

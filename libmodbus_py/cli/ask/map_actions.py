@@ -12,7 +12,8 @@ from typing import Any
 
 from ...client.blocking import Client
 from ...maps.list_words import ListOptions
-from ...maps.map_file import MapError, contents_of, remarks
+from ...maps.lists import MapError
+from ...maps.map_file import contents_of, remarks
 from ...maps.meaning import NoValue
 from ...maps.point import Point
 from ...maps.point_plan import borders_of, scale_mistakes

@@ -8,8 +8,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...client.blocking import Client
-from ...maps.typed import typed_register, typed_value
-from ...maps.writing import cell_requests
+from ...maps.writing import cell_requests, typed_register, typed_value
 from ...protocol import pdu
 from ...protocol.errors import IllegalFunction, ModbusError
 from ...protocol.framing import Frame, make_framer

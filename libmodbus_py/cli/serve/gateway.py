@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from ...client.asynchronous import MAX_PAUSE
 from ...files.texts import compared, reread
-from ...ports.options import CLIENT_OPTIONS, SECURITY_OPTIONS, SERIAL_OPTIONS
+from ...ports.options import CLIENT_OPTIONS, SERIAL_OPTIONS
+from ...ports.schemes import SECURITY_OPTIONS
 from ...protocol.mistakes import Problem
 from ...services.gateway import config
 from ...services.gateway.gateway import Gateway

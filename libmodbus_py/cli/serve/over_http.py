@@ -137,7 +137,7 @@ def _token_of(file: str | None) -> str | None:
     """Return the token of the page from a file or the environment; None without either."""
     if file is None:
         return os.environ.get(TOKEN) or None
-    from ...security.renewed import read_secret
+    from ...security.security import read_secret
 
     try:
         return read_secret(file).strip()

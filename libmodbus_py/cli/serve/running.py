@@ -23,7 +23,7 @@ from ...ports.endpoint import parse
 from ...ports.hosts import is_loopback
 from ...protocol.logs import HarmlessLogger, log_reload
 from ...protocol.mistakes import Problem
-from ...security.renewed import reload_all
+from ...security.security import reload_all
 from ...server.audit import Audit, AuditFile
 from ...server.limits import FULL_POLICIES, Limits
 from ...server.serving import Running, Serving

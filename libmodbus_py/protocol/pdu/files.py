@@ -1,6 +1,4 @@
-"""
-File records and queues: functions 20, 21 and 24.
-"""
+"""File records and queues: functions 20, 21 and 24."""
 
 from __future__ import annotations
 
@@ -44,10 +42,8 @@ def _record_span(name: str, file: object, record: object, length: int) -> tuple[
     except ValueError as error:  # a file or record that does not exist is an address
         raise AddressError(*error.args) from None
     if checked[1] + length > RECORDS_PER_FILE:
-        raise AddressError(
-            f"{name} record",
-            f"+ length must not pass {RECORDS_PER_FILE}, but {checked[1]} + {length} does",
-        )
+        reason = f"must not pass {RECORDS_PER_FILE}, but {checked[1]} + {length} does"
+        raise AddressError(f"{name} record", f"+ length {reason}")
     return checked
 
 
@@ -85,20 +81,14 @@ class ReadFileRecords(Request[list[list[int]]]):
             size = integer(f"{name} length", length, 1, 124)
             checked.append((*_record_span(name, file, start, size), size))
         store(self, records=tuple(checked))
-        if self._response_size() > self.max_response:
-            raise ValueError(
-                f"records ask for a response of {self._response_size()} bytes,"
-                f" more than {self.max_response}"
-            )
-
-    def _response_size(self) -> int:
-        return sum(2 + 2 * length for _, _, length in self.records)
+        size = sum(2 + 2 * length for *_, length in checked)
+        if size > self.max_response:
+            limit = f"more than {self.max_response}"
+            raise ValueError(f"records ask for a response of {size} bytes, {limit}")
 
     def encode(self) -> bytes:
-        pieces = b"".join(
-            struct.pack(">BHHH", FILE_REFERENCE_TYPE, *record) for record in self.records
-        )
-        return bytes([self.function, len(pieces)]) + pieces
+        pieces = [struct.pack(">BHHH", FILE_REFERENCE_TYPE, *record) for record in self.records]
+        return bytes([self.function, 7 * len(pieces)]) + b"".join(pieces)
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
@@ -198,10 +188,6 @@ def _check_reference_types(kinds: Iterable[int]) -> None:
             raise AddressError("reference type", f"must be {FILE_REFERENCE_TYPE}, not {kind}")
 
 
-def _counted_wide(head: bytes) -> int | None:
-    return 3 + int.from_bytes(head[1:3], "big") if len(head) >= 3 else None
-
-
 @dataclass(frozen=True, slots=True)
 class ReadFifoQueue(Request[list[int]]):
     """Function 24, section 6.18: read 0..31 registers of the FIFO queue at `address`."""
@@ -212,18 +198,14 @@ class ReadFifoQueue(Request[list[int]]):
     repeatable = True
     changes = False
     request_length: ClassVar[LengthRule] = fixed(3)
-    response_length: ClassVar[LengthRule] = in_c(_counted_wide, lib.COUNTED_WIDE, 3, 1)
+    response_length: ClassVar[LengthRule] = in_c(
+        lambda head: 3 + int.from_bytes(head[1:3]) if len(head) >= 3 else None,
+        *(lib.COUNTED_WIDE, 3, 1),
+    )
     max_count: ClassVar[int] = 31
 
     def __post_init__(self) -> None:
         store(self, address=checked_span("address", self.address, "", 1))
-
-    def encode(self) -> bytes:
-        return struct.pack(">BH", self.function, self.address)
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls(*struct.unpack(">H", pdu[1:]))
 
     def encode_response(self, result: Sequence[int]) -> bytes:
         values = checked_registers("result", result, self.max_count) if len(result) else ()

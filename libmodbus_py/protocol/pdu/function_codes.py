@@ -1,6 +1,4 @@
-"""
-The function codes that framers, clients and servers know: `REQUESTS`, and what looks it up.
-"""
+"""The function codes that framers, clients and servers know: `REQUESTS`, and what looks it up."""
 
 from __future__ import annotations
 
@@ -9,9 +7,7 @@ from typing import Any, TypeVar
 from ..checks import checked_callback
 from ..errors import IllegalDataAddress, IllegalDataValue, IllegalFunction
 from . import files, interface, reads, serial, writes
-from .request import IN_C, AddressError, Request, told
-
-__all__ = ["REQUESTS", "decode_request", "register", "request_length", "response_length"]
+from .request import AddressError, Request, length_by
 
 Kind = TypeVar("Kind", bound=type[Request[Any]])
 
@@ -87,8 +83,7 @@ def decode_request(pdu: bytes) -> Request[Any]:
     if request is None:
         raise IllegalFunction(f"no function {pdu[0]}", function=pdu[0])
     try:
-        rule = request.request_length
-        length = rule(pdu) if rule in IN_C else told(request, rule, pdu)
+        length = length_by(request, request.request_length, pdu)
         if length not in (len(pdu), 0):
             raise ValueError(f"a request of {len(pdu)} bytes")
         return request.decode(pdu)
@@ -111,10 +106,7 @@ def request_length(head: bytes) -> int | None:
         else, which is logged once for each class.
     """
     request = REQUESTS.get(head[0])
-    if request is None:
-        return 0
-    rule = request.request_length
-    return rule(head) if rule in IN_C else told(request, rule, head)
+    return 0 if request is None else length_by(request, request.request_length, head)
 
 
 def response_length(head: bytes) -> int | None:
@@ -122,7 +114,4 @@ def response_length(head: bytes) -> int | None:
     if head[0] & 0x80:
         return 2
     request = REQUESTS.get(head[0])
-    if request is None:
-        return 0
-    rule = request.response_length
-    return rule(head) if rule in IN_C else told(request, rule, head)
+    return 0 if request is None else length_by(request, request.response_length, head)

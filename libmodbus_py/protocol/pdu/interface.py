@@ -15,14 +15,6 @@ from ..errors import ExceptionResponse, IllegalFunction, InvalidResponse
 from ..scan import lib
 from .request import MAX_PDU, LengthRule, Request, Result, checked_data, in_c, store, unknown_length
 
-# fmt: off
-__all__ = [
-    "LEVELS", "MANDATORY", "OBJECT_NAMES", "DeviceIdentification", "EncapsulatedTransport",
-    "IdentificationPage", "MeiType", "RawRequest", "ReadDeviceIdCode", "ReadDeviceIdentification",
-    "pages",
-]
-# fmt: on
-
 
 @dataclass(frozen=True, slots=True)
 class RawRequest(Request[bytes]):
@@ -87,11 +79,7 @@ MANDATORY = {0, 1, 2}
 FULL_MESSAGE = 244
 
 # The last object of each stream.
-LAST_OBJECT = {
-    ReadDeviceIdCode.BASIC: 0x02,
-    ReadDeviceIdCode.REGULAR: 0x7F,
-    ReadDeviceIdCode.EXTENDED: 0xFF,
-}
+LAST_OBJECT = dict(zip(ReadDeviceIdCode, (0x02, 0x7F, 0xFF), strict=False))
 
 
 class IdentificationPage(NamedTuple):
@@ -201,11 +189,8 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
     room: ClassVar[int] = MAX_PDU - 7
 
     def __post_init__(self) -> None:
-        store(
-            self,
-            code=integer("code", self.code, 1, 4),
-            object_id=integer("object_id", self.object_id, 0, 0xFF),
-        )
+        code = integer("code", self.code, 1, 4)
+        store(self, code=code, object_id=integer("object_id", self.object_id, 0, 0xFF))
 
     def encode(self) -> bytes:
         return bytes([self.function, MeiType.DEVICE_IDENTIFICATION, self.code, self.object_id])
@@ -227,8 +212,7 @@ class ReadDeviceIdentification(_Encapsulated[IdentificationPage]):
 
     def _answers(self, objects: dict[int, bytes]) -> bool:
         """Return True if these were requested: any objects of a stream, or the single one."""
-        single = self.code == ReadDeviceIdCode.INDIVIDUAL
-        return list(objects) == [self.object_id] if single else True
+        return self.code != ReadDeviceIdCode.INDIVIDUAL or list(objects) == [self.object_id]
 
     def _decode_misfit(self, pdu: bytes, length: int | None) -> IdentificationPage:
         """Decode a page of a device that announces all objects, but sends only those that fit."""
@@ -277,11 +261,7 @@ class DeviceIdentification(NamedTuple):
         }
 
 
-LEVELS = {
-    "basic": ReadDeviceIdCode.BASIC,
-    "regular": ReadDeviceIdCode.REGULAR,
-    "extended": ReadDeviceIdCode.EXTENDED,
-}
+LEVELS = {code.name.lower(): code for code in LAST_OBJECT}
 """Argument of `read_device_identification` -> the code."""
 
 

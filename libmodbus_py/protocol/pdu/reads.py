@@ -1,13 +1,11 @@
-"""
-Reads of coils, discrete inputs and registers: functions 1-4.
-"""
+"""Reads of coils, discrete inputs and registers: functions 1-4."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self, TypeVar
+from typing import ClassVar, TypeVar
 
 from ..checks import integer
 from .request import (
@@ -59,10 +57,6 @@ class _Read(Request[Values]):
 
     def encode(self) -> bytes:
         return _REQUEST.pack(self.function, self.address, self.count)
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls(*struct.unpack(">HH", pdu[1:]))
 
     def decode_response(self, pdu: bytes) -> Values:
         size = len(pdu)

@@ -12,9 +12,9 @@ from itertools import islice
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 from weakref import WeakSet
 
-from ..checks import are_registers, integer, log_failure
+from ..checks import are_registers, instance, integer, log_failure
 from ..errors import ExceptionResponse, InvalidResponse, in_hex
-from ..mistakes import WrongType, WrongValue
+from ..mistakes import Path, WrongType, WrongValue
 from ..scan import MAX_PDU as MAX_PDU
 from ..scan import lib
 
@@ -46,10 +46,8 @@ class AddressError(WrongValue):
     """An address that no table has: a server answers 2 to it, not 3."""
 
 
-def checked_bit(name: str, value: object) -> bool:
-    if isinstance(value, bool):
-        return value
-    return bool(integer(name, value, 0, 1))
+def checked_bit(name: str | Path, value: object) -> bool:
+    return value if isinstance(value, bool) else bool(integer(name, value, 0, 1))
 
 
 def checked_register(name: str, value: object) -> int:
@@ -84,19 +82,17 @@ def checked_registers(name: str, values: object, limit: int) -> tuple[int, ...]:
 
 
 def checked_data(name: str, value: object, limit: int) -> bytes:
-    if not isinstance(value, bytes):
-        raise WrongType(name, f"must be bytes, not {type(value).__name__}")
-    if len(value) > limit:
-        raise WrongValue(name, f"must be up to {limit} bytes, not {len(value)}")
-    return value
+    data: bytes = instance(name, value, bytes, "bytes")
+    if len(data) > limit:
+        raise WrongValue(name, f"must be up to {limit} bytes, not {len(data)}")
+    return data
 
 
 def checked_span(name: str, address: object, count_name: str, count: int) -> int:
     start = integer(name, address, 0, TABLE_SIZE - 1)
     if start + count > TABLE_SIZE:
-        raise AddressError(
-            name, f"+ {count_name} must not pass {TABLE_SIZE}, but {start} + {count} does"
-        )
+        reason = f"must not pass {TABLE_SIZE}, but {start} + {count} does"
+        raise AddressError(name, f"+ {count_name} {reason}")
     return start
 
 
@@ -205,9 +201,12 @@ class Request(Generic[Result]):
     changes: bool = True
     expects_response: bool = True
 
+    __match_args__: ClassVar[tuple[str, ...]] = ()
+
     def encode(self) -> bytes:
-        """Encode the request PDU."""
-        raise NotImplementedError
+        """Encode the request PDU; by default, the fields of a dataclass are 16 bits each."""
+        fields = [getattr(self, name) for name in self.__match_args__]
+        return bytes([self.function]) + pack_registers(fields)
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
@@ -217,7 +216,7 @@ class Request(Generic[Result]):
         Raises:
             ValueError: a quantity, byte count or constant is wrong.
         """
-        raise NotImplementedError
+        return cls(*unpack_registers(pdu[1:]))
 
     def encode_response(self, result: Result) -> bytes:
         """
@@ -274,8 +273,10 @@ class Request(Generic[Result]):
 _mistaken: WeakSet[type[Request[Any]]] = WeakSet()
 
 
-def told(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
-    """Return what a rule of a program returns; `NO_LENGTH` if it raises or returns nonsense."""
+def length_by(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | None:
+    """Return what a rule returns; `NO_LENGTH` if one of a program raises or returns nonsense."""
+    if rule in IN_C:
+        return rule(head)
     # A mistake in one rule must not leave a line deaf for all other functions.
     try:
         length = rule(head)
@@ -291,10 +292,7 @@ def told(request: type[Request[Any]], rule: LengthRule, head: bytes) -> int | No
 
 
 def arguments(request: Request[Any]) -> dict[str, Any]:
-    """
-    Return the arguments of a request by name, as people are shown them: the fields of a dataclass,
-    the public attributes of an object of any other class.
-    """
+    """Return the arguments of a request by name: the fields of a dataclass, or its attributes."""
     from dataclasses import fields, is_dataclass
 
     if not is_dataclass(request):

@@ -1,6 +1,4 @@
-"""
-Functions of serial lines: 7, 8, 11, 12 and 17. Many TCP devices answer them, too.
-"""
+"""Functions of serial lines: 7, 8, 11, 12 and 17. Many TCP devices answer them, too."""
 
 from __future__ import annotations
 
@@ -24,13 +22,6 @@ from .request import (
     store,
 )
 
-# fmt: off
-__all__ = [
-    "CommEventCounter", "CommEventLog", "Diagnostics", "ReadCommEventCounter", "ReadCommEventLog",
-    "ReadExceptionStatus", "ReportServerId", "ServerId", "SubFunction",
-]
-# fmt: on
-
 
 @dataclass(frozen=True, slots=True)
 class _Bare(Request[Result]):
@@ -39,13 +30,6 @@ class _Bare(Request[Result]):
     repeatable = True
     changes = False
     request_length: ClassVar[LengthRule] = fixed(1)
-
-    def encode(self) -> bytes:
-        return bytes([self.function])
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls()
 
 
 class ReadExceptionStatus(_Bare[int]):

@@ -1,6 +1,4 @@
-"""
-Writes of coils and registers: functions 5, 6, 15, 16, 22 and 23, which reads as well.
-"""
+"""Writes of coils and registers: functions 5, 6, 15, 16, 22 and 23, which reads as well."""
 
 from __future__ import annotations
 
@@ -75,13 +73,6 @@ class WriteRegister(_WriteOne[int]):
     function: ClassVar[int] = 0x06
     _check = staticmethod(checked_register)
 
-    def encode(self) -> bytes:
-        return struct.pack(">BHH", self.function, self.address, self.value)
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls(*struct.unpack(">HH", pdu[1:]))
-
 
 @dataclass(frozen=True, slots=True)
 class _WriteSeveral(Echoed, Generic[Value]):
@@ -155,19 +146,10 @@ class MaskWriteRegister(Echoed):
     echoed = 7
 
     def __post_init__(self) -> None:
-        store(
-            self,
-            and_mask=checked_register("and_mask", self.and_mask),
-            or_mask=checked_register("or_mask", self.or_mask),
-            address=checked_span("address", self.address, "", 1),
-        )
-
-    def encode(self) -> bytes:
-        return struct.pack(">BHHH", self.function, self.address, self.and_mask, self.or_mask)
-
-    @classmethod
-    def decode(cls, pdu: bytes) -> Self:
-        return cls(*struct.unpack(">HHH", pdu[1:]))
+        and_mask = checked_register("and_mask", self.and_mask)
+        or_mask = checked_register("or_mask", self.or_mask)
+        address = checked_span("address", self.address, "", 1)
+        store(self, and_mask=and_mask, or_mask=or_mask, address=address)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,15 +173,9 @@ class ReadWriteRegisters(Request[list[int]]):
     def __post_init__(self) -> None:
         count = integer("read_count", self.read_count, 1, 125)
         values = checked_registers("values", self.values, 121)
-        store(
-            self,
-            read_address=checked_span("read_address", self.read_address, "read_count", count),
-            read_count=count,
-            write_address=checked_span(
-                "write_address", self.write_address, "len(values)", len(values)
-            ),
-            values=values,
-        )
+        start = checked_span("read_address", self.read_address, "read_count", count)
+        address = checked_span("write_address", self.write_address, "len(values)", len(values))
+        store(self, read_address=start, read_count=count, write_address=address, values=values)
 
     def encode(self) -> bytes:
         data = pack_registers(self.values)

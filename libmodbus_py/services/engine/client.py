@@ -21,7 +21,7 @@ from nats.aio.msg import Msg
 from nats.protocol.parser import PERMISSIONS_ERR, Parser
 
 from ...protocol.logs import HarmlessLogger
-from ...security.renewed import Renewed
+from ...security.security import Renewed
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

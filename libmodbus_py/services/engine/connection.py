@@ -18,9 +18,9 @@ from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
-from ...protocol.extras import what_is_missing
-from ...security.describing import in_words
-from ...security.renewed import Renewed, read_secret
+from ...security.certificates import in_words
+from ...security.security import Renewed, read_secret
+from ...version import what_is_missing
 from ..other_servers import server_url
 from ..tasks import finish
 

@@ -17,14 +17,14 @@ from weakref import WeakValueDictionary
 from ...client.options import checked_options
 from ...files.schema import Key, Keys, flag, one_of, whole
 from ...maps.point import Point
-from ...maps.point_checks import LONGEST_INTERVAL, SHORTEST_INTERVAL
+from ...maps.point_checks import checked_interval
 from ...maps.register_map import RegisterMap
 from ...maps.watched import PartialPlans
 from ...ports.endpoint import Endpoint, parse
-from ...ports.making import make_port
+from ...ports.port import make_port
 from ...protocol.checks import integer, number, seconds
-from ...protocol.json_text import json_text
 from ...protocol.mistakes import Mistake, WrongType, WrongValue, inside, item, named_arguments
+from ...protocol.plain import json_text
 from ...protocol.tables import WriteFunction, checked_write_function
 
 LONGEST_NAME = 100
@@ -118,7 +118,7 @@ class DeviceConfig:
         integer("gap", self.gap, 0, 2000)
         integer("max_registers", self.max_registers, 1, 125)
         change("reads", _reads_of(self))
-        seconds("interval", self.interval, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+        checked_interval("interval", self.interval)
         if self.timeout is not None:
             seconds("timeout", self.timeout)
         seconds("spacing", self.spacing, low=0)
@@ -130,7 +130,7 @@ class DeviceConfig:
                 raise WrongValue.about(("dead_bands", name), "no point of this name is read")
             number(("dead_bands", name), band, 0, math.inf)
         if self.at_least is not None:
-            seconds("at_least", self.at_least, SHORTEST_INTERVAL, LONGEST_INTERVAL)
+            checked_interval("at_least", self.at_least)
         names = {*OWN_LABELS}
         for label, value in _table("labels", self.labels).items():
             _check_text(("labels", label), value, 0)

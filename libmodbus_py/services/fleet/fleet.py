@@ -13,8 +13,8 @@ from itertools import count
 from os import PathLike
 from typing import Any, Self
 
-from ...maps.typed import json_value
-from ...ports.waiting_async import Alarm
+from ...maps.writing import json_value
+from ...ports.waiting import Alarm
 from ...protocol.checks import checked_callback
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import inside, named_arguments

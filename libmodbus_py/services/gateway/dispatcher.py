@@ -9,9 +9,15 @@ from typing import NamedTuple
 
 from ...device import authorization
 from ...device.access import Auditor, Caller, Executed, Who, changes_of, touched
-from ...device.authorization import Allow, Asked, Authorization, Authorize, UnauthorizedError
+from ...device.authorization import (
+    Allow,
+    Asked,
+    Authorization,
+    Authorize,
+    LimitedLog,
+    UnauthorizedError,
+)
 from ...device.device import Device
-from ...device.limited_log import LimitedLog
 from ...ports.endpoint import Endpoint
 from ...ports.hosts import host_of_peer, is_loopback
 from ...protocol import errors

@@ -12,7 +12,7 @@ from ...device.access import Access
 from ...device.authorization import Allow
 from ...ports.endpoint import Endpoint, parse
 from ...ports.hosts import EVERYWHERE, is_loopback, is_this_machine
-from ...ports.making import make_port
+from ...ports.port import make_port
 from ...protocol.checks import integer, seconds
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside, named_arguments, placed
 from ...protocol.plain import units_of as units_in

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple, Protocol, cast
 
 from ...client.statistics import Statistics
-from ...protocol.extras import what_is_missing
 from ...tools.timed_server import TimedServer
+from ...version import what_is_missing
 from ..fleet.fleet import Fleet
 from ..fleet.poller import Poller
 from .metrics import FAMILIES, OF_DEVICES, READERS, Family, Labels, Sample, values_of_devices

@@ -13,9 +13,9 @@ from typing import Any, get_args
 
 from ...files.csv_text import csv_rows
 from ...files.texts import shown_key
-from ...maps.map_file import PADDINGS
-from ...maps.point import Point
-from ...maps.register_map import RegisterMap, attribute_names, spelled
+from ...maps.list_cells import PADDINGS
+from ...maps.point import Point, attribute_names, spelled
+from ...maps.register_map import RegisterMap
 from ...protocol.words import IntegerType
 
 WHOLE = frozenset(get_args(IntegerType))

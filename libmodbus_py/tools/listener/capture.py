@@ -18,8 +18,16 @@ import select
 import struct
 from collections.abc import Iterator
 
-from ...protocol.framing import Frame, is_one_frame, mbap
-from .packets import BYTE_ORDER, INTERFACE, PACKET, SECTION, Packet, PacketReader, pairs
+from ...protocol.frames import Frame, is_one_frame, mbap
+from .packets import (
+    BYTE_ORDER,
+    INTERFACE,
+    PACKET,
+    SECTION,
+    Packet,
+    PacketReader,
+    pairs,
+)
 from .separator import Candidate, Damage
 from .streams import LINKS, MODBUS_PORT
 from .transaction import Heard

@@ -15,8 +15,7 @@ from typing import Self
 
 from ...ports.endpoint import Endpoint, parse_to_listen
 from ...ports.port import REOPEN_AFTER, Outage
-from ...ports.waiting import READ, Ready, Steps, Waker, Woken, of_system, run
-from ...ports.waiting_async import run_async
+from ...ports.waiting import READ, Ready, Steps, Waker, Woken, of_system, run, run_async
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import named_parameters

@@ -59,7 +59,7 @@ class SerialSource:
     """A serial port that is only read; `descriptor` is readable when there are bytes."""
 
     def __init__(self, endpoint: Endpoint, clock: Callable[[], float]) -> None:
-        from ...ports.serial_read_only import ReadOnlySerialPort  # which not every system has
+        from ...ports.serial import ReadOnlySerialPort  # which not every system has
 
         self._port = ReadOnlySerialPort(endpoint.path, **endpoint.serial_settings)
         self._clock = clock

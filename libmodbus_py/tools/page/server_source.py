@@ -11,7 +11,7 @@ from typing import Any
 
 from ...device.named_values import cells_after
 from ...maps.point import Point
-from ...maps.typed import typed_register, typed_value, typed_values
+from ...maps.writing import typed_register, typed_value, typed_values
 from ...protocol.checks import integer, number
 from ...protocol.plain import text_of
 from ...protocol.tables import TABLE_SIZE, TABLES

@@ -16,9 +16,9 @@ from ...maps.list_words import ListOptions, options_of
 from ...maps.map_file import POINT
 from ...maps.point import Point
 from ...maps.point_plan import scale_mistakes
-from ...maps.register_map import RegisterMap, close_to, map_with
-from ...maps.states import ELSE, NumberSpan, state_key
-from ...protocol.mistakes import Path, WrongValue, inside, path_text
+from ...maps.register_map import RegisterMap, map_with
+from ...maps.scaling import ELSE, NumberSpan, state_key
+from ...protocol.mistakes import Path, WrongValue, close_to, inside, path_text
 from ...protocol.pdu import RECORDS_PER_FILE
 from ...protocol.tables import TABLES
 from ...protocol.values import value_type

@@ -1,6 +1,4 @@
-"""
-A meter and its map, for the tests of the commands that ask.
-"""
+"""A meter and its map, for the tests of the commands that ask."""
 
 from collections.abc import Iterator
 from pathlib import Path

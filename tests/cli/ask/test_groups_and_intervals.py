@@ -1,6 +1,4 @@
-"""
-read of groups of a map, and --watch of points with intervals and of totals that fall.
-"""
+"""read of groups of a map, and --watch of points with intervals and of totals that fall."""
 
 import csv
 import json

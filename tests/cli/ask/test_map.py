@@ -1,12 +1,10 @@
-"""
-The command map: what it says of files and makes of devices; and what sunspec prints of one.
-"""
+"""The command map: what it says of files and makes of devices; and what sunspec prints of one."""
 
 import os
 import signal
 import struct
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -102,9 +100,6 @@ def test_the_maps_that_come_with_the_package() -> None:
         assert len(line.split()) > 2
 
 
-# --- map class --------------------------------------------------------------------
-
-
 MAP = "name,table,address,type,access\nvoltage,input,0,uint16,read\nset point,holding,1,,\n"
 
 
@@ -124,9 +119,6 @@ def test_it_writes_and_prints_the_same(folder: Path) -> None:
         assert (done.code, done.out, done.err) == (0, "", f"{folder / 'plant.py'}: 2 points\n")
         assert (folder / "plant.py").read_text() == printed.out
     assert sorted(os.listdir(folder)) == ["meter.csv", "plant.py"]
-
-
-# --- map from-sunspec, and sunspec -------------------------------------------------------------
 
 
 @pytest.mark.parametrize("suffix", ["toml", "csv"])
@@ -152,9 +144,6 @@ def test_the_values_of_all_models_are_printed() -> None:
     assert not any("InvSt" in line for line in lines)
 
 
-# --- map check --device -----------------------------------------------------------
-
-
 @pytest.fixture
 def points(tmp_path: Path) -> Path:
     lines = [f"p{at},holding_registers,{at},uint16" for at in range(20)]
@@ -167,9 +156,7 @@ def device(*missing: int) -> Device:
 
 
 @each_case(("missing", "most"), [((), 1), ((3, 11, 12), 30), (range(20), 40)])
-def test_few_requests_find_what_a_device_lacks(
-    points: Path, missing: Sequence[int], most: int
-) -> None:
+def test_few_requests_find_what_a_device_lacks(points: Path, missing, most) -> None:
     with ServerMaker() as maker:
         server = maker(devices=device(*missing))
         done = run("map", "check", points, "--device", server.url)

@@ -8,7 +8,6 @@ import contextlib
 import io
 import json
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -34,9 +33,6 @@ from tests.support.peers import FakeServer, mbap
 def maker() -> Iterator[ServerMaker]:
     with ServerMaker() as made:
         yield made
-
-
-# --- read and write -------------------------------------------------------------------------
 
 
 def test_ranges_take_as_many_requests_as_they_must(url: str) -> None:
@@ -74,16 +70,11 @@ def test_longest_lists_of_values(url: str) -> None:
 
 
 @each_case("code", [6, 10, 11])
-def test_a_refusal_of_the_time_or_the_way_splits_nothing(
-    maker: ServerMaker, tmp_path: Path, code: int
-) -> None:
+def test_a_refusal_of_the_time_or_the_way_splits_nothing(maker: ServerMaker, tmp_path, code):
     (tmp_path / "two.csv").write_text("name,table,address\na,holding,0\nb,holding,1\n")
     server = maker(faults={None: [Fault("exception", code=code)]})
     assert run("read", server.url, "--map", tmp_path / "two.csv", "--retries", "0").code == 1
     assert len(server.transactions) == 1
-
-
-# --- diagnose force-listen-only ---------------------------------------------------------------
 
 
 def test_diagnose_says_that_a_device_refused_to_listen_only(maker: ServerMaker) -> None:
@@ -98,9 +89,6 @@ def test_diagnose_takes_silence_for_consent_to_listen_only(maker: ServerMaker) -
     done = run("diagnose", server.url, "force-listen-only", "7", "--json", "--timeout", "0.1")
     assert (done.code, done.out) == (0, '{"unit": 1, "force listen only": 7}\n')
     assert len(server.transactions) == 1
-
-
-# --- identify and diagnose --------------------------------------------------------------------
 
 
 Question = Callable[[Client], list[tuple[str, Any]]]
@@ -178,9 +166,7 @@ def test_a_device_may_close_the_connection_for_what_it_does_not_know(maker: Serv
 
 
 @pytest.mark.parametrize("has_basic", [True, False])
-def test_basic_objects_that_a_device_leaves_out_at_other_levels_are_asked_for(
-    has_basic: bool,
-) -> None:
+def test_basic_objects_that_a_device_leaves_out_at_other_levels_are_asked_for(has_basic) -> None:
     def answer(request: bytes) -> list[bytes]:
         if request[7] != 43 or (request[9] == 1 and not has_basic):
             return [mbap(request, bytes([request[7] | 0x80, 1]))]

@@ -1,8 +1,4 @@
-"""
-read --watch --page: the values in a browser too, while they are printed as without it.
-"""
-
-from __future__ import annotations
+"""read --watch --page: the values in a browser too, while they are printed as without it."""
 
 import signal
 from typing import Any

@@ -1,6 +1,4 @@
-"""
-read --watch: on terminals and in pipes, whatever the server, the reader and the user do.
-"""
+"""read --watch: on terminals and in pipes, whatever the server, the reader and the user do."""
 
 import json
 import re
@@ -139,9 +137,6 @@ def test_hostile_servers_are_one_line_for_each_poll(data: bytes) -> None:
             thread.join()
 
 
-# --- on a terminal ---------------------------------------------------------------------------
-
-
 def test_each_unit_has_its_lines_in_the_table(mapping: Mapping) -> None:
     devices = {unit: Device(mapping) for unit in (1, 17)}
     with Server(devices).background("tcp://127.0.0.1:0") as running:
@@ -167,9 +162,7 @@ def test_a_terminal_has_a_table_that_is_drawn_in_place(running: Running, mapping
 @pytest.mark.parametrize(
     ("environment", "in_place"), [({"NO_COLOR": "1"}, True), ({"TERM": "dumb"}, False)]
 )
-def test_terminals_that_want_less(
-    running: Running, mapping: Mapping, environment: dict[str, str], in_place: bool
-) -> None:
+def test_terminals_that_want_less(running: Running, mapping: Mapping, environment, in_place):
     arguments = ["read", running.urls[0], "holding", "0", *WATCH]
     with on_terminal(*arguments, environment=environment) as terminal:
         terminal.until(lambda shown: shown.count("\n") >= 4)

@@ -1,6 +1,4 @@
-"""
-The command write: items, ranges and names, and what is sent for them.
-"""
+"""The command write: items, ranges and names, and what is sent for them."""
 
 from datetime import UTC, datetime
 from pathlib import Path
@@ -105,9 +103,6 @@ def test_names_and_places_are_written_as_typed(url: str, meter: str) -> None:
     ]
 
 
-# --- values of points that say what they mean ----------------------------------------
-
-
 TYPED_MAP = """\
 name,table,address,type,states,bits,bit,time zone
 state,holding,0,,0 = off; 1 = on,,,
@@ -147,9 +142,6 @@ def test_every_kind_of_value_can_be_typed(tmp_path: Path) -> None:
                 assert (done.code == 0) is (refused is None), done.err
                 assert device[name] == (before if refused else value)
                 assert (refused or "") in done.err
-
-
-# --- --verify: what was written is read back ----------------------------------------
 
 
 class Stubborn:

@@ -1,6 +1,4 @@
-"""
-The command listen: lines, JSON, colours, captures, and how it ends.
-"""
+"""The command listen: lines, JSON, colours, captures, and how it ends."""
 
 import json
 import re
@@ -95,9 +93,7 @@ def test_a_line_for_each_a_summary_and_a_capture(target: str, number: int, tmp_p
     assert end["summary"]["units"]["1"]["functions"] == {"3": 2, "6": 1}
 
 
-def test_a_signal_right_behind_the_first_line_ends_it_well(
-    target: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_signal_right_behind_the_first_line_ends_it_well(target: str, monkeypatch) -> None:
     def print_and_interrupt(text: object, **options: Any) -> None:
         print(text, **options)
         if str(text).startswith("listening on "):
@@ -110,9 +106,7 @@ def test_a_signal_right_behind_the_first_line_ends_it_well(
 
 
 @pytest.mark.parametrize("handler", [signal.default_int_handler, signal.SIG_IGN])
-def test_a_signal_between_hearing_and_printing_loses_no_line(
-    monkeypatch: pytest.MonkeyPatch, handler: Any
-) -> None:
+def test_a_signal_between_hearing_and_printing_loses_no_line(monkeypatch, handler) -> None:
     whole, heard = listen(DECODED), Listener.__next__
 
     def hear_and_interrupt(line: Listener) -> Transaction:
@@ -213,9 +207,6 @@ def test_what_devices_say_cannot_move_the_terminal(target: str) -> None:
         (line,) = lines_of(made, 1)
     assert "\x1b" not in line
     assert r"\x1b[2J\x07" in line
-
-
-# --- values by name ------------------------------------------------------------------------------
 
 
 MAP = """\

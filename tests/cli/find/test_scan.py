@@ -1,6 +1,4 @@
-"""
-The command scan: what it prints, where, and its exit codes.
-"""
+"""The command scan: what it prints, where, and its exit codes."""
 
 import json
 import os
@@ -153,9 +151,7 @@ def test_a_line_says_that_nothing_could_be_tried_and_json_is_printed() -> None:
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, -signal.SIGTERM)]
 )
 @pytest.mark.parametrize("as_json", [False, True])
-def test_a_signal_prints_what_was_found_and_restores_the_line(
-    as_json: bool, number: int, code: int
-) -> None:
+def test_a_signal_prints_what_was_found_and_restores_the_line(as_json, number, code) -> None:
     with line({1: Device(Mapping())}) as wire:
         arguments = ["--baudrates", "19200", *["--json"] * as_json]
         with Started("scan", f"rtu://{wire.client}", *arguments) as process:

@@ -1,6 +1,4 @@
-"""
-scan of ranges of hosts, quick scans, what a scan does not know, and how its options may be typed.
-"""
+"""scan of ranges of hosts, quick scans, what a scan does not know, and spellings of its options."""
 
 import io
 import json
@@ -91,9 +89,6 @@ def test_stop_bits_that_were_not_measured_are_not_said(words: list[str], setting
     with line({1: Device(Mapping(holding_registers=2))}) as wire:
         done = run("scan", wire.client, "-b", "9600", "-u", "1", *words)
     assert f"unit 1 at {setting}" in done.out
-
-
-# --- options have the names of those of read ------------------------------------------
 
 
 @each_case(

@@ -180,9 +180,6 @@ def test_without_a_file_it_says_so_and_goes_on(command: list[str]) -> None:
         assert process.wait() == 0
 
 
-# --- gateways: nobody notices ---------------------------------------------------------
-
-
 def test_a_gateway_ends_with_the_newest_routes(tmp_path: Path) -> None:
     path = tmp_path / "gateway.toml"
     with Server(Device(Mapping(10))).background("tcp://127.0.0.1:0") as running:
@@ -212,9 +209,6 @@ def test_a_gateway_ends_with_the_newest_routes(tmp_path: Path) -> None:
                 assert context.for_unit(19).read_coils(0, 1) == [False]
                 assert context.statistics.connects == 1
             process.send_signal(signal.SIGHUP)
-
-
-# --- poll: devices are polled meanwhile -----------------------------------------------
 
 
 def test_poll_reads_the_file_again(tmp_path: Path) -> None:

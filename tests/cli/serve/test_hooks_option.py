@@ -1,8 +1,4 @@
-"""
-The option --hooks of serve: functions of a file of Python, read again on SIGHUP.
-"""
-
-from __future__ import annotations
+"""The option --hooks of serve: functions of a file of Python, read again on SIGHUP."""
 
 import signal
 from pathlib import Path
@@ -31,10 +27,7 @@ def test_hooks_are_read_again_with_and_without_a_device_file(tmp_path: Path) -> 
     plant.write_text(PLANT)
     for options in ([], ["--device", plant]):
         hooks.write_text(REFUSING)
-        with (
-            serving(*SERVE, hooks, *options, *INFO) as (process, url),
-            Client(url, unit=1) as plc,
-        ):
+        with serving(*SERVE, hooks, *options, *INFO) as (process, url), Client(url, unit=1) as plc:
             with pytest.raises(IllegalDataAddress):
                 plc.write_register(0, 1)
             hooks.write_text("def before_write(access)")

@@ -1,6 +1,4 @@
-"""
-The command poll: what it prints, writes and exposes, and how it ends.
-"""
+"""The command poll: what it prints, writes and exposes, and how it ends."""
 
 import asyncio
 import json
@@ -175,9 +173,7 @@ async def nothing(*_: object, **__: object) -> tuple[None, None]:
 
 
 @pytest.mark.parametrize("mode", [["--once"], ["--engine", "nats://127.0.0.1:1"]])
-def test_it_restores_the_signal_handlers_of_a_program(
-    fleet: Path, monkeypatch: pytest.MonkeyPatch, mode: list[str]
-) -> None:
+def test_it_restores_the_signal_handlers_of_a_program(fleet: Path, monkeypatch, mode) -> None:
     for name in ("connected", "disconnect", "_opened"):
         monkeypatch.setattr(workers, name, nothing)
     monkeypatch.setattr(workers, "Polling", NoPolling)
@@ -194,9 +190,7 @@ def test_it_restores_the_signal_handlers_of_a_program(
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
 
 
-def test_each_reason_to_wait_for_the_engine_is_logged_once(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_each_reason_to_wait_for_the_engine_is_logged_once(monkeypatch, caplog) -> None:
     reasons = ["no answer", "no leader", "no answer", "no leader"]
 
     async def ask() -> str:
@@ -262,9 +256,6 @@ def test_a_status_line_on_a_terminal(fleet: Path, term: str, options: list[str])
     assert '"device"' not in seen  # values are for files and pipes
 
 
-# --- a journal ------------------------------------------------------------------------------
-
-
 def with_journal(fleet: Path) -> Path:
     file = fleet.with_name("kept.toml")
     file.write_text(f'journal = "fleet.db"\n{fleet.read_text()}[output.csv]\npath = "kept.csv"\n')
@@ -298,9 +289,7 @@ def test_a_journal_is_told_of_at_the_end_and_used_by_one_program(fleet: Path) ->
         ("journal = 'kept.db'\n", "/nowhere/at/all", "0 dropped, 1 wait in the journal: /nowhere"),
     ],
 )
-def test_an_output_that_takes_nothing_is_named(
-    tmp_path_factory: pytest.TempPathFactory, journal: str, path: str, said: str
-) -> None:
+def test_an_output_that_takes_nothing_is_named(tmp_path_factory, journal, path, said) -> None:
     folder = tmp_path_factory.mktemp("once")
     with ServerMaker() as maker:
         (folder / "fleet.toml").write_text(journal + FLEET_OF_ONE.format(url=maker().url))

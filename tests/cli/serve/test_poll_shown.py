@@ -1,8 +1,4 @@
-"""
-poll on a terminal and on a page: values and what is down, within the size of the terminal.
-"""
-
-from __future__ import annotations
+"""poll on a terminal and on a page: values and what is down, within the size of the terminal."""
 
 import io
 import os
@@ -23,18 +19,9 @@ METER = "name,table,address,unit,scale\nlevel,holding_registers,0,m,0.1\n"
 
 
 @each_case(
-    ("columns", "rows", "shown"),
-    [
-        (80, 24, 9),
-        (80, 6, 5),
-        (80, 2, 1),
-        (80, 1, 1),
-        (3, 24, 9),
-    ],
+    ("columns", "rows", "shown"), [(80, 24, 9), (80, 6, 5), (80, 2, 1), (80, 1, 1), (3, 24, 9)]
 )
-def test_what_is_drawn_fits_the_terminal(
-    monkeypatch: pytest.MonkeyPatch, columns: int, rows: int, shown: int
-) -> None:
+def test_what_is_drawn_fits_the_terminal(monkeypatch, columns, rows, shown) -> None:
     size = os.terminal_size((columns, rows))
     monkeypatch.setattr("shutil.get_terminal_size", lambda: size)
     stream = io.StringIO()
@@ -68,9 +55,6 @@ def test_a_terminal_shows_values_and_is_left_in_order(tmp_path: Path) -> None:
             seen = terminal.read_to_end()
     assert "\r\x1b[J" in seen
     assert "polls in" in seen.rpartition("\x1b[J")[2]  # the summary is what remains
-
-
-# --- on a page ------------------------------------------------------------------------
 
 
 TANK = "name,table,address,unit\nlevel,holding_registers,0,m\npressure,holding_registers,1,bar\n"

@@ -1,8 +1,4 @@
-"""
-A capture on the command line: serve --replay answers as it did, listen --compare-with asks again.
-"""
-
-from __future__ import annotations
+"""Captures on the command line: serve --replay answers as it did, listen --compare-with asks."""
 
 from pathlib import Path
 

@@ -1,6 +1,4 @@
-"""
-The commands serve and gateway: what they serve, and what they say when they start.
-"""
+"""The commands serve and gateway: what they serve, and what they say when they start."""
 
 import contextlib
 import io
@@ -65,9 +63,7 @@ def test_serve_says_when_a_port_is_taken(url: str) -> None:
     ],
 )
 @each_case("is_guarded", [True, False])
-def test_it_says_in_one_line_that_anyone_may_write(
-    urls: list[str], named: int, is_guarded: bool
-) -> None:
+def test_it_says_in_one_line_that_anyone_may_write(urls, named, is_guarded) -> None:
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         announce(urls, is_guarded=is_guarded)
@@ -85,9 +81,6 @@ def test_serve_has_the_units_that_were_typed() -> None:
         assert run("read", url, "-u", "4", "hr", 0).code == 1
 
 
-# --- serve --map: points with names, access and bounds, and no device file ---------------
-
-
 def test_a_map_of_the_package_is_served_by_its_name_to_some_units() -> None:
     with serving(*SERVE, "--map", "sdm120", "-u", "1,17") as (_, url):
         found = run("read", url, "--map", "sdm120", "-u", "17", "voltage")
@@ -103,9 +96,6 @@ def test_a_map_of_a_file_is_enforced_and_its_columns_are_named(tmp_path: Path) -
     with serving(*SERVE, *options) as (_, url):
         assert run("read", url, *options, "power").out == "power  0\n"
         assert "illegal data address" in run("write", url, "hr", 1, 5).err
-
-
-# --- gateway --------------------------------------------------------------------------
 
 
 def test_a_gateway_has_the_units_that_were_typed(device: str) -> None:

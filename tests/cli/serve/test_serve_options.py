@@ -1,6 +1,4 @@
-"""
-Options of serve: the audit file, the token of the page, certificates that are renewed.
-"""
+"""Options of serve: the audit file, the token of the page, certificates that are renewed."""
 
 import json
 import re
@@ -54,9 +52,7 @@ def test_writes_are_refused_while_the_disk_is_full(command: list[str]) -> None:
 
 
 @pytest.mark.parametrize("command", ["serve", "gateway"])
-def test_what_changed_in_a_file_that_is_read_again_is_recorded(
-    command: str, tmp_path: Path
-) -> None:
+def test_what_changed_in_a_file_that_is_read_again_is_recorded(command, tmp_path) -> None:
     file, trail = tmp_path / "file.toml", tmp_path / "audit.json"
     options = [TCP, "--device", file]
     cells = "[[unit.holding_registers]]\naddress = 0\n"
@@ -84,9 +80,7 @@ SERVE = ("serve", "tcp://127.0.0.1:0", "--page", "127.0.0.1:0")
 
 
 @pytest.mark.parametrize("where", ["file", "environment"])
-def test_a_token_that_was_given_opens_the_page_and_is_not_printed(
-    where: str, tmp_path: Path
-) -> None:
+def test_a_token_that_was_given_opens_the_page_and_is_not_printed(where, tmp_path) -> None:
     file = tmp_path / "token"
     file.write_text(f"{TOKEN}\n")
     file.chmod(0o600)
@@ -126,9 +120,7 @@ def test_a_new_token_is_printed_on_a_terminal() -> None:
         (None, 0, "No such file or directory"),
     ],
 )
-def test_a_wrong_token_is_told_and_not_shown(
-    tmp_path: Path, content: str | None, mode: int, said: str
-) -> None:
+def test_a_wrong_token_is_told_and_not_shown(tmp_path, content, mode, said) -> None:
     file = tmp_path / "file"
     file.unlink(missing_ok=True)
     if content is not None:
@@ -141,9 +133,7 @@ def test_a_wrong_token_is_told_and_not_shown(
     assert TOKEN not in done.err
 
 
-def test_files_of_certificates_are_read_again_on_hangup(
-    command: list[str], pki: Pki, tmp_path: Path
-) -> None:
+def test_files_of_certificates_are_read_again_on_hangup(command: list[str], pki: Pki, tmp_path):
     files = pki.files(certificates.server())
     crl = tmp_path / "crl.pem"
     crl.write_bytes(certificates.revocation_list())

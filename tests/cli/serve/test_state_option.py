@@ -1,8 +1,4 @@
-"""
-The option --state of serve: written values survive a restart, however the server ended.
-"""
-
-from __future__ import annotations
+"""The option --state of serve: written values survive a restart, however the server ended."""
 
 import re
 import signal
@@ -37,10 +33,7 @@ def plant(tmp_path: Path) -> Path:
 @each_case("end", [signal.SIGTERM, signal.SIGINT])
 def test_values_of_plain_tables_survive(end: signal.Signals, tmp_path: Path) -> None:
     state = tmp_path / f"state-{end}"
-    with (
-        serving(*SERVE, "--state", state, end=end) as (_, url),
-        Client(url, unit=9) as plc,
-    ):
+    with serving(*SERVE, "--state", state, end=end) as (_, url), Client(url, unit=9) as plc:
         plc.write_registers(65534, [7, 8])
         plc.write_coil(3, True)
         plc.write_file_records([(10, 9999, [42])])
@@ -67,9 +60,7 @@ def test_values_of_a_device_file_survive_a_reading_again(plant: Path, tmp_path: 
         assert plc.for_unit(2).read_holding_registers(5, 1) == [9]
 
 
-def test_a_state_of_other_devices_is_refused_before_anything_is_served(
-    plant: Path, tmp_path: Path
-) -> None:
+def test_a_state_of_other_devices_is_refused_before_anything_is_served(plant: Path, tmp_path):
     state = tmp_path / "state"
     with serving(*SERVE, "--state", state) as (_, url), Client(url) as plc:
         plc.write_register(0, 1)

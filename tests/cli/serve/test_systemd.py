@@ -1,6 +1,4 @@
-"""
-Commands under systemd, and in other locales and with other umasks.
-"""
+"""Commands under systemd, and in other locales and with other umasks."""
 
 import configparser
 import csv
@@ -36,9 +34,7 @@ def manager(tmp_path: Path) -> Iterator[socket.socket]:
 
 
 @pytest.mark.parametrize("name", ["serve", "gateway", "poll"])
-def test_each_command_tells_that_it_serves(
-    name: str, device: str, manager: socket.socket, tmp_path: Path
-) -> None:
+def test_each_command_tells_that_it_serves(name, device: str, manager: socket.socket, tmp_path):
     (tmp_path / "fleet.toml").write_text(FLEET_OF_ONE.format(url=device))
     arguments = {
         "serve": ["tcp://127.0.0.1:0"],
@@ -64,16 +60,12 @@ def test_an_abstract_socket_is_told_too(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.parametrize("place", ["", "relative", "/nowhere/notify", "@nobody", "/" + "x" * 200])
-def test_a_manager_that_is_not_there_changes_nothing(
-    place: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_manager_that_is_not_there_changes_nothing(place, monkeypatch) -> None:
     monkeypatch.setenv("NOTIFY_SOCKET", place)
     before = os.listdir("/proc/self/fd")
     notify_ready()
     assert os.listdir("/proc/self/fd") == before
 
-
-# --- units in deploy/ ------------------------------------------------------------------
 
 DEPLOY = Path(__file__).parents[3] / "deploy"
 

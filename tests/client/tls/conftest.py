@@ -1,6 +1,4 @@
-"""
-Clients and servers over TLS.
-"""
+"""Clients and servers over TLS."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

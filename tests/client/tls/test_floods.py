@@ -1,6 +1,4 @@
-"""
-Servers of TLS that send without end, or nonsense, or do not read.
-"""
+"""Servers of TLS that send without end, or nonsense, or do not read."""
 
 import contextlib
 import random
@@ -99,9 +97,6 @@ def test_a_flood_while_nothing_is_asked(
     assert sent[0] < MUCH
 
 
-# --- much to send ----------------------------------------------------------------------------
-
-
 @pytest.fixture
 def small_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
     """The system accepts what is sent in parts only."""
@@ -156,9 +151,6 @@ def test_a_request_behind_much_else_that_is_unsent(talking: Talking, tmp_path: P
         assert is_full.wait(LONG)
         assert plc.read_holding_registers(2, 1) == [2]
         assert plc.statistics.connects == 1
-
-
-# --- nonsense --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -1,6 +1,4 @@
-"""
-Handshakes that take too long, are closed, interrupted or forked; connections that a fork leaves.
-"""
+"""Handshakes that take too long, are closed, interrupted or forked."""
 
 import asyncio
 import contextlib
@@ -46,9 +44,7 @@ def stalls(sock: socket.socket) -> None:
 
 
 @pytest.mark.parametrize("talk", [trickles, says_hello_again_and_again, stalls])
-def test_a_handshake_ends_with_the_timeout(
-    connect: Connect, pki: Pki, talk: Callable[[socket.socket], object]
-) -> None:
+def test_a_handshake_ends_with_the_timeout(connect: Connect, pki: Pki, talk) -> None:
     with raw(talk) as url:
         plc = connect(url, security=pki.client(), timeout=0.2)
         begin = time.monotonic()
@@ -60,9 +56,7 @@ def test_a_handshake_ends_with_the_timeout(
         plc.close()
 
 
-def test_a_slow_handshake_is_good_if_there_is_time(
-    connect: Connect, pki: Pki, serving: Serving
-) -> None:
+def test_a_slow_handshake_is_good_if_there_is_time(connect: Connect, pki: Pki, serving: Serving):
     def bytewise(data: bytes) -> Iterator[bytes]:
         for at in range(0, len(data), 7):
             time.sleep(0.0002)
@@ -74,9 +68,6 @@ def test_a_slow_handshake_is_good_if_there_is_time(
         connect(relay.url, security=pki.client(), timeout=LONG) as plc,
     ):
         assert plc.read_holding_registers(5, 1) == [5]
-
-
-# --- closing, cancelling, forking ------------------------------------------------------------
 
 
 def test_close_ends_a_handshake(connect: Connect, pki: Pki) -> None:
@@ -186,9 +177,7 @@ def test_a_forked_child_leaves_the_connection_alone(pki: Pki) -> None:
         assert server.statistics.handshakes == 2
 
 
-def test_an_asyncio_client_that_ends_in_a_child_leaves_the_connection_alone(
-    pki: Pki,
-) -> None:
+def test_an_asyncio_client_that_ends_in_a_child_leaves_the_connection_alone(pki: Pki) -> None:
     async def main(url: str) -> None:
         async with AsyncClient(url, timeout=LONG) as plc:
             await plc.write_register(0, 7)

@@ -1,6 +1,4 @@
-"""
-What goes over a connection of TLS, in whatever records, and how it ends.
-"""
+"""What goes over a connection of TLS, in whatever records, and how it ends."""
 
 import socket
 import threading
@@ -22,13 +20,8 @@ from tests.support.tls_peers import HANDSHAKE, Peer, Script, Sealed
 ALERT, ACCESS_DENIED = 21, b"\x02\x31"
 
 
-# --- what goes over it ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("key", ["EC", "RSA"])
-def test_both_versions_and_both_kinds_of_keys(
-    talking: Talking, pki: Pki, version: str, key: str
-) -> None:
+def test_both_versions_and_both_kinds_of_keys(talking: Talking, pki: Pki, version: str, key):
     options = {"key": certificates.rsa_key()} if key == "RSA" else {}
     own = {"security": pki.security(certificates.client(**options))}
     shown = certificates.server(**options)
@@ -81,9 +74,7 @@ def test_records_say_nothing_about_frames(talking: Talking, version: str, script
     assert server.connections == 1
 
 
-def test_tickets_changes_of_keys_and_empty_records_between_answers(
-    talking: Talking, tmp_path: Path
-) -> None:
+def test_tickets_changes_of_keys_and_empty_records_between_answers(talking: Talking, tmp_path):
     log = tmp_path / "keys"
     other: list[Callable[[Sealed], bytes]] = [
         lambda sealed: sealed.record(sealed.ticket(), HANDSHAKE),
@@ -157,9 +148,6 @@ def test_the_trace_shows_what_is_inside(talking: Talking) -> None:
     assert states == [State.CONNECTING, State.CONNECTED, State.CLOSED]
 
 
-# --- ends ------------------------------------------------------------------------------------
-
-
 def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:
     """
     The answer counts, and who waits for another one hears at once that there is none: TLS has
@@ -183,9 +171,7 @@ def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:
         assert "closed by the other side" in str(found[1])
 
 
-def test_an_answer_and_an_alert_in_one_go(
-    connect: Connect, pki: Pki, serving: Serving, tmp_path: Path
-) -> None:
+def test_an_answer_and_an_alert_in_one_go(connect: Connect, pki: Pki, serving: Serving, tmp_path):
     """More requests wait to be sent, and cannot be any more."""
     log = tmp_path / "keys"
     kept: list[socket.socket] = []

@@ -1,6 +1,4 @@
-"""
-Contexts and sessions of TLS that several connections use.
-"""
+"""Contexts and sessions of TLS that several connections use."""
 
 import contextlib
 import ssl
@@ -18,7 +16,7 @@ from tests.support.peers import until
 from tests.support.secured import context_of
 from tests.support.tls import context
 from tests.support.tls_clients import LONG, Talking
-from tests.support.tls_peers import Peer, Relay, Script, TlsServer
+from tests.support.tls_peers import Peer, Relay, TlsServer
 
 
 def once(peer: Peer) -> None:
@@ -40,9 +38,7 @@ def ask_after_each_end(plc: Any, server: TlsServer, times: int) -> None:
 
 
 @pytest.mark.parametrize("script", [once, abruptly])
-def test_a_new_connection_resumes_the_session(
-    talking: Talking, version: str, script: Script
-) -> None:
+def test_a_new_connection_resumes_the_session(talking: Talking, version: str, script) -> None:
     with talking(script, version=version) as (server, plc):
         ask_after_each_end(plc, server, 4)
     assert server.resumed == [False, True, True, True]

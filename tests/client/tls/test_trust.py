@@ -1,6 +1,4 @@
-"""
-Whom a client over TLS trusts, who refuses it, and what is no TLS at all: each error says which.
-"""
+"""Whom a client over TLS trusts, who refuses it, and what is no TLS: each error says which."""
 
 import contextlib
 import hashlib
@@ -21,13 +19,7 @@ import pytest
 from libmodbus_py import ModbusConnectionError
 from libmodbus_py.tools.certificates import Identity
 from tests.support import certificates
-from tests.support.certificates import (
-    Pki,
-    expired,
-    foreign_authority,
-    not_yet_valid,
-    self_signed,
-)
+from tests.support.certificates import Pki, expired, foreign_authority, not_yet_valid, self_signed
 from tests.support.clients import Connect
 from tests.support.names import NEEDS_IPV6, resolve
 from tests.support.peers import until
@@ -113,13 +105,7 @@ def test_a_bad_certificate_is_named_with_what_is_wrong(
     ],
 )
 def test_names_and_addresses(
-    monkeypatch: pytest.MonkeyPatch,
-    connect: Connect,
-    pki: Pki,
-    serving: Serving,
-    host: str,
-    hosts: tuple[str, ...],
-    is_good: bool,
+    monkeypatch, connect: Connect, pki: Pki, serving: Serving, host, hosts, is_good
 ) -> None:
     resolve(monkeypatch, "plc.example")
     with (
@@ -199,9 +185,6 @@ def test_another_certificate_than_the_pinned_one_is_named(
     assert f"SHA-256 {digest}" in str(error)
 
 
-# --- whom the server refuses -----------------------------------------------------------------
-
-
 @pytest.mark.parametrize("is_abrupt", [False, True])
 def test_the_servers_refusal_of_our_certificate_is_told(
     connect: Connect, pki: Pki, serving: Serving, version: str, is_abrupt: bool
@@ -230,9 +213,7 @@ def refusing(context: ssl.SSLContext, is_abrupt: bool, sock: socket.socket) -> N
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
 
-def test_a_reset_behind_the_refusal_does_not_hide_it(
-    connect: Connect, pki: Pki, serving: Serving
-) -> None:
+def test_a_reset_behind_the_refusal_does_not_hide_it(connect: Connect, pki: Pki, serving: Serving):
     """The request finds the connection gone; what the server said before is still to be read."""
     own = certificates.client(issuer=foreign_authority())
     gone = threading.Event()
@@ -283,9 +264,6 @@ def test_a_tls_1_2_server_that_closes_behind_our_certificate(
     ):
         plc.read_holding_registers(0, 1)
     assert (HINT in str(caught.value)) is is_suspected
-
-
-# --- what is not a TLS -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,4 @@
-"""
-One request of each function, and what examples say of them.
-"""
+"""One request of each function, and what examples say of them."""
 
 import struct
 from collections.abc import Callable

@@ -1,6 +1,4 @@
-"""
-What a client must make of bad responses.
-"""
+"""What a client must make of bad responses."""
 
 from typing import Any
 
@@ -23,9 +21,7 @@ every_request = each_case("request_", [request for request, _ in ALL])
 
 class TestBadResponses:
     @each_case(("request_", "good"), ANSWERED)
-    def test_cut_responses_are_invalid_and_the_error_shows_them(
-        self, request_: pdu.Request[Any], good: bytes
-    ) -> None:
+    def test_cut_responses_are_invalid_and_the_error_shows_them(self, request_, good) -> None:
         for end in range(len(good)):
             with pytest.raises(errors.InvalidResponse) as caught:
                 request_.decode_response(good[:end])
@@ -37,16 +33,12 @@ class TestBadResponses:
             request_.decode_response(good + b"\0")
 
     @each_case(("request_", "good"), [each for each in ANSWERED if each[0].may_be_broadcast])
-    def test_bytes_behind_an_echo_are_ignored(
-        self, request_: pdu.Request[Any], good: bytes
-    ) -> None:
+    def test_bytes_behind_an_echo_are_ignored(self, request_, good) -> None:
         """IndustrialShields/arduino-Tools40#7: a stray byte behind the echo is counted."""
         request_.decode_response(good + b"\6")
 
     @each_case(("request_", "good"), ALL)
-    def test_other_function_is_invalid_and_the_error_names_the_request(
-        self, request_: pdu.Request[Any], good: bytes
-    ) -> None:
+    def test_other_function_is_invalid_and_the_error_names_the_request(self, request_, good):
         for other in {0, *pdu.REQUESTS, 0x7F} - {request_.function}:
             with pytest.raises(errors.InvalidResponse) as caught:
                 request_.decode_response(bytes([other]) + good[1:])
@@ -133,9 +125,7 @@ class TestBadResponses:
             (pdu.EncapsulatedTransport(13, b""), b"\x2b"),
         ],
     )
-    def test_byte_counts_that_do_not_fit_the_request_are_invalid(
-        self, request_: pdu.Request[Any], response: bytes
-    ) -> None:
+    def test_byte_counts_that_do_not_fit_the_request_are_invalid(self, request_, response) -> None:
         with pytest.raises(errors.InvalidResponse):
             request_.decode_response(response)
 

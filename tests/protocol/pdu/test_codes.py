@@ -1,6 +1,4 @@
-"""
-Function codes, the lengths of requests and responses, and which requests change something.
-"""
+"""Function codes, the lengths of requests and responses, and which requests change something."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,10 +7,7 @@ import pytest
 
 from libmodbus_py import pdu
 from libmodbus_py.protocol.pdu import RawRequest, ReadDeviceIdentification
-from libmodbus_py.protocol.pdu.interface import (
-    MeiType,
-    ReadDeviceIdCode,
-)
+from libmodbus_py.protocol.pdu.interface import MeiType, ReadDeviceIdCode
 from libmodbus_py.protocol.pdu.request import IN_C
 from libmodbus_py.services.gateway.line import request_of
 from tests.protocol.pdu.examples import EXAMPLES, Doubled, tells_its_length
@@ -131,9 +126,6 @@ def test_a_request_says_whether_it_changes_a_device(request_: pdu.Request[Any]) 
 
 def test_every_function_is_tried() -> None:
     assert {each.function for each in READING + CHANGING} == {*pdu.REQUESTS, 100}
-
-
-# --- requests that may be sent twice -----------------------------------------------------------
 
 
 def test_reads_and_writes_of_absolute_values_are_repeatable() -> None:

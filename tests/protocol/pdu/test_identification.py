@@ -1,6 +1,4 @@
-"""
-The identifier of a server (function 17), and device identification (function 43/14).
-"""
+"""The identifier of a server (function 17), and device identification (function 43/14)."""
 
 from typing import Any
 
@@ -93,9 +91,7 @@ class TestIdentification:
             ("extended", list(OBJECTS), [0, 2, 3, 4, 128, 129]),
         ],
     )
-    def test_stream_goes_over_as_many_pages_as_it_takes(
-        self, level: str, numbers: list[int], asked: list[int]
-    ) -> None:
+    def test_stream_goes_over_as_many_pages_as_it_takes(self, level, numbers, asked) -> None:
         found, requests = served(OBJECTS, level)
         assert found == {number: OBJECTS[number] for number in numbers}
         assert list(found) == numbers
@@ -145,9 +141,7 @@ class TestIdentification:
             ([(5, {}), (3, {})], [0, 5]),
         ],
     )
-    def test_device_that_leads_in_circles_is_invalid(
-        self, pages_: list[tuple[int, dict[int, bytes]]], asked: list[int]
-    ) -> None:
+    def test_device_that_leads_in_circles_is_invalid(self, pages_, asked) -> None:
         steps = identify("regular")
         requests = [next(steps)]
         *good, bad = pages_
@@ -171,9 +165,7 @@ class TestIdentification:
         assert done.value.value == expected
 
     @pytest.mark.parametrize("next_object", [None, 3])
-    def test_page_that_promises_more_than_a_message_holds_gives_what_came(
-        self, next_object: int | None
-    ) -> None:
+    def test_page_that_promises_more_than_a_message_holds_gives_what_came(self, next_object):
         request = ReadDeviceIdentification(2)
         more, following = (0, 0) if next_object is None else (0xFF, next_object)
         objects = b"\0\1a" + b"\1\1b" + b"\2\1c" + b"\3\xff"
@@ -237,9 +229,6 @@ class TestIdentification:
             next(identify(level))
 
 
-# --- pages (section 6.21) ------------------------------------------------------------------
-
-
 def page(*objects: tuple[int, bytes], code: int = 1, more: int = 0, following: int = 0) -> bytes:
     body = b"".join(bytes([number, len(value)]) + value for number, value in objects)
     return bytes([0x2B, 0x0E, code, 0x81, more, following, len(objects)]) + body
@@ -261,9 +250,7 @@ def test_objects_have_the_names_of_the_specification() -> None:
 @each_case(
     ("more", "following", "expected"), [(0, 0, None), (0, 5, None), (0xFF, 0, 0), (0xFF, 5, 5)]
 )
-def test_the_next_object_counts_only_if_more_follow(
-    more: int, following: int, expected: int | None
-) -> None:
+def test_the_next_object_counts_only_if_more_follow(more, following, expected) -> None:
     response = page((0, b"a"), more=more, following=following)
     found = pdu.ReadDeviceIdentification(1).decode_response(response)
     assert found == pdu.IdentificationPage(0x81, expected, {0: b"a"})

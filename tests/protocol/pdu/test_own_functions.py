@@ -1,6 +1,4 @@
-"""
-Functions of one's own, registered with the package; raw requests; and reads of one's own.
-"""
+"""Functions of one's own, registered with the package; raw requests; and reads of one's own."""
 
 from __future__ import annotations
 
@@ -69,9 +67,7 @@ class Changed(Doubled):
         (Changed(), "Changed()", {"name": "Changed"}, "changed"),
     ],
 )
-def test_a_request_that_is_no_dataclass_is_shown(
-    request_: Any, text: str, fields: dict[str, Any], words: str
-) -> None:
+def test_a_request_that_is_no_dataclass_is_shown(request_, text, fields, words) -> None:
     assert str(request_) == text
     assert plain(request_) == fields
     assert request_words(request_) == words
@@ -143,9 +139,6 @@ class TestRegister:
             pdu.REQUESTS.pop(code)
 
 
-# --- raw requests ------------------------------------------------------------------------------
-
-
 class TestRawRequest:
     def test_data_go_and_come_as_they_are(self) -> None:
         for function in range(1, 128):
@@ -161,9 +154,6 @@ class TestRawRequest:
             RawRequest(65, b"\1").decode_response(b"\xc1\2")
         assert caught.value.function == 65
         assert "RawRequest(function=65, data=b'\\x01')" in str(caught.value)
-
-
-# --- classes of users that read as functions 1 to 4 do -----------------------------------------
 
 
 # Application protocol, 6.3: three registers.

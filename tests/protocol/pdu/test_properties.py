@@ -1,6 +1,4 @@
-"""
-Any request and any result survive the wire; tests/test_fuzz.py shows the same of any bytes.
-"""
+"""Any request and any result survive the wire; tests/test_fuzz.py shows the same of any bytes."""
 
 from typing import Any
 

@@ -1,6 +1,4 @@
-"""
-The worked examples of the specification, encoded and decoded.
-"""
+"""The worked examples of the specification, encoded and decoded."""
 
 from typing import Any
 
@@ -119,9 +117,7 @@ class TestEncodeResponse:
             (pdu.ReportServerId(), pdu.ServerId(bytes(250), True, b"a"), ValueError),
         ],
     )
-    def test_result_must_be_what_was_asked_for(
-        self, request_: pdu.Request[Any], result: Any, error: type[Exception]
-    ) -> None:
+    def test_result_must_be_what_was_asked_for(self, request_, result, error) -> None:
         with pytest.raises(error, match="result"):
             request_.encode_response(result)
 
@@ -151,9 +147,7 @@ class TestEncodeResponse:
             (pdu.RawRequest(65), bytes(253)),
         ],
     )
-    def test_results_that_no_message_can_carry_are_value_errors(
-        self, request_: pdu.Request[Any], result: Any
-    ) -> None:
+    def test_results_that_no_message_can_carry_are_value_errors(self, request_, result) -> None:
         with pytest.raises(ValueError, match=r"."):
             request_.encode_response(result)
 

@@ -1,6 +1,4 @@
-"""
-Buckets on a simulated server of NATS.
-"""
+"""Buckets on a simulated server of NATS."""
 
 import asyncio
 from types import SimpleNamespace
@@ -56,6 +54,25 @@ async def test_an_empty_bucket_is_complete_at_once(engine: Engine, client: Engin
     told: list[Change | None] = []
     await engine.bucket(client).watch(told.append)
     assert told == [None]
+
+
+@with_engine
+async def test_a_write_that_was_answered_too_late_is_not_done_again(
+    engine: Engine, client: EngineClient
+) -> None:
+    bucket = engine.bucket(client)
+    revision = await bucket.put("a", b"1", 0)
+    for last in (0, revision + 7):  # no such key, or another revision
+        assert await bucket.put("a", b"9", last) == 0
+    engine.delay, usual = (1.5, 1.5), engine.delay
+    with pytest.raises(EngineGone, match="no answer"):
+        await bucket.put("a", b"2", revision)
+    engine.delay = usual
+    await asyncio.sleep(5)
+    for value in (b"2", None):
+        assert await bucket.put("a", value, revision) == 0
+    assert engine.latest is not None
+    assert engine.latest["a"].value == b"2"
 
 
 def message(number: int, revision: int, key: str = "a", value: bytes = b"1") -> Any:
@@ -115,33 +132,3 @@ def test_a_change_that_comes_twice_or_too_late_is_a_gap_and_ends_the_watch(
     watch, changes, missed = watched("a", messages)
     assert [each and (each.value, each.revision) for each in changes] == told
     assert (len(missed), watch.is_broken) == (gaps, bool(gaps))
-
-
-@each_case("early", [0, 1, 3, 4, 6])
-def test_contents_are_complete_when_each_key_has_come_however_often_others_do(early: int) -> None:
-    """A key that is replaced before it was sent comes behind later ones, and is sent once."""
-    order = "bbcbab"
-    messages = [message(at, at + 9, key) for at, key in enumerate(order, 1)]
-    _, changes, _ = watched("abc", messages, early)
-    keys = [each and each.key for each in changes]
-    complete = max(early, 5)  # when the keys are known, and the last of them has come
-    assert keys == [*order[:complete], None, *order[complete:]]
-
-
-@with_engine
-async def test_a_write_that_was_answered_too_late_is_not_done_again(
-    engine: Engine, client: EngineClient
-) -> None:
-    bucket = engine.bucket(client)
-    revision = await bucket.put("a", b"1", 0)
-    for last in (0, revision + 7):  # no such key, or another revision
-        assert await bucket.put("a", b"9", last) == 0
-    engine.delay, usual = (1.5, 1.5), engine.delay
-    with pytest.raises(EngineGone, match="no answer"):
-        await bucket.put("a", b"2", revision)
-    engine.delay = usual
-    await asyncio.sleep(5)
-    for value in (b"2", None):
-        assert await bucket.put("a", value, revision) == 0
-    assert engine.latest is not None
-    assert engine.latest["a"].value == b"2"

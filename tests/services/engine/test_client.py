@@ -8,14 +8,13 @@ import json
 import ssl
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, closing, suppress
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from fuzz.nats_servers import NatsServers
 from libmodbus_py.services.engine.connection import EngineError, disconnect, open_connection
-from tests.services.fleet.fleets import LONGEST, in_real_time, until
+from tests.services.fleet.fleets import LONGEST, until
 from tests.support import certificates
 from tests.support.certificates import authority, save
 
@@ -26,13 +25,8 @@ INFO = {"server_id": "x", "version": "2.10.0", "max_payload": 1000, "headers": T
 
 class Server:
     """
-    As much of a NATS server as clients need to connect and subscribe.
-
-    Args:
-        greet: returns the INFO of a connection with a number, and its TLS context or None.
-
-    Attributes:
-        heard: the lines of each connection.
+    As much of a NATS server as clients need to connect and subscribe. `greet`: returns the INFO of
+    a connection with a number, and its TLS context or None. `heard`: the lines of each connection.
     """
 
     def __init__(self, greet: Callable[[int], tuple[dict[str, Any], ssl.SSLContext | None]]):
@@ -118,7 +112,6 @@ GOOD = b"MSG modbus.write.pump.level 1 2\r\nok\r\n"
     ],
     ids=lambda message: repr(message[:30]),
 )
-@in_real_time
 async def test_a_malformed_message_costs_no_other(message: bytes) -> None:
     """Any client may send it to the subjects of commands, and all workers receive it."""
 
@@ -145,7 +138,6 @@ async def test_a_malformed_message_costs_no_other(message: bytes) -> None:
     ],
     ids=repr,
 )
-@in_real_time
 async def test_after_an_error_of_the_server_the_client_connects_again(line: bytes) -> None:
     async with subscribed() as (server, client, heard):
         server.say(line)
@@ -155,7 +147,6 @@ async def test_after_an_error_of_the_server_the_client_connects_again(line: byte
         await until(lambda: heard)
 
 
-@in_real_time
 async def test_a_permission_that_is_missing_ends_no_connection() -> None:
     async with subscribed() as (server, _, heard):
         server.say(b"-ERR 'Permissions Violation for Publish to \"x\"'\r\n" + GOOD)
@@ -163,17 +154,13 @@ async def test_a_permission_that_is_missing_ends_no_connection() -> None:
         assert len(server.heard) == 1
 
 
-@in_real_time
 async def test_a_greeting_that_cannot_be_read_is_followed_by_another_attempt() -> None:
     """nats-py ends its attempts at an exception that it does not know, and stays lost for ever."""
 
     def greet(number: int) -> tuple[dict[str, Any], None]:
         return (INFO if number != 1 else {**INFO, "connect_urls": ["x" * 70_000]}), None
 
-    async with (
-        serving(greet) as (server, port),
-        connection(f"nats://127.0.0.1:{port}") as client,
-    ):
+    async with serving(greet) as (server, port), connection(f"nats://127.0.0.1:{port}") as client:
         server.writers[-1].close()
         await until(lambda: len(server.heard) == 3 and client.is_connected)
 
@@ -188,7 +175,6 @@ MALFORMED = [
 ]
 
 
-@in_real_time
 async def test_a_real_server_passes_malformed_messages_on_over_one_connection() -> None:
     heard: list[bytes] = []
 
@@ -208,8 +194,6 @@ async def test_a_real_server_passes_malformed_messages_on_over_one_connection() 
             assert client.stats["reconnects"] == 0
 
 
-# --- the password ---------------------------------------------------------------------------
-
 LOGIN = {"NATS_USER": "u", "NATS_PASSWORD": "secret"}
 
 
@@ -218,7 +202,6 @@ def credentials(server: Server) -> list[bool]:
     return [any(b"CONNECT" in line for line in lines) for lines in server.heard]
 
 
-@in_real_time
 async def test_a_server_without_tls_is_sent_nothing() -> None:
     async with serving(lambda number: (INFO, None)) as (server, port):
         with pytest.raises(EngineError, match="does not support TLS; nothing was sent"):
@@ -227,10 +210,7 @@ async def test_a_server_without_tls_is_sent_nothing() -> None:
         assert not any(server.heard)
 
 
-@in_real_time
-async def test_a_server_without_tls_is_sent_nothing_when_the_connection_is_made_again(
-    tmp_path: Path,
-) -> None:
+async def test_a_server_without_tls_is_sent_nothing_when_the_connection_is_made_again(tmp_path):
     ca = save(tmp_path, authority(), "ca")
     own = save(tmp_path, certificates.server(), "own")
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)

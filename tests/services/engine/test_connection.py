@@ -25,7 +25,6 @@ from libmodbus_py.services.engine.connection import (
     open_connection,
     parse_servers,
 )
-from tests.services.fleet.fleets import in_real_time
 from tests.support.certificates import authority, make, save
 from tests.support.secret_files import write_secret
 
@@ -81,9 +80,7 @@ def refused(client: type[Client], **environment: str) -> str:
     return str(caught.value)
 
 
-def test_credentials_come_from_the_environment(
-    client: type[Client], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_credentials_come_from_the_environment(client: type[Client], monkeypatch, tmp_path) -> None:
     creds, seed = tmp_path / "c", tmp_path / "n"
     write_secret(creds, "BEGIN NATS USER JWT, BEGIN USER NKEY SEED")
     write_secret(seed, "SUA")
@@ -104,9 +101,7 @@ def test_credentials_come_from_the_environment(
 
 
 @pytest.mark.parametrize("name", ["NATS_CREDS", "NATS_NKEY"])
-def test_keys_need_nkeys_and_nothing_else_does(
-    name: str, client: type[Client], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_keys_need_nkeys_and_nothing_else_does(name, client: type[Client], monkeypatch) -> None:
     monkeypatch.setattr(connection, "find_spec", lambda name: None)
     assert refused(client, **{name: "file"}) == f"{name} needs nkeys: pip install nkeys"
     assert client.made == []
@@ -127,7 +122,6 @@ def test_a_file_that_is_not_there_is_named(client: type[Client]) -> None:
     assert client.made == []
 
 
-@in_real_time
 async def test_a_connection_that_is_lost_is_sought_for_ever_and_each_change_told(
     client: type[Client],
 ) -> None:
@@ -169,9 +163,6 @@ def test_a_cancelled_connect_closes_its_client(client: type[Client]) -> None:
     assert client.made[0].is_closed
 
 
-# --- where it is ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("text", "servers"),
     [
@@ -195,8 +186,6 @@ def test_a_peer_that_is_no_nats_server_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="engine"):
         parse_servers(text)
 
-
-# --- servers that are none ----------------------------------------------------------------------
 
 INFO = b'INFO {"server_id":"x","version":"2.9.0","max_payload":1000}\r\n'
 
@@ -250,9 +239,7 @@ async def fails(said: bytes, closes: bool, patience: float) -> str:
 
 
 @pytest.mark.parametrize("closes", [False, True], ids=["stays", "closes"])
-def test_a_connection_that_ends_before_it_began_leaves_no_descriptor_open(
-    monkeypatch: pytest.MonkeyPatch, closes: bool
-) -> None:
+def test_a_connection_that_ends_before_it_began_leaves_no_descriptor_open(monkeypatch, closes):
     """If nats-py notices it, or a caller that connects waits no longer."""
     monkeypatch.setattr(connection, "TIMEOUT", 0.5)
     monkeypatch.setitem(TIMES, "connect_timeout", 0.5)

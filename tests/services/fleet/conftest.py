@@ -1,6 +1,4 @@
-"""
-A broker for the tests of fleets.
-"""
+"""A broker for the tests of fleets."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-What tests of fleets share: devices, maps, and waiting for what must happen.
-"""
+"""What tests of fleets share: devices, maps, and waiting for what must happen."""
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
@@ -23,11 +21,8 @@ METER = RegisterMap(
     ]
 )
 
-LONGEST = 20.0
-"""Seconds that anything may take on a busy machine."""
+LONGEST = 20.0  # seconds that anything may take on a busy machine
 
-LONGEST_TEST = 180.0
-"""Seconds for all steps of a test together."""
 
 LONGEST_SIMULATED = 3600.0
 
@@ -35,8 +30,7 @@ Answer = Callable[[bytes], Awaitable[bytes | None]]
 
 Result = TypeVar("Result")
 
-NETWORK: ContextVar[Network] = ContextVar("NETWORK")
-"""What a test in simulated time runs on."""
+NETWORK: ContextVar[Network] = ContextVar("NETWORK")  # what a test in simulated time runs on
 
 
 def meter(name: str, url: str, **keys: Any) -> DeviceConfig:
@@ -89,16 +83,6 @@ def in_simulated_time(test: Callable[..., Coroutine[Any, Any, None]]) -> Callabl
     return run
 
 
-def in_real_time(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
-    """Decorate a test whose sockets, files and programs are real."""
-
-    @wraps(test)
-    def run(*arguments: Any, **fixtures: Any) -> None:
-        asyncio.run(asyncio.wait_for(test(*arguments, **fixtures), LONGEST_TEST))
-
-    return run
-
-
 def stand_still(seconds: float) -> None:
     """Let simulated time pass while nobody in the event loop does anything."""
     events = NETWORK.get().events
@@ -116,10 +100,8 @@ async def until(is_so: Callable[[], object]) -> None:
 
 class Peer:
     """
-    A Modbus/TCP server of any manners, on the network of `simulated_run`.
-
-    Args:
-        answer: gives the bytes to send for a request, in its own time; None for nothing.
+    A Modbus/TCP server of any manners, on the network of `simulated_run`. `answer`: gives the bytes
+    to send for a request, in its own time; None for nothing.
     """
 
     url: str

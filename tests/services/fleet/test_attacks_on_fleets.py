@@ -1,6 +1,4 @@
-"""
-Fleets under attack: devices that flood, trickle, double and answer late; clocks, forks, cancels.
-"""
+"""Devices that flood, trickle, double and answer late; clocks, forks, cancellations."""
 
 import asyncio
 import os
@@ -16,7 +14,6 @@ from tests.services.fleet.fleets import (
     NETWORK,
     Peer,
     good,
-    in_real_time,
     in_simulated_time,
     meter,
     polling,
@@ -119,7 +116,6 @@ async def test_run_may_be_cancelled_at_any_time(turns: int) -> None:
             await until(lambda: fleet.statistics.up == 8)
 
 
-@in_real_time
 async def test_a_fork_leaves_the_parent_alone() -> None:
     async with real_peer() as peer:
         devices = [meter(f"{unit}", peer.url, unit=unit) for unit in range(1, 6)]

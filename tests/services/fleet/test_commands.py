@@ -1,6 +1,4 @@
-"""
-Commands: values of every kind, one after the other for each device, and as many as are promised.
-"""
+"""Commands: values of every kind, in order for each device, and as many as are promised."""
 
 import asyncio
 import json

@@ -1,6 +1,4 @@
-"""
-Devices of a fleet: bounds that are promised, names, addresses, and the table [engine].
-"""
+"""Devices of a fleet: bounds that are promised, names, addresses, and the table [engine]."""
 
 from typing import Any
 
@@ -13,6 +11,7 @@ from libmodbus_py.services.fleet.config import ENGINE
 from libmodbus_py.services.workers.records import FleetSettings
 from tests.services.fleet.fleets import meter
 from tests.support.cases import each_case
+from tests.support.golden import Refused
 
 
 @each_case(("key", "low", "high"), [("gap", 0, 2000), ("max_registers", 1, 125)])
@@ -37,32 +36,14 @@ def test_an_unknown_item_is_answered_with_eight_names() -> None:
     assert given_twice.items == ("p1", "p0")
 
 
-# --- labels -------------------------------------------------------------------------------------
-
-
-@each_case(
-    ("labels", "name"),
-    [
-        ({"": "x"}, ""),
-        ({"__x": "x"}, "__x"),
-        ({"-_x": "x"}, "__x"),
-        ({"device": "x"}, "device"),
-        ({"name": "x"}, "name"),
-        ({"unit": "x"}, "unit"),
-        ({"fire-zone": "x", "fire_zone": "y"}, "fire_zone"),
-    ],
-)
-def test_labels_that_prometheus_refuses_or_mixes(labels: dict[str, str], name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name!r}, its name in Prometheus, is not allowed"):
-        meter("a", "tcp://127.0.0.1", labels=labels)
+def test_labels_that_prometheus_refuses_or_mixes(refused: Refused) -> None:
+    refused("wrong_labels.txt", lambda labels: meter("a", "tcp://127.0.0.1", labels=labels))
 
 
 @each_case("labels", [{"fire-zone": "x"}, {"_x": "x"}, {"1": "x"}, {"größe": "x"}, {"a.b": "c"}])
 def test_other_labels_are_taken(labels: dict[str, str]) -> None:
     assert meter("a", "tcp://127.0.0.1", labels=labels).labels == labels
 
-
-# --- connections --------------------------------------------------------------------------------
 
 SAME = [
     ("tcp://[::1]:502", "tcp://[0:0:0:0:0:0:0:1]"),
@@ -95,25 +76,8 @@ def test_settings_of_workers_have_defaults() -> None:
     assert settings({**given, **sizes}) == FleetSettings(0.5, "continue", True, 60.0, 1 << 16)
 
 
-@each_case(
-    ("given", "error", "text"),
-    [
-        ({"leese": 1}, ValueError, "engine.leese: no such key; .*; did you mean lease\\?"),
-        ({"lease": 0.4}, ValueError, "engine.lease must be in 0.5..60 seconds, not 0.4"),
-        ({"lease": 61}, ValueError, "engine.lease must be in 0.5..60 seconds, not 61"),
-        ({"lease": "1"}, TypeError, "engine.lease must be a number of seconds, not str"),
-        ({"on_engine_loss": "wait"}, ValueError, "must be one of stop, continue, not 'wait'"),
-        ({"commands": 1}, TypeError, "engine.commands must be true or false, not 1"),
-        ({"max_age": 0}, ValueError, "engine.max_age must be in"),
-        ({"max_bytes": 65535}, ValueError, "engine.max_bytes must be in 65536..1125899906842624"),
-        ("nats://127.0.0.1", TypeError, "engine must be a table"),
-    ],
-)
-def test_a_wrong_setting_of_a_device_is_named(
-    given: Any, error: type[Exception], text: str
-) -> None:
-    with pytest.raises(error, match=text):
-        settings(given)
+def test_a_wrong_setting_of_an_engine_is_named(refused: Refused) -> None:
+    refused("wrong_settings.txt", settings)
 
 
 @pytest.mark.parametrize(

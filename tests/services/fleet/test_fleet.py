@@ -1,6 +1,4 @@
-"""
-Fleets that poll: who shares a connection, who is down, what is skipped, what changes.
-"""
+"""Fleets that poll: who shares a connection, who is down, what is skipped, what changes."""
 
 import asyncio
 import gc
@@ -18,7 +16,6 @@ from tests.services.fleet.fleets import (
     NETWORK,
     Peer,
     good,
-    in_real_time,
     in_simulated_time,
     meter,
     polling,
@@ -28,8 +25,6 @@ from tests.services.fleet.fleets import (
     until,
 )
 from tests.support.outputs import FakeOutput
-
-# --- what is read ------------------------------------------------------------------------
 
 
 @in_simulated_time
@@ -56,9 +51,6 @@ async def test_readings_are_named_scaled_and_timed() -> None:
     assert [each.state for each in fleet.devices.values()] == []
 
 
-# --- who is down ---------------------------------------------------------------------------
-
-
 async def even(request: bytes) -> bytes | None:
     return await good(request) if request[6] % 2 == 0 else None
 
@@ -82,7 +74,6 @@ async def test_fifty_dead_units_on_a_gateway_cost_the_others_nothing() -> None:
         assert of_the_dead == [1] * 150
 
 
-@in_real_time
 async def test_real_connections_are_polled() -> None:
     """Over TCP, and on a line with a unit that is not there."""
     with SerialWire() as wire:
@@ -105,9 +96,6 @@ async def test_real_connections_are_polled() -> None:
             ("3", "voltage", 30.0),
             ("tcp", "voltage", 30.0),
         }
-
-
-# --- what is late --------------------------------------------------------------------------
 
 
 @in_simulated_time
@@ -135,9 +123,7 @@ async def test_timeouts_are_those_of_each_device() -> None:
 
 
 @in_simulated_time
-async def test_polls_due_after_a_standstill_begin_in_many_turns_of_the_loop(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_polls_due_after_a_standstill_begin_in_many_turns_of_the_loop(monkeypatch) -> None:
     """Nothing else would happen for half a second, if thousands of polls began in one turn."""
     began: Counter[int] = Counter()
     turn = 0
@@ -153,9 +139,6 @@ async def test_polls_due_after_a_standstill_begin_in_many_turns_of_the_loop(
             turn += 1
             await asyncio.sleep(0)
     assert max(began.values()) == 200
-
-
-# --- once ----------------------------------------------------------------------------------
 
 
 @in_simulated_time
@@ -187,9 +170,6 @@ async def test_once_ends_if_what_was_not_polled_yet_is_removed(is_replaced: bool
         async with asyncio.timeout(40):
             await polling
         assert peer.units.count(2) == 1 + is_replaced
-
-
-# --- devices that come and go -------------------------------------------------------------
 
 
 @in_simulated_time
@@ -245,10 +225,7 @@ async def test_a_wrong_list_of_devices_changes_nothing() -> None:
         before = fleet.devices["a"]
         for bad, text in (
             (meter("a", peer.url, unit=5), "'a' is also the name of another"),
-            (
-                meter("b", f"{peer.url}?timeout=3", unit=5),
-                "has other options for",
-            ),
+            (meter("b", f"{peer.url}?timeout=3", unit=5), "has other options for"),
         ):
             with pytest.raises(ValueError, match=text):
                 fleet.add([bad])
@@ -261,9 +238,6 @@ async def test_a_wrong_list_of_devices_changes_nothing() -> None:
             await fleet.run()
         await until(lambda: fleet.statistics.up == 1)
         assert {*peer.units} == {1}
-
-
-# --- may_ask -----------------------------------------------------------------------------
 
 
 @in_simulated_time
@@ -289,13 +263,8 @@ async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading
             assert {each.quality for each in readings} == {"good"}
 
 
-# --- writes ------------------------------------------------------------------------------
-
-
 @in_simulated_time
-async def test_the_last_value_of_a_point_is_written_again_until_the_next(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_the_last_value_of_a_point_is_written_again_until_the_next(caplog) -> None:
     period = 30
     points = [Point("power", "holding_registers", 2, rewrite=period, maximum=100)]
     device = Device(Mapping(holding_registers=range(4)))

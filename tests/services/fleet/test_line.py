@@ -1,6 +1,4 @@
-"""
-Devices that share a line, in simulated time: whose poll is next, and what a silent one costs.
-"""
+"""Devices that share a line, in simulated time: whose poll is next, and what a silent one costs."""
 
 import asyncio
 from itertools import pairwise
@@ -149,9 +147,7 @@ class TestSilentDevices:
             assert len(plant.times(9)) >= 4
 
     @in_simulated_time
-    async def test_some_polls_of_a_silent_device_wait_for_the_whole_timeout(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    async def test_some_polls_of_a_silent_device_wait_for_the_whole_timeout(self, monkeypatch):
         """It may have become slower than all others, and would never be found."""
         monkeypatch.setattr(shared_line, "TRIALS_BEFORE_LONG", 6)
         plant = Plant()

@@ -1,6 +1,4 @@
-"""
-Intervals of points, and points that devices refuse or are silent about, in simulated time.
-"""
+"""Intervals of points, and points that devices refuse or are silent about, in simulated time."""
 
 import asyncio
 import logging
@@ -144,9 +142,7 @@ def refused(plant: Plant) -> dict[str, list[str]]:
 
 
 @in_simulated_time
-async def test_a_refused_address_costs_ten_requests_and_is_logged_once(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_refused_address_costs_ten_requests_and_is_logged_once(caplog) -> None:
     caplog.set_level(logging.WARNING, "libmodbus_py")
     plant = plant_of()
     plant.missing[1] = {7}

@@ -1,10 +1,8 @@
-"""
-Polls that follow writes, and the function that writes.
-"""
+"""Polls that follow writes, and the function that writes."""
 
 import asyncio
 import struct
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -33,8 +31,7 @@ POINTS = RegisterMap(
     ]
 )
 
-PAUSE = 1.0
-"""Simulated seconds, after which a poll that follows a write is over."""
+PAUSE = 1.0  # simulated seconds, after which a poll that follows a write is over
 
 
 class Memory:
@@ -127,9 +124,7 @@ async def with_wrong_ones(fleet: Fleet) -> None:
 @pytest.mark.parametrize("delay", [0.001, 0.2])
 @pytest.mark.parametrize("write", [one_by_one, at_once, as_commands, with_wrong_ones])
 @in_simulated_time
-async def test_many_writes_in_a_row_cost_one_poll(
-    write: Callable[[Fleet], Awaitable[None]], delay: float
-) -> None:
+async def test_many_writes_in_a_row_cost_one_poll(write, delay) -> None:
     memory = Memory(delay)
     async with polled(memory) as (fleet, readings):
         await write(fleet)

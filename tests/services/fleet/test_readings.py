@@ -1,6 +1,4 @@
-"""
-Readings: what the registers of a point mean, which values are told, and how they are written.
-"""
+"""Readings: what the registers of a point mean, which values are told, and how they are written."""
 
 import json
 import math
@@ -21,12 +19,7 @@ from libmodbus_py import (
     RegisterMap,
 )
 from libmodbus_py.fleet import DeviceConfig, Reading
-from libmodbus_py.services.fleet.outputs.forms import (
-    as_csv,
-    as_json,
-    object_text,
-    poll_messages,
-)
+from libmodbus_py.services.fleet.outputs.forms import as_csv, as_json, object_text, poll_messages
 from libmodbus_py.services.fleet.poller import Poller
 from libmodbus_py.services.fleet.readings import Changes, classification, is_down
 from tests.support.cases import each_case
@@ -58,9 +51,7 @@ def told(values: list[Any], *, on_change: bool = False, band: float | None = Non
         ({"band": 1.0}, [[1, 5], [1.5, 5.5], [1.5, 6.5]], [[1, 5], [1.5, 6.5]]),
     ],
 )
-def test_a_value_is_reported_when_the_options_say_so(
-    options: Any, values: list[Any], expected: list[Any]
-) -> None:
+def test_a_value_is_reported_when_the_options_say_so(options, values, expected) -> None:
     assert repr(told(values, **options)) == repr(expected)
 
 
@@ -70,13 +61,6 @@ def test_a_bad_quality_is_reported_when_it_begins_and_when_it_ends(options: Any)
     values = [down, down, other, other, down, 7]
     assert told(values, **options) == [down, other, down, 7]
     assert told([7, down, 7], **options) == [7, down, 7]
-
-
-def test_points_are_told_for_themselves() -> None:
-    changes = Changes(False, [1.0, None])
-    assert list(changes.pick([10, 5])) == [0, 1]
-    assert list(changes.pick([10.5, 5])) == [1]
-    assert list(changes.pick([12, 5])) == [0, 1]
 
 
 DOWN = ModbusTimeoutError("no answer")
@@ -97,9 +81,7 @@ DOWN = ModbusTimeoutError("no answer")
         ({"on_change": True, "at_least": 60}, [7, DOWN, DOWN, DOWN, DOWN, 7, 7], [0, 1, 4, 5]),
     ],
 )
-def test_a_point_is_reported_at_least_so_often(
-    options: Any, values: list[Any], polls: list[int]
-) -> None:
+def test_a_point_is_reported_at_least_so_often(options, values, polls) -> None:
     point = Point("x", "holding_registers", 0)
     device = DeviceConfig("a", "tcp://192.0.2.1", RegisterMap([point]), interval=20, **options)
     poller = Poller(device)
@@ -195,8 +177,6 @@ def test_no_message_is_larger_than_asked_for() -> None:
         assert max(len(data) for _, data in messages) <= largest
         assert sum(len(names) for names, _ in messages) == 100
 
-
-# --- what registers mean ------------------------------------------------------------------------
 
 H = "holding_registers"
 

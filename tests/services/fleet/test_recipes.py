@@ -25,7 +25,7 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Server
 from libmodbus_py.cli.commands import parse_arguments
-from tests.services.fleet.fleets import LONGEST, in_real_time, until
+from tests.services.fleet.fleets import LONGEST, until
 from tests.services.fleet.outputs.influxdb import Database
 from tests.support.commands import Started, ended
 from tests.support.programs import HeldPort, listens, missing, program
@@ -78,9 +78,7 @@ def add(plant: Path, output: str) -> None:
 
 
 @pytest.mark.skipif(bool(missing("influxd")), reason="Debian 13 has no InfluxDB")
-def test_the_query_of_grafana_finds_a_line_for_each_device_in_influxdb(
-    plant: Path, tmp_path: Path
-) -> None:
+def test_the_query_of_grafana_finds_a_line_for_each_device_in_influxdb(plant: Path, tmp_path):
     section = "Grafana with InfluxDB"
     database = Database(tmp_path)
     database.start()
@@ -148,9 +146,6 @@ def answered(url: str) -> list[dict[str, Any]]:
     raise AssertionError("no result")
 
 
-# --- Telegraf -------------------------------------------------------------------------------
-
-
 def test_telegraf_gets_lines_from_the_command_at_once(plant: Path) -> None:
     (inputs,) = tomllib.loads(block("Telegraf", "toml", "inputs.execd"))["inputs"]["execd"]
     assert (inputs["signal"], inputs["data_format"]) == ("none", "influx")
@@ -166,7 +161,6 @@ def test_telegraf_gets_lines_from_the_command_at_once(plant: Path) -> None:
         assert started.wait() == 0
 
 
-@in_real_time
 async def test_telegraf_reads_what_the_broker_gets(plant: Path, broker: Broker) -> None:
     (inputs,) = tomllib.loads(block("Telegraf", "toml", "mqtt_consumer"))["inputs"]["mqtt_consumer"]
     heard = await heard_from(plant, broker, *inputs["topics"])
@@ -197,10 +191,6 @@ async def heard_from(plant: Path, broker: Broker, *topics: str) -> dict[str, Any
             return {topic: payload for topic, payload, _ in heard}
 
 
-# --- what reads MQTT ------------------------------------------------------------------------
-
-
-@in_real_time
 async def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, broker: Broker) -> None:
     nodes = {node["id"]: node for node in json.loads(block("Node-RED", "json"))}
     for node in nodes.values():
@@ -215,7 +205,6 @@ async def test_node_red_reads_and_writes_topics_that_there_are(plant: Path, brok
     assert nodes["show"]["complete"] == "payload.value"
 
 
-@in_real_time
 async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> None:
     from tests.services.fleet.outputs.brokers import hearing, publish
 
@@ -232,10 +221,7 @@ async def test_the_button_of_node_red_writes(plant: Path, broker: Broker) -> Non
     assert result["ok"] is True
 
 
-@in_real_time
-async def test_home_assistant_finds_a_device_that_goes_in_a_reload(
-    plant: Path, broker: Broker
-) -> None:
+async def test_home_assistant_finds_a_device_that_goes_in_a_reload(plant: Path, broker: Broker):
     from tests.services.fleet.outputs.home_assistant import home_assistant
 
     before = plant.read_text()
@@ -255,9 +241,6 @@ async def test_home_assistant_finds_a_device_that_goes_in_a_reload(
             plant.write_text(plant.read_text().replace(before, south))
             started.send_signal(signal.SIGHUP)
             await until(lambda: home.names == {"sensor: south: voltage"})
-
-
-# --- files ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("hangs_up", [False, True])
@@ -290,9 +273,6 @@ def test_a_file_that_logrotate_renames_is_begun_anew(plant: Path, hangs_up: bool
         assert rows
         found += [(row[0], row[2]) for row in rows]
     assert found == [(line["time"], line["name"]) for line in map(json.loads, printed)]
-
-
-# --- where it runs --------------------------------------------------------------------------
 
 
 def test_the_container_starts_a_command_that_there_is() -> None:

@@ -1,16 +1,12 @@
-"""
-When devices are polled: phases, skipping, how late polls begin, and that each counts once.
-"""
+"""When devices are polled: phases, skipping, how late polls begin, and that each counts once."""
 
 import asyncio
 from dataclasses import fields
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from libmodbus_py.services.fleet.fleet import first_time, next_time
+from libmodbus_py.services.fleet.fleet import first_time
 from libmodbus_py.services.fleet.statistics import LATENESS_BOUNDS, FleetStatistics
 from tests.services.fleet.fleets import in_simulated_time
 from tests.simulation.plants import MAP, ONE, Plant
@@ -25,25 +21,6 @@ def test_phases_are_spread_evenly() -> None:
         counts[int((each - 100.0) * 10)] += 1
     assert 100 < min(counts) <= max(counts) < 300
 
-
-def test_phases_are_those_of_another_machine() -> None:
-    """Wherever its steady clock began, the moments of the day are the same."""
-    wall = 1_800_000_000.25
-    for now, passed in ((5.0, 0.0), (9e5, 3.0)):
-        at = first_time("pump 7", 10.0, now, wall + passed) - now + passed
-        assert at == pytest.approx(9.974544, abs=1e-5)
-
-
-@given(st.floats(0, 1e6), st.floats(0.01, 86_400), st.floats(0, 1e6))
-def test_the_next_time_is_later_and_in_phase(planned: float, interval: float, late: float) -> None:
-    now = planned + late
-    at, missed = next_time(planned, interval, now)
-    assert at > now or at == pytest.approx(now)
-    assert at == pytest.approx(planned + (missed + 1) * interval)
-    assert missed >= 0
-
-
-# --- counters -----------------------------------------------------------------------------------
 
 # Simulated seconds: of a device's polls unless given, and between two looks at what is so.
 INTERVAL, LOOK = 1.0, 0.001

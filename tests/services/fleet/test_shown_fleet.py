@@ -3,8 +3,6 @@ A fleet as a page shows it: outputs, values with their age, devices that are dow
 why, and devices that come and go while somebody looks.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import re
@@ -13,7 +11,6 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
-import pytest
 from prometheus_client import CollectorRegistry
 
 from libmodbus_py import Fleet, Point, RegisterMap
@@ -150,9 +147,7 @@ async def test_points_without_a_good_value_are_named_though_all_devices_answer()
 
 
 @in_simulated_time
-async def test_an_output_is_behind_when_a_batch_has_not_been_all_that_waits_for_10_s(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_an_output_is_behind_when_a_batch_has_not_been_all_that_waits_for_10_s(monkeypatch):
     now = asyncio.get_running_loop().time
     monkeypatch.setattr(statistics, "time", SimpleNamespace(monotonic=now))
     slow = FakeOutput("database", next=[30.0, 30.0])

@@ -8,15 +8,7 @@ from dataclasses import replace
 
 from libmodbus_py import Fleet
 from libmodbus_py.fleet import Reading
-from tests.services.fleet.fleets import (
-    Peer,
-    good,
-    in_simulated_time,
-    meter,
-    polling,
-    silent,
-    until,
-)
+from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, polling, silent, until
 
 OFFLINE = [("voltage", None, "V"), ("power", None, "W"), ("setpoint", None, "C")]
 

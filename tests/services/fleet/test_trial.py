@@ -1,6 +1,4 @@
-"""
-The checks before a fleet runs: what is told of each device, and of lines that cannot carry polls.
-"""
+"""The checks before a fleet runs: of each device, and of lines that cannot carry polls."""
 
 import asyncio
 
@@ -139,9 +137,7 @@ ASCII_S = (17 + 2 * 10 + 3) * 10 / 9600
         (RTU, [0.1, *[0.2] * 7], "line rtu:///dev/x at 9600: 0.134 s of requests each 0.1 s"),
     ],
 )
-def test_lines_that_cannot_keep_their_intervals(
-    url: str, intervals: list[float], said: str
-) -> None:
+def test_lines_that_cannot_keep_their_intervals(url, intervals, said) -> None:
     devices = [
         meter(f"{unit}", url, unit=unit, interval=each) for unit, each in enumerate(intervals, 1)
     ]

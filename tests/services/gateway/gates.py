@@ -1,6 +1,4 @@
-"""
-Gateways between clients and devices, and lines of a gateway without one.
-"""
+"""Gateways between clients and devices, and lines of a gateway without one."""
 
 from __future__ import annotations
 
@@ -99,8 +97,6 @@ def gateway(routes: list[Route], *urls: str, **options: Any) -> Iterator[tuple[G
         yield made, running.urls[0]
 
 
-# --- lines --------------------------------------------------------------------------------------
-
 READ, WRITE, UNKNOWN = "03 0000 0001", "06 0000 0007", "08 0000 0001"
 INPUTS = "04 0000 0001"
 
@@ -122,13 +118,10 @@ class Asker:
 
 class Plant:
     """
-    A line, and units on it that answer each request after a while, if at all.
-
-    Attributes:
-        asked: the units that were asked, in their order; or the function, with a minus.
-        silent: units that give no answer; and `unanswered` functions.
-        damaging: units whose answers have wrong check bytes.
-        delay: seconds that an answer takes; or `delays`, by unit.
+    A line, and units on it that answer each request after a while, if at all. `asked`: the units
+    that were asked, in their order; or the function, with a minus; `silent`: units that give no
+    answer; and `unanswered` functions; `damaging`: units whose answers have wrong check bytes;
+    `delay`: seconds that an answer takes; or `delays`, by unit.
     """
 
     def __init__(self, url: str = f"{LINE}?timeout={TIMEOUT}", **options: Any) -> None:

@@ -1,10 +1,7 @@
-"""
-Broadcasts through a gateway: to every line, and done when all lines have sent them.
-"""
+"""Broadcasts through a gateway: to every line, and done when all lines have sent them."""
 
 import contextlib
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -47,9 +44,7 @@ def test_a_broadcast_reaches_every_unit_of_every_line(stage: Stage, front: str) 
 
 
 @pytest.mark.parametrize("is_there", [True, False])
-def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done(
-    stage: Stage, is_there: bool
-) -> None:
+def test_a_broadcast_that_a_line_did_not_take_is_not_reported_done(stage: Stage, is_there) -> None:
     if not is_there:
         stage.unreachable.add("10.0.0.9")
     with (
@@ -144,9 +139,7 @@ def circle(line: str, *starts: str) -> Iterator[tuple[Gateway, Gateway, str]]:
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "udp", "rtu+tcp"])
-def test_nothing_goes_round_between_gateways_that_lead_to_each_other(
-    stage: Stage, scheme: str
-) -> None:
+def test_nothing_goes_round_between_gateways_that_lead_to_each_other(stage: Stage, scheme) -> None:
     device, start = small(), f"{scheme}://127.0.0.1:0"
     with (
         Server({1: device}).background(LINE),
@@ -171,9 +164,7 @@ def test_nothing_goes_round_between_gateways_that_lead_to_each_other(
         assert context.for_unit(1).read_holding_registers(0, 1) == [7]
 
 
-def test_a_broadcast_does_not_go_round_between_gateways_of_one_process_on_unix_sockets(
-    tmp_path: Path,
-) -> None:
+def test_a_broadcast_does_not_go_round_between_gateways_of_one_process_on_unix_sockets(tmp_path):
     """All their clients have one name: that of the socket, the user and the process."""
     device, ends = small(), [f"unix://{tmp_path}/{name}" for name in "abc"]
     with (
@@ -190,9 +181,7 @@ def test_a_broadcast_does_not_go_round_between_gateways_of_one_process_on_unix_s
         assert (first.traffic.broadcasts, second.traffic.broadcasts) == (1, 1)
 
 
-def test_a_broadcast_may_be_repeated_by_its_client_and_by_others_after_a_second(
-    stage: Stage,
-) -> None:
+def test_a_broadcast_may_be_repeated_by_its_client_and_by_others_after_a_second(stage: Stage):
     write = bytes.fromhex("0007 0000 0006 00 06 0000 0007")
     busy = bytes.fromhex("0007 0000 0003 00 86 06")
     other_write = write[:-1] + b"\x08"

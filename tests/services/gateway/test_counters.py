@@ -1,6 +1,4 @@
-"""
-Every counter of a gateway: what happens counts once, and nothing else does.
-"""
+"""Every counter of a gateway: what happens counts once, and nothing else does."""
 
 import logging
 from dataclasses import fields
@@ -17,22 +15,17 @@ from tests.support.talk import rtu
 
 READ, WRITE = "03 0000 0001", "06 0001 0007"
 
-ANSWERS, SILENT, REFUSES, DAMAGES = 1, 2, 3, 4
-"""What the units on the line do."""
+ANSWERS, SILENT, REFUSES, DAMAGES = 1, 2, 3, 4  # what the units on the line do
 
 DELAY = 0.1
 
 
 class Case(NamedTuple):
     """
-    Requests, and what they count.
-
-    Attributes:
-        asked: unit and request of each; they are sent together, or else one after the other.
-        answers: the function and the second byte of each answer, in hexadecimal.
-        gateway, line: what of their counters is not 0 afterwards.
-        units: the same for each unit of the line.
-        options: of the gateway, and `route` of its route.
+    Requests, and what they count. `asked`: unit and request of each; they are sent together, or
+    else one after the other; `answers`: the function and the second byte of each answer, in
+    hexadecimal; `gateway, line`: what of their counters is not 0 afterwards; `units`: the same for
+    each unit of the line; `options`: of the gateway, and `route` of its route.
     """
 
     asked: list[tuple[int, str]]
@@ -167,9 +160,7 @@ def answer(request: bytes, write: Write) -> None:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_each_request_counts_once(
-    stage: Stage, name: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_each_request_counts_once(stage: Stage, name, caplog) -> None:
     case = CASES[name]
     Scripted(stage, LINE, answer)
     options = {**case.options}

@@ -1,6 +1,4 @@
-"""
-Which line a request goes to, and under which unit.
-"""
+"""Which line a request goes to, and under which unit."""
 
 import pytest
 
@@ -48,10 +46,7 @@ def test_units_go_to_their_lines_and_are_others_there(stage: Stage) -> None:
 
 
 def test_the_gateway_itself_is_unit_255_with_its_statistics(stage: Stage) -> None:
-    with (
-        passage("tcp", "rtu", {1: small()}, stage=stage) as through,
-        through.context(1) as context,
-    ):
+    with passage("tcp", "rtu", {1: small()}, stage=stage) as through, through.context(1) as context:
         for _ in range(3):
             context.read_holding_registers(0, 1)
         own = context.for_unit(255)
@@ -72,9 +67,7 @@ def test_255_goes_where_a_route_says_it_and_the_gateway_where_it_is_told(stage: 
             assert context.for_unit(unit).read_input_registers(1, 1) == [1]
 
 
-def test_on_a_line_the_gateway_answers_its_units_and_leaves_others_to_their_devices(
-    stage: Stage,
-) -> None:
+def test_on_a_line_the_gateway_answers_its_units_and_leaves_others_to_their_devices(stage: Stage):
     """The answer to a write looks like the write, and so does the same write again."""
     device = small()
     with (
@@ -114,10 +107,7 @@ def test_a_rule_that_ends_the_program_ends_it(stage: Stage, error: type[BaseExce
 
 @pytest.mark.parametrize(("writes_first", "place"), [(True, 1), (False, 6)])
 def test_writes_overtake_reads_where_they_may(stage: Stage, writes_first: bool, place: int) -> None:
-    with (
-        gated(stage, writes_first=writes_first) as (gate, line, url, _),
-        stage.talk(url) as client,
-    ):
+    with gated(stage, writes_first=writes_first) as (gate, line, url, _), stage.talk(url) as client:
         client.sendall(adu(READ_ONE) * 6 + adu(bytes.fromhex("06 0000 0001"), 9))
         assert stage.until(lambda: line.waiting == 6)
         gate.open()
@@ -129,14 +119,9 @@ MOST = 3
 
 
 @pytest.mark.parametrize("front", ["udp", "rtu+udp"])
-def test_answers_make_room_for_further_datagrams(
-    stage: Stage, front: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_answers_make_room_for_further_datagrams(stage: Stage, front, monkeypatch) -> None:
     monkeypatch.setattr(udp, "REMEMBERED_MAX", MOST)
-    with (
-        passage(front, "rtu", {1: small()}, stage=stage) as through,
-        through.context(1) as client,
-    ):
+    with passage(front, "rtu", {1: small()}, stage=stage) as through, through.context(1) as client:
         for _ in range(2 * MOST):
             assert client.read_holding_registers(0, 1) == [0]
         everyone = client.for_unit(0)

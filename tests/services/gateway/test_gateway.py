@@ -1,9 +1,5 @@
-"""
-A gateway over time: connections that come and go, routes that change, and its end.
-"""
+"""A gateway over time: connections that come and go, routes that change, and its end."""
 
-import asyncio
-import gc
 import socket
 from urllib.parse import urlsplit
 
@@ -12,11 +8,9 @@ import pytest
 from libmodbus_py import Client, Fault, Gateway, GatewayPathUnavailable, Route, Server, pdu
 from libmodbus_py.framing import Framing, make_framer
 from libmodbus_py.protocol.framing import Frame
-from libmodbus_py.services.gateway.line import GatewayLine
 from tests.services.gateway.gates import LINE, READ_ONE, adu, gated, gateway, numbered, small
 from tests.simulation.given import simulated
 from tests.simulation.stage import Stage
-from tests.support.peers import until
 
 ONE, SEVEN = bytes.fromhex("03 02 0000"), bytes.fromhex("03 02 0007")
 
@@ -57,15 +51,9 @@ def test_routes_change_and_connections_stay(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("stays", [True, False])
-def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(
-    stage: Stage, stays: bool
-) -> None:
+def test_requests_are_answered_if_their_line_stays_and_refused_at_once_if_not(stage: Stage, stays):
     """A line stays if its URL does, whatever else of its routes changes."""
-    with (
-        gated(stage) as (gate, _, url, made),
-        stage.talk(url) as client,
-        stage.talk(url) as other,
-    ):
+    with gated(stage) as (gate, _, url, made), stage.talk(url) as client, stage.talk(url) as other:
         client.sendall(adu(READ_ONE, 1) + adu(READ_ONE, 2))
         assert stage.until(lambda: gate.asked)
         to = f"{LINE}?timeout={1000 if stays else 999}"
@@ -138,27 +126,3 @@ def test_a_gateway_can_serve_again_but_not_twice_at_once() -> None:
                     assert context.read_holding_registers(0, 1) == [0]
                 with pytest.raises(RuntimeError), made.background("tcp://127.0.0.1:0"):
                     pass
-
-
-def test_a_gateway_has_ended_when_all_its_lines_are_closed(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """An error of one is logged by asyncio, and keeps none of the others open."""
-    lines = ["tcp://127.0.0.1:1", "tcp://127.0.0.1:2"]
-    closed: list[str] = []
-    close = GatewayLine.close
-
-    async def slowly(line: GatewayLine) -> None:
-        await asyncio.sleep(0.5 if line.url == lines[0] else 0)
-        await close(line)
-        closed.append(line.url)
-        raise OSError(f"closing {line.url}")
-
-    monkeypatch.setattr(GatewayLine, "close", slowly)
-    with gateway([Route(lines[0], "1")]) as (made, _):
-        made.change_routes([Route(lines[1], "1")])
-        until(lambda: made._closing)
-    assert sorted(closed) == lines
-    assert not made._closing
-    gc.collect()
-    assert all(f"closing {each}" in caplog.text for each in lines)

@@ -1,6 +1,4 @@
-"""
-Gateways with the programs of others at their ends: pymodbus, libmodbus and mbpoll.
-"""
+"""Gateways with the programs of others at their ends: pymodbus, libmodbus and mbpoll."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -92,17 +90,13 @@ def test_context_and_pymodbus_server_agree_through_it() -> None:
 
 
 @pytest.mark.parametrize("transport", SIDES)
-def test_context_and_c_server_agree_through_it(
-    compiled: Callable[[str], Path], transport: str
-) -> None:
+def test_context_and_c_server_agree_through_it(compiled: Callable[[str], Path], transport) -> None:
     with c_serving(compiled("server"), transport) as line, before(line) as context:
         check_all(context)
 
 
 @pytest.mark.parametrize("front", SIDES)
-def test_c_client_is_content_with_a_device_behind_it(
-    compiled: Callable[[str], Path], front: str
-) -> None:
+def test_c_client_is_content_with_a_device_behind_it(compiled: Callable[[str], Path], front):
     with passage(front, SIDES[front]) as through:
         said = run_c_client(compiled("client"), parse(through.url))
     assert {f"FC {function} ok" for function in C_CLIENT_CALLS} <= said

@@ -1,6 +1,4 @@
-"""
-A line of a gateway in simulated time: who is asked when, and who is told what.
-"""
+"""A line of a gateway in simulated time: who is asked when, and who is told what."""
 
 import asyncio
 import logging
@@ -33,13 +31,8 @@ def told(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [text.rpartition(": ")[2] for text in caplog.messages]
 
 
-# --- units and functions that are silent ---------------------------------------------------------
-
-
 @on_line()
-async def test_a_silent_unit_rests_and_is_tried_by_one_request(
-    plant: Plant, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_silent_unit_rests_and_is_tried_by_one_request(plant: Plant, caplog) -> None:
     caplog.set_level(logging.INFO, logger=TOLD)
     plant.silent.add(9)
     first, second, third = Asker(), Asker(), Asker()
@@ -86,9 +79,7 @@ async def test_a_trial_whose_connection_is_lost_is_followed_by_a_longer_rest(pla
 
 
 @on_line()
-async def test_a_unit_that_answers_nothing_rests(
-    plant: Plant, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_unit_that_answers_nothing_rests(plant: Plant, caplog) -> None:
     caplog.set_level(logging.INFO, logger=TOLD)
     asker = Asker()
     for request in (READ, UNKNOWN):
@@ -142,9 +133,7 @@ async def test_requests_of_a_silent_function_are_refused_together_until_it_answe
 
 
 @on_line()
-async def test_a_request_that_gets_no_answer_is_no_silence_and_leaves_the_unit_due(
-    plant: Plant,
-) -> None:
+async def test_a_request_that_gets_no_answer_is_no_silence_and_leaves_the_unit_due(plant: Plant):
     """A device that is to listen only says nothing (application protocol, 6.8.1)."""
     plant.silent.add(9)
     plant.ask(9, Asker())
@@ -193,9 +182,6 @@ async def test_a_damaged_answer_has_its_unit_wait_and_nobody_else(plant: Plant) 
     assert since == pytest.approx([0.05, 1.05, 2.0], abs=0.05)
 
 
-# --- turns ----------------------------------------------------------------------------------------
-
-
 @on_line(longest_wait=0.01)
 async def test_a_client_that_leaves_when_it_is_told_so_takes_its_other_requests_with_it(
     plant: Plant,
@@ -215,6 +201,31 @@ async def test_a_client_that_leaves_when_it_is_told_so_takes_its_other_requests_
     assert (plant.asked, plant.line.statistics.waiting) == ([1], 0)
 
 
+@on_line("tcp://10.0.0.1?max_in_flight=2")
+async def test_a_client_that_leaves_at_an_answer_gets_no_other_of_the_same_turn(
+    plant: Plant,
+) -> None:
+    class Leaving(Asker):
+        def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
+            super().take_response(forwarded, response)
+            for other in asked:
+                if other is not forwarded:
+                    plant.line.leave(other)
+
+    note_done, done = plant.line._note_done, list[ForwardedRequest]()
+
+    def note_both(each: ForwardedRequest) -> None:
+        done.append(each)
+        for one in done if len(done) == 2 else ():
+            note_done(one)
+
+    plant.line._note_done = note_both  # type: ignore[method-assign]
+    asker = Leaving()
+    asked = [plant.ask(1, asker), plant.ask(2, asker)]
+    await asyncio.sleep(1)
+    assert (len(asker.answers), len(plant.line.in_flight)) == (1, 0)
+
+
 def test_the_queue_of_all_clients_together_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gateway_line, "MOST_WAITING", 3)
     plant = Plant()
@@ -228,16 +239,11 @@ def test_the_queue_of_all_clients_together_is_limited(monkeypatch: pytest.Monkey
     plant.run(main)
 
 
-# --- cached responses -----------------------------------------------------------------------------
-
-
 @each_case(
     ("requests", "is_kept"), [([READ], True), ([READ, WRITE], False), ([WRITE, READ], False)]
 )
 @on_line("tcp://10.0.0.1?max_in_flight=2")
-async def test_no_answer_is_kept_that_may_be_older_than_a_write(
-    plant: Plant, requests: list[str], is_kept: bool
-) -> None:
+async def test_no_answer_is_kept_that_may_be_older_than_a_write(plant: Plant, requests, is_kept):
     """Both may be on their way together: nobody knows which one the device does first."""
     for request in requests:
         plant.ask(2, Asker(), request, age=1)
@@ -262,19 +268,6 @@ async def test_a_write_whose_client_goes_while_it_is_sent_makes_what_was_read_be
     assert not plant.has_cached(1)
 
 
-def test_the_answer_that_was_kept_first_is_dropped_for_one_too_many() -> None:
-    cache = Cache()
-    for number in range(MOST_CACHED):
-        cache.keep(1, bytes([3, *divmod(number, 256)]), b"old", 1.0)
-    first, second = b"\3\0\0", b"\3\0\1"
-    assert cache.get(1, first, 9.0, 1.0) == b"old"
-    cache.keep(1, first, b"new", 2.0)
-    cache.keep(1, b"one more", b"new", 2.0)
-    assert cache.get(1, first, 9.0, 2.0) == b"new"
-    assert cache.get(1, second, 9.0, 2.0) is None
-    assert cache.get(1, b"\3\0\2", 9.0, 2.0) == b"old"
-
-
 def test_an_answer_is_that_of_its_unit_and_request_and_no_older_than_wanted() -> None:
     cache = Cache()
     cache.keep(1, b"ask", b"answer", 10.0)
@@ -283,24 +276,6 @@ def test_an_answer_is_that_of_its_unit_and_request_and_no_older_than_wanted() ->
         *((2, b"ask", 10.0, None), (1, b"other", 10.0, None)),
     ):
         assert cache.get(unit, request, 0.5, now) == found
-
-
-def test_a_write_to_one_unit_leaves_the_others_and_a_broadcast_none() -> None:
-    cache = Cache()
-    units = (0, 1, 2, 255)
-    for now, written, left in ((2.0, 1, {0, 2, 255}), (4.0, 0, set())):
-        for unit in units:
-            cache.keep(unit, b"ask", b"answer", now - 1)
-        cache.forget(written, now)
-        assert {unit for unit in units if cache.get(unit, b"ask", 9.0, now)} == left
-        for unit in units:  # an answer that was on its way
-            cache.keep(unit, b"ask", b"answer", now)
-        assert {unit for unit in units if cache.get(unit, b"ask", 9.0, now)} == left
-    cache.keep(1, b"ask", b"answer", 4.1)
-    assert cache.get(1, b"ask", 9.0, 5.0) == b"answer"
-
-
-# --- joined reads ---------------------------------------------------------------------------------
 
 
 @each_case(
@@ -392,9 +367,6 @@ async def test_a_client_that_joined_a_read_late_is_not_refused_when_the_first_on
     assert first.answers == second.answers == [answer_of(2, 2)]
 
 
-# --- the connection -------------------------------------------------------------------------------
-
-
 @on_line("tcp://10.0.0.1")
 async def test_a_device_that_is_not_there_is_told_once_and_when_it_is_back(
     plant: Plant, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
@@ -425,9 +397,7 @@ async def test_a_device_that_is_not_there_is_told_once_and_when_it_is_back(
 
 
 @on_line("tcp://10.0.0.1")
-async def test_a_line_that_is_lost_at_each_request_is_opened_every_two_seconds(
-    plant: Plant,
-) -> None:
+async def test_a_line_that_is_lost_at_each_request_is_opened_every_two_seconds(plant: Plant):
     """The pause that doubles each time, a fifth shorter at random, is no longer than that."""
     plant.peer.on_request = lambda request, write: plant.peer.drop_all()
     asker = Asker()
@@ -436,3 +406,16 @@ async def test_a_line_that_is_lost_at_each_request_is_opened_every_two_seconds(
         await asyncio.sleep(0.5)
     assert set(asker.answers) == {REFUSED}
     assert 100 / 2 <= plant.peer.connections <= 100 / 1.6 + 6
+
+
+def test_the_answer_that_was_kept_first_is_dropped_for_one_too_many() -> None:
+    cache = Cache()
+    for number in range(MOST_CACHED):
+        cache.keep(1, bytes([3, *divmod(number, 256)]), b"old", 1.0)
+    first, second = b"\3\0\0", b"\3\0\1"
+    assert cache.get(1, first, 9.0, 1.0) == b"old"
+    cache.keep(1, first, b"new", 2.0)
+    cache.keep(1, b"one more", b"new", 2.0)
+    assert cache.get(1, first, 9.0, 2.0) == b"new"
+    assert cache.get(1, second, 9.0, 2.0) is None
+    assert cache.get(1, b"\3\0\2", 9.0, 2.0) == b"old"

@@ -1,6 +1,4 @@
-"""
-The unit of the gateway itself: what its registers say.
-"""
+"""The unit of the gateway itself: what its registers say."""
 
 import asyncio
 

@@ -139,9 +139,7 @@ def test_a_write_whose_client_is_gone_is_recorded_once(stage: Stage, events: Eve
     assert gate.kinds == ["write"]
 
 
-def test_a_client_that_is_gone_has_its_broadcast_recorded_once(
-    stage: Stage, events: Events
-) -> None:
+def test_a_client_that_is_gone_has_its_broadcast_recorded_once(stage: Stage, events: Events):
     with gated(stage, audit=events.append) as (gate, _, url, _):
         with stage.talk(url) as other, stage.talk(url) as client:
             other.sendall(adu(READ_ONE))

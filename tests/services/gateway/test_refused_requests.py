@@ -1,6 +1,4 @@
-"""
-Requests that a gateway refuses, and those that it forwards as bytes.
-"""
+"""Requests that a gateway refuses, and those that it forwards as bytes."""
 
 import pytest
 
@@ -15,7 +13,6 @@ from libmodbus_py import (
 from libmodbus_py.services.gateway.line import request_of
 from tests.services.gateway.gates import READ_ONE, adu, small
 from tests.simulation.stage import Stage
-from tests.support import vectors
 from tests.support.cases import each_case
 from tests.support.gateways import passage
 from tests.support.interop import UNIT, make_device
@@ -85,9 +82,6 @@ def test_a_cached_answer_is_refused_to_those_who_may_not_read_it(stage: Stage) -
         assert (line.units[1].requests, line.units[1].cached) == (1, 1)
 
 
-WORKED = [vector.values[0] for vector in vectors.rows(vectors.REQUESTS)]
-
-
 @pytest.mark.parametrize("code", [0, 0x80, 0x83, 0xFF])
 def test_a_function_code_that_cannot_be_is_refused(code: int) -> None:
     with pytest.raises(IllegalFunction) as raised:
@@ -102,39 +96,6 @@ def test_a_known_function_has_requests_of_its_length_only(request: str) -> None:
     with pytest.raises(IllegalDataValue) as raised:
         request_of(given)
     assert raised.value.function == given[0]
-
-
-READS = (pdu.ReadCoils, pdu.ReadDiscreteInputs, pdu.ReadHoldingRegisters, pdu.ReadInputRegisters)
-
-
-def test_each_function_is_a_read_or_a_write() -> None:
-    for vector in WORKED:
-        known = pdu.decode_request(vector.pdu)
-        request = request_of(vector.pdu)
-        assert request.pdu_request == known
-        assert request.is_read == isinstance(known, READS)
-        assert request.may_be_broadcast == known.may_be_broadcast
-        assert request.repeatable == known.repeatable
-        assert request.expects_response == known.expects_response
-        assert str(request) == str(known)
-
-
-def test_a_request_of_an_unknown_function_may_do_anything_once() -> None:
-    request = request_of(b"\x41\1\2")
-    assert request.pdu_request is None
-    assert (request.is_read, request.may_be_broadcast, request.repeatable) == (False, False, False)
-    assert request.expects_response
-    assert request.changes
-    assert str(request) == "a request of 3 bytes"
-
-
-def test_the_answer_of_an_unknown_function_begins_with_its_code() -> None:
-    request = request_of(b"\x41\1\2")
-    for answer in (b"\x41", b"\x41\1\2\3"):
-        assert request.decode_response(answer) == answer
-    for answer in (b"", b"\x42\1\2", b"\1"):
-        with pytest.raises(InvalidResponse):
-            request.decode_response(answer)
 
 
 # Requests of the application protocol, sections 6.1 to 6.4, with responses.

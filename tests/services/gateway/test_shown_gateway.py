@@ -1,8 +1,4 @@
-"""
-A gateway as a page shows it: its lines and their queues, units that are silent, and who asks what.
-"""
-
-from __future__ import annotations
+"""A gateway on a page: its lines and their queues, silent units, and who asks what."""
 
 from typing import Any
 
@@ -59,9 +55,6 @@ class Counted:
         self.shown: Any = ShownGateway("house", self)  # type: ignore[arg-type]
 
 
-# --- counters -------------------------------------------------------------------------------------
-
-
 def test_a_line_has_its_counters_and_its_state() -> None:
     counted = Counted()
     line = counted.lines[0]
@@ -114,35 +107,6 @@ def test_a_unit_has_its_counters_and_its_state() -> None:
     assert rows(counted.shown)[name].words == name
 
 
-def test_the_figures_are_the_sums_of_all_lines() -> None:
-    counted = Counted()
-    assert set(counted.shown.figures().values()) == {0}
-    counted.statistics.connections, counted.traffic.requests = 3, 40
-    counted.traffic.refused, counted.traffic.no_route, counted.traffic.malformed = 1, 20, 300
-    counted.lines[0].waiting, counted.lines[1].waiting = 4, 6
-    counted.lines[1].trouble = "gone"
-    expected = {"clients": 3, "requests": 40, "waiting": 10, "refused": 321, "down": 1}
-    assert counted.shown.figures() == expected
-
-
-def test_samples_are_taken_although_nobody_looks() -> None:
-    counted, now = Counted(), [1000.0]
-    counted.lines[0].unit(1)
-    counted.shown._history._clock = lambda: now[0]
-    for requests in (0, 4, 10):
-        counted.lines[0].connection.requests = counted.lines[0].unit(1).requests = requests
-        counted.lines[0].waiting = 2
-        counted.shown.note(traced("received", 3))
-        now[0] += 2.0
-    assert cells(counted.shown)[FIRST]["rate"] != []
-    assert counted.shown.series(("", FIRST), "rate").samples.pairs()[-1][1] == 3.0
-    assert counted.shown.series((FIRST, "unit 1"), "time") is not None
-    assert counted.shown.series((FIRST, "unit 2"), "time") is None
-
-
-# --- clients --------------------------------------------------------------------------------------
-
-
 def test_requests_are_counted_by_client_and_unit() -> None:
     clients = Clients()
     for peer in ("192.0.2.7:4711", "192.0.2.7:4712", "[2001:db8::1]:99", "/dev/ttyUSB0"):
@@ -165,9 +129,6 @@ def test_requests_are_counted_by_client_and_unit() -> None:
     assert found[0]["last"] == 100.0
     assert [row.is_problem for row in clients.rows()] == [False, False, True, False, False]
     assert clients.rows()[1].words == "192.0.2.7 unit 3, 3 read holding registers function 3"
-
-
-# --- a gateway that runs --------------------------------------------------------------------------
 
 
 def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,7 +167,7 @@ def test_lines_units_and_clients_of_a_gateway_on_a_page(monkeypatch: pytest.Monk
                 read = "3 read holding registers"
                 visitor.receive(lambda: len(visitor.rows("rows")) == 4)
                 assert [name_of(each)[-1] for each in visitor.rows("rows")] == [
-                    *("unit 2", gone, f"unit 2, {read}", f"unit 9, {read}"),
+                    *("unit 2", gone, f"unit 2, {read}", f"unit 9, {read}")
                 ]
                 rate = visitor.history(["", there], 60, "rate")
                 assert (rate["units"], rate["values"] != []) == ("requests/s", True)

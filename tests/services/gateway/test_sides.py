@@ -1,6 +1,4 @@
-"""
-From any side of a gateway to any: all functions, and functions that the package does not know.
-"""
+"""From any side of a gateway to any: all functions, also those the package does not know."""
 
 from pathlib import Path
 from typing import Any

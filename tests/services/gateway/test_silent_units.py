@@ -1,13 +1,8 @@
-"""
-Units that are silent or late behind a gateway, and what waits for them.
-"""
+"""Units that are silent or late behind a gateway, and what waits for them."""
 
 import asyncio
-import random
 import socket
 from collections import Counter
-
-import pytest
 
 from libmodbus_py import (
     AsyncClient,
@@ -30,47 +25,6 @@ from tests.support.cases import each_case
 from tests.support.gateways import passage
 
 GOOD, RESTING, DUE = UnitState.GOOD, UnitState.RESTING, UnitState.DUE
-
-
-def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> None:
-    units = SilentUnits(1.0)
-    assert units.note_silence(3, 3, 0.0)
-    assert not units.note_silence(3, 3, 1.0)
-    assert units.state(3, 3, 2.0) is DUE
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_the_last_answer_ends_a_rest_and_no_rest_lasts_for_ever(seed: int) -> None:
-    """Requests are in flight beside each other, and some are dropped."""
-    chance = random.Random(seed)
-    units, now = SilentUnits(0.5), 0.0
-    keys = [(unit, function) for unit in (1, 2) for function in (3, 4, 5)]
-    answered: dict[tuple[int, int], bool] = {}
-    in_flight: list[tuple[tuple[int, int], bool]] = []
-    for turn in range(500):
-        now += chance.random()
-        key = chance.choice(keys)
-        if turn < 450 and (state := units.state(*key, now)) is not RESTING:
-            if state is DUE:
-                units.start_trial(*key)
-            in_flight.append((key, state is DUE))
-        elif in_flight:
-            key, is_trial = in_flight.pop(chance.randrange(len(in_flight)))
-            outcome = chance.choice(["answer", "silence", "dropped"])
-            if outcome == "dropped" and is_trial:
-                units.cancel_trial(*key, now)
-            elif outcome == "answer":
-                units.note_answer(*key)
-            elif outcome == "silence":
-                units.note_silence(*key, now)
-            if outcome != "dropped":
-                answered[key] = outcome == "answer"
-        for each in (each for each, is_good in answered.items() if is_good):
-            assert units.state(*each, now) is GOOD
-            assert not units.rests(each[0])
-    while in_flight:
-        units.note_silence(*in_flight.pop()[0], now)
-    assert RESTING not in {units.state(*key, now + 30) for key in keys}
 
 
 def value(unit: int, address: int) -> int:
@@ -107,10 +61,7 @@ def test_late_answers_are_never_anybody_elses(stage: Stage) -> None:
     with gateway([Route(f"{LINE}?timeout=0.5")]) as (made, url):
 
         async def all_of_them() -> list[tuple[int, int]]:
-            async with (
-                AsyncClient(url, timeout=10) as one,
-                AsyncClient(url, timeout=10) as other,
-            ):
+            async with AsyncClient(url, timeout=10) as one, AsyncClient(url, timeout=10) as other:
                 jobs = [poll(one, 1, 0), poll(one, 2, 300), poll(other, 3, 500), poll(other, 2, 7)]
                 return await asyncio.gather(*jobs)
 
@@ -177,3 +128,10 @@ def test_a_write_waits_for_the_repetition_of_the_read_before_it(target: str) -> 
                 client.sendall(adu(READ, 1) + adu(WRITE, 2))
                 expected = adu(bytes.fromhex("03 02 0005"), 1) + adu(WRITE, 2)
                 assert client.makefile("rb").read(len(expected)) == expected
+
+
+def test_requests_that_were_in_flight_with_it_do_not_make_it_rest_longer() -> None:
+    units = SilentUnits(1.0)
+    assert units.note_silence(3, 3, 0.0)
+    assert not units.note_silence(3, 3, 1.0)
+    assert units.state(3, 3, 2.0) is UnitState.DUE

@@ -1,6 +1,4 @@
-"""
-What nobody waits for any more is not sent, on any kind of line; and what a silent function costs.
-"""
+"""What nobody waits for any more is not sent; and what a silent function costs."""
 
 import asyncio
 
@@ -103,9 +101,7 @@ def test_a_trial_that_waits_for_the_connection_is_not_sent(url: str) -> None:
 
 
 @pytest.mark.parametrize(("scheme", "is_sent"), [("tcp", False), ("rtu+tcp", True)])
-def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(
-    stage: Stage, scheme: str, is_sent: bool
-) -> None:
+def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(stage: Stage, scheme, is_sent):
     """On a serial line nobody waits for a broadcast."""
     peer = Scripted(stage, LINE, lambda request, write: None)
     route = Route(f"{LINE}?connect_delay={CONNECT_DELAY}")
@@ -130,9 +126,7 @@ def test_a_broadcast_is_not_sent_if_its_client_waited_for_that(
         ("tcp://10.0.0.1", 5, [READ, WRITE, UNKNOWN], 2),
     ],
 )
-def test_a_silent_unit_delays_reads_of_others_by_one_timeout_at_most(
-    url: str, unit: int, requests: list[str], timeouts: int
-) -> None:
+def test_a_silent_unit_delays_reads_of_others_by_one_timeout_at_most(url, unit, requests, timeouts):
     """
     Four clients read in a row; others ask again and again what their unit does not know, or a unit
     that answers nothing.

@@ -1,6 +1,4 @@
-"""
-A plugin of pytest for modbus-connection's own tests: what they take for tmodbus's backend is ours.
-"""
+"""A plugin of pytest for modbus-connection's own tests: its tmodbus backend is ours."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-The alerts for Prometheus in deploy/, as promtool of Prometheus itself judges them.
-"""
+"""The alerts for Prometheus in deploy/, as promtool of Prometheus itself judges them."""
 
 import re
 import shutil
@@ -17,13 +15,7 @@ TESTS = Path(__file__).with_name("alerts_test.yml")
 
 
 @pytest.mark.skipif(shutil.which("promtool") is None, reason="Prometheus is not installed")
-@each_case(
-    "arguments",
-    [
-        ("check", "rules", "--lint-fatal", RULES),
-        ("test", "rules", TESTS),
-    ],
-)
+@each_case("arguments", [("check", "rules", "--lint-fatal", RULES), ("test", "rules", TESTS)])
 def test_promtool_accepts_the_rules_and_what_they_report(arguments: tuple[str | Path, ...]) -> None:
     done = subprocess.run(["promtool", *arguments], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -1,6 +1,4 @@
-"""
-The backend of modbus-connection: its operations over everything, its errors, what it counts.
-"""
+"""The backend of modbus-connection: its operations over everything, its errors, what it counts."""
 
 from __future__ import annotations
 
@@ -48,9 +46,6 @@ def seven(unit: Any) -> Any:
 
 def tcp(port: int, timeout: float = LONG) -> Any:
     return backend.ModbusConnection(theirs.ModbusTcpParams(host=HOST, port=port), timeout=timeout)
-
-
-# --- operations ---------------------------------------------------------------------------------
 
 
 def device() -> Device:
@@ -136,8 +131,6 @@ def test_identifier_ends_before_the_run_indicator(data: bytes, identifier: bytes
         assert run(asked(tcp(server.port), lambda u: u.report_server_id())) == identifier
 
 
-# --- errors -------------------------------------------------------------------------------------
-
 # Answer to a read of one register -> what becomes of it, whether the link stays, and the message.
 ERRORS: dict[str, tuple[Callable[[bytes], list[bytes]], str, bool, str]] = {
     "refused": (
@@ -205,8 +198,6 @@ def test_wrong_arguments_stay_value_errors_and_are_not_sent(ask: Ask) -> None:
             run(asked(tcp(server.port), ask))
         assert server.requests == []
 
-
-# --- where it leads -----------------------------------------------------------------------------
 
 Make = Callable[[], Any]
 
@@ -277,9 +268,6 @@ def test_an_unreachable_device_is_an_error_of_one_line() -> None:
     assert connection.statistics.failed_connects == 1
 
 
-# --- TLS ----------------------------------------------------------------------------------------
-
-
 def test_tls_with_certificates_of_both(pki: Pki) -> None:
     own = pki.files(certificates.client())
     with Server(device(), security=pki.server()).background(f"tls://{HOST}:0") as running:
@@ -300,9 +288,6 @@ def test_files_of_tls_are_named(tmp_path: Path) -> None:
         params = theirs.ModbusTlsParams(host=HOST, port=1, **options)
         with pytest.raises(ValueError, match=f"cannot use .*{next(iter(options.values()))}"):
             run(asked(backend.ModbusConnection(params), seven))
-
-
-# --- telemetry ----------------------------------------------------------------------------------
 
 
 def test_prometheus_takes_a_connection() -> None:

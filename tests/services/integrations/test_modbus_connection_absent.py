@@ -1,13 +1,11 @@
-"""
-The backend of modbus-connection where that is not installed.
-"""
+"""The backend of modbus-connection where that is not installed."""
 
 import importlib
 import sys
 
 import pytest
 
-from libmodbus_py.protocol.extras import how_to_add
+from libmodbus_py.version import how_to_add
 
 NAME = "libmodbus_py.services.integrations.modbus_connection"
 

@@ -1,6 +1,4 @@
-"""
-Connections of the backend that are lost, cut, cancelled, closed and misused.
-"""
+"""Connections of the backend that are lost, cut, cancelled, closed and misused."""
 
 from __future__ import annotations
 

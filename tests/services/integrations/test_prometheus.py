@@ -1,6 +1,4 @@
-"""
-Metrics, as Prometheus's own parser reads them, beside what really happened.
-"""
+"""Metrics, as Prometheus's own parser reads them, beside what really happened."""
 
 import asyncio
 import contextlib
@@ -42,11 +40,11 @@ from libmodbus_py import (
     Server,
 )
 from libmodbus_py.client.statistics import TIME_BOUNDS
-from libmodbus_py.protocol.extras import how_to_add
 from libmodbus_py.services.integrations import prometheus
 from libmodbus_py.services.integrations.metrics import OF_ATTRIBUTES
 from libmodbus_py.services.integrations.prometheus import Collector, collect, exposing
 from libmodbus_py.tools import timed_server
+from libmodbus_py.version import how_to_add
 from tests.services.fleet.fleets import Peer, in_simulated_time, meter
 from tests.services.fleet.fleets import until as until_simulated
 from tests.simulation.network import Network
@@ -104,9 +102,6 @@ def served(**options: Any) -> Iterator[tuple[Server, str]]:
     server = Server(DEVICE, **options)
     with server.background("tcp://127.0.0.1:0") as running:
         yield server, running.urls[0]
-
-
-# --- what they tell ----------------------------------------------------------------------
 
 
 def test_both_clients_and_the_server_tell_what_happened(registry: CollectorRegistry) -> None:
@@ -239,9 +234,6 @@ def test_endpoints_are_labels_without_settings(registry: CollectorRegistry) -> N
     plc.close()
 
 
-# --- who is there --------------------------------------------------------------------------
-
-
 def test_names_tell_servers_apart_and_equal_ones_add_up(registry: CollectorRegistry) -> None:
     servers = [Server(DEVICE) for _ in range(5)]
     for number, server in enumerate(servers):
@@ -251,11 +243,7 @@ def test_names_tell_servers_apart_and_equal_ones_add_up(registry: CollectorRegis
     collect(servers[4], name="pumps", registry=registry)
     name = "modbus_server_accepted_total"
     found = {labels: value for (each, labels), value in values(registry).items() if each == name}
-    assert found == {
-        (): 11,
-        (("server", "boilers"),): 1100,
-        (("server", "pumps"),): 10000,
-    }
+    assert found == {(): 11, (("server", "boilers"),): 1100, (("server", "pumps"),): 10000}
 
 
 def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorRegistry) -> None:
@@ -267,9 +255,7 @@ def test_a_client_is_counted_once_however_often_it_is_added(registry: CollectorR
         assert of_client(values(registry), "requests_sent_total", url) == 2
 
 
-def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(
-    registry: CollectorRegistry,
-) -> None:
+def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(registry: CollectorRegistry):
     """Prometheus would take that for a restart, and what is left for new."""
     name = "requests_sent_total"
     with served() as (_, url), Client(url) as stays:
@@ -290,9 +276,7 @@ def test_a_counter_does_not_fall_when_one_of_two_clients_is_dropped(
     assert not values(registry)
 
 
-def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(
-    registry: CollectorRegistry,
-) -> None:
+def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(registry: CollectorRegistry):
     stays = Client("tcp://127.0.0.1:1")
     collector = collect(stays, registry=registry)
     for turn in range(200):
@@ -306,9 +290,7 @@ def test_clients_that_come_and_go_leave_nothing_though_nobody_scrapes(
     stays.close()
 
 
-def test_an_object_that_is_neither_client_nor_server_is_refused(
-    registry: CollectorRegistry,
-) -> None:
+def test_an_object_that_is_neither_client_nor_server_is_refused(registry: CollectorRegistry):
     server = Server(DEVICE)
     for wrong in (DEVICE, None, "tcp://127.0.0.1"):
         with pytest.raises(TypeError, match="objects must be clients, servers, gateways or fleets"):
@@ -324,35 +306,6 @@ def test_a_registry_has_one_collector_and_knows_its_names(registry: CollectorReg
     assert of(values(other), "modbus_server_requests_total") == 0
     with pytest.raises(ValueError, match="modbus_client_requests"):
         registry.register(Collector())
-
-
-# --- while others work -----------------------------------------------------------------------
-
-
-def test_a_scrape_may_meet_results_that_are_new(registry: CollectorRegistry) -> None:
-    """A dictionary that grows cannot be gone through."""
-
-    def grow() -> None:
-        while not done.is_set():
-            for function in range(1000):
-                plc.statistics.note(function, "lost")
-            plc.statistics._others.clear()
-
-    done = threading.Event()
-    plc = Client("tcp://127.0.0.1:1")
-    collect(plc, registry=registry)
-    thread = threading.Thread(target=grow)
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(1e-5)
-    try:
-        thread.start()
-        for _ in range(50):
-            generate_latest(registry)
-    finally:
-        sys.setswitchinterval(interval)
-        done.set()
-        thread.join()
-    plc.close()
 
 
 def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegistry) -> None:
@@ -382,9 +335,6 @@ def test_scrapes_during_load_are_right_and_never_go_back(registry: CollectorRegi
     assert of(now, "modbus_server_requests_total") == 400
 
 
-# --- over HTTP ------------------------------------------------------------------------------
-
-
 def fetched(url: str) -> Scraped:
     with urllib.request.urlopen(url, timeout=20) as answer:
         assert answer.headers["Content-Type"].startswith("text/plain")
@@ -404,9 +354,7 @@ def test_metrics_are_exposed_while_the_block_runs(registry: CollectorRegistry, h
         urllib.request.urlopen(url, timeout=5)
 
 
-def test_a_scrape_that_stalls_delays_no_other(
-    registry: CollectorRegistry, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scrape_that_stalls_delays_no_other(registry: CollectorRegistry, monkeypatch) -> None:
     """Two servers of one program, and each has clients that never finish their request."""
     monkeypatch.setattr(prometheus, "LIMIT_S", 3600.0)
     with contextlib.ExitStack() as stack:
@@ -486,10 +434,7 @@ ARGUMENTS = ["serve", "tcp://127.0.0.1:0"]
 
 @pytest.mark.parametrize(
     ("address", "stop"),
-    [
-        ("127.0.0.1:0", signal.SIGTERM),
-        pytest.param("[::1]:0", signal.SIGINT, marks=NEEDS_IPV6),
-    ],
+    [("127.0.0.1:0", signal.SIGTERM), pytest.param("[::1]:0", signal.SIGINT, marks=NEEDS_IPV6)],
 )
 def test_serve_exposes_its_metrics(address: str, stop: int) -> None:
     with Started(*ARGUMENTS, "--metrics", address) as process:
@@ -527,9 +472,6 @@ def test_serve_says_which_extra_is_missing() -> None:
     assert done.stderr == f"libmodbus-py: {wanted}\n"
 
 
-# --- fleets -----------------------------------------------------------------------------------
-
-
 @in_simulated_time
 async def test_each_device_is_there_once_and_goes_with_its_fleet() -> None:
     registry = CollectorRegistry()
@@ -555,9 +497,6 @@ async def test_each_device_is_there_once_and_goes_with_its_fleet() -> None:
         fleets.clear()
         gc.collect()
         assert not values(registry)
-
-
-# --- gateways ---------------------------------------------------------------------------------
 
 
 def test_a_gateway_tells_of_its_lines_and_units() -> None:

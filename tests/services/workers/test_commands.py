@@ -25,11 +25,8 @@ INBOX = "_INBOX.u9ii73oAyVwgjXVUkC6cqN"
 
 class Listener:
     """
-    A client that hears all that is published.
-
-    Attributes:
-        messages: subject and content of each message.
-        raw: the last message.
+    A client that hears all that is published. `messages`: subject and content of each message;
+    `raw`: the last message.
     """
 
     raw = b""
@@ -138,9 +135,7 @@ async def test_a_command_to_a_device_of_a_dead_worker_is_answered_when_another_o
 
 @pytest.mark.parametrize("seconds", [0.6 * LEASE, 2 * LEASE])
 @commanded(8)
-async def test_one_worker_answers_though_the_other_one_was_stopped(
-    to: Listener, seconds: float
-) -> None:
+async def test_one_worker_answers_though_the_other_one_was_stopped(to: Listener, seconds) -> None:
     device, process = to.device_of("a"), to.trial.workers["a"].process
     process.stop()
     await asyncio.sleep(seconds)
@@ -195,9 +190,7 @@ def failures(monkeypatch: pytest.MonkeyPatch) -> list[Exception]:
 
 
 @commanded()
-async def test_a_subscription_that_fails_is_tried_again(
-    to: Listener, failures: list[Exception]
-) -> None:
+async def test_a_subscription_that_fails_is_tried_again(to: Listener, failures: list[Exception]):
     assert await to.ask("d0-1.setpoint", 20) == {"ok": True}
     assert failures == []
 
@@ -263,9 +256,6 @@ async def test_one_of_two_workers_answers_what_comes_over_a_broker(trial: Trial)
     for worker in trial.workers.values():
         await trial.until(lambda it=worker: not it.polling.fleet.devices, LEASE)  # type: ignore[misc]
     assert await ask("d0-1", "setpoint", 20) == no_worker("d0-1")
-
-
-# --- strangers -----------------------------------------------------------------------------------
 
 
 @commanded()

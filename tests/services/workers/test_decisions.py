@@ -1,6 +1,4 @@
-"""
-What a worker decides, one look at its clock after the other: what it writes, what it polls, when.
-"""
+"""What a worker decides at each look at its clock: what it writes, what it polls, when."""
 
 import math
 from typing import Any
@@ -9,21 +7,13 @@ import pytest
 
 from libmodbus_py.services.engine.buckets import Change
 from libmodbus_py.services.workers.decisions import step
-from libmodbus_py.services.workers.messages import refusal
-from libmodbus_py.services.workers.records import (
-    SETTINGS,
-    Connection,
-    FleetSettings,
-    Member,
-)
+from libmodbus_py.services.workers.records import SETTINGS, Connection, FleetSettings, Member
 from libmodbus_py.services.workers.worker import Worker
 from tests.services.workers.simulated import LEASE, OneWorker, every, written
-from tests.support.cases import each_case
 
 LINE = Connection("", "tcp:192.0.2.1:502", 1.0, '{"devices": [{"name": "pump"}]}')
 OTHER = Connection("", "tcp:192.0.2.2:502", 1.0, '{"devices": []}')
 NORTH = Connection("north", "tcp:192.0.2.1:502", 1.0, '{"devices": []}')
-SOUTH = Connection("south", "tcp:192.0.2.2:502", 1.0, '{"devices": []}')
 
 
 def at_work(*connections: Connection, until: float = 12.0, **options: Any) -> OneWorker:
@@ -83,20 +73,6 @@ class TestSnapshot:
         assert written(one.steps(11.0)) == {"worker.o.1": "ended"}
 
 
-class TestLeaving:
-    def test_who_leaves_polls_nothing_and_says_that_it_has_ended(self) -> None:
-        one = at_work(LINE, until=15.0)
-        one.worker.leave()
-        assert one.polled() == set()
-        assert one.worker.due == -math.inf
-        assert not one.worker.has_left
-        (put,) = one.decided(15.2)
-        assert written([put]) == {"worker.m.1": "ended"}
-        one.write(put.key, put.value, 15.2)
-        assert one.worker.has_left
-        assert one.decided(16.0) == []
-
-
 class TestLease:
     def test_a_lease_begins_when_the_value_that_came_back_was_sent(self) -> None:
         one = OneWorker(LINE)
@@ -108,25 +84,8 @@ class TestLease:
             one.write(put.key, put.value, 5.0)
             assert one.worker.lease_until == until
 
-    def test_a_request_must_be_over_before_the_lease(self) -> None:
-        one = at_work(LINE)
-        assert one.worker.lease_until == 21.0
-        assert one.worker.may_ask(LINE.key, 19.9)
-        assert not one.worker.may_ask(LINE.key, 20.0)
-        assert not one.worker.may_ask(OTHER.key, 12.0)
-
-    def test_without_the_engine_it_may_go_on(self) -> None:
-        one = at_work(LINE, settings=FleetSettings(LEASE, "continue"))
-        assert one.worker.may_ask(LINE.key, 1000.0)
-        assert not one.worker.may_ask(OTHER.key, 12.0)
-        one.write(SETTINGS, FleetSettings(LEASE, "stop").encode(), 12.0)
-        one.member("b.1", 12.0)
-        assert not one.worker.may_ask(LINE.key, 1000.0)
-
     @pytest.mark.parametrize("is_deleted", [False, True])
-    def test_a_worker_recorded_as_ended_or_deleted_joins_again_under_another_id(
-        self, is_deleted: bool
-    ) -> None:
+    def test_a_worker_recorded_as_ended_or_deleted_joins_again_under_another_id(self, is_deleted):
         one = at_work(LINE)
         if is_deleted:
             one.write("worker.m.1", None, 12.0)
@@ -137,33 +96,6 @@ class TestLease:
 
 
 class TestSlots:
-    def test_a_free_slot_is_taken_after_a_lease(self) -> None:
-        """Somebody unknown may hold it, for whatever the one has forgotten."""
-        one = OneWorker(LINE)
-        assert one.steps(*every(0.0, 10.4, 0.1)) == []
-        (put,) = one.step(10.5)
-        assert (put.key, put.last) == (LINE.slot.key, 0)
-        assert written([put]) == {LINE.slot.key: "m.1"}
-        one.step(10.6)
-        assert one.polled() == {LINE.key}
-
-    def test_a_worker_whose_lease_is_over_has_ended_and_its_slots_are_taken(self) -> None:
-        one = OneWorker(LINE)
-        one.member("b.1", 0.0)
-        one.hold(LINE, "b.1")
-        assert one.steps(*every(0.0, 10.4, 0.1)) == []
-        puts = one.steps(10.5, 10.6)
-        assert written(puts) == {"worker.b.1": "ended", LINE.slot.key: "m.1"}
-
-    def test_who_stood_still_waits_a_lease_before_it_says_that_others_ended(self) -> None:
-        one = OneWorker(LINE)
-        one.member("o.1", 0.0)
-        one.hold(LINE, "o.1")
-        one.steps(*every(0.0, 2.0))
-        # It sees its own values again, and so would have seen those of others from here on.
-        assert one.steps(*every(31.0, 41.0)) == []
-        assert written(one.steps(*every(42.0, 43.0)))["worker.o.1"] == "ended"
-
     def test_a_slot_is_handed_over_and_polled_no_more(self) -> None:
         one = at_work(LINE, OTHER)
         one.member("b.1", 12.0)
@@ -241,9 +173,7 @@ class TestEndedWorkers:
     """They stay for `fleet status` for a minute."""
 
     @pytest.mark.parametrize("is_needed", [False, True])
-    def test_ended_workers_are_deleted_after_a_minute_unless_they_hold_a_slot(
-        self, is_needed: bool
-    ) -> None:
+    def test_ended_workers_are_deleted_after_a_minute_unless_they_hold_a_slot(self, is_needed):
         one = OneWorker(*[NORTH] * is_needed)
         one.member("z.1", 0.0, "ended")
         one.hold(NORTH, "z.1")
@@ -303,72 +233,3 @@ class TestBlindness:
         for at in range(1, 700):
             one.step(float(at))
             assert one.last.must_read_again == (at >= 60 * LEASE)
-
-
-class TestUnserved:
-    """Connections that no worker polls are found by the first of all workers."""
-
-    def found(self, one: OneWorker, at: float, *living: str) -> list[str]:
-        for id in sorted((one.me, *living)):
-            one.member(id, at)
-        one.step(at)
-        return sorted(each.zone for each in one.last.unserved)
-
-    def test_a_connection_that_no_worker_polls_is_known_a_lease_and_a_half_later(self) -> None:
-        one = OneWorker(NORTH, SOUTH)
-        one.hold(NORTH, one.me)
-        found = [self.found(one, at) for at in (0.0, 14.9, 15.0, 30.0)]
-        assert found == [[], [], ["south"], ["south"]]
-        one.write(NORTH.slot.key, None, 30.0)
-        assert [self.found(one, at) for at in (44.9, 45.0)] == [["south"], ["north", "south"]]
-
-    def test_a_holder_counts_until_its_end_is_recorded(self) -> None:
-        one = OneWorker(NORTH)
-        one.hold(NORTH, "z.1")
-        assert self.found(one, 20.0, "z.1") == []
-        for at in [*every(21.0, 30.0), 30.5, 45.4]:
-            assert self.found(one, at) == []
-        assert one.worker.view.members["z.1"].state == "ended"
-        assert self.found(one, 45.5) == ["north"]
-
-    def test_the_first_of_all_workers_finds_them(self) -> None:
-        one = OneWorker(NORTH)
-        assert [self.found(one, at, "a.1") for at in (0.0, 15.0, 40.0)] == [[], [], []]
-        assert [self.found(one, at) for at in (44.0, 46.0)] == [[], ["north"]]
-
-
-class TestRefusals:
-    """Who refuses a command to a device that it does not poll."""
-
-    PUMP = "no worker polls 'pump' now"
-    VALVE = "there is no device 'valve'"
-
-    def refusal(self, one: OneWorker, device: str = "pump", at: float = 1.0) -> str:
-        return refusal(one.worker, device, at)
-
-    @each_case(
-        ("device", "holder", "state", "expected"),
-        [
-            ("valve", "z.1", "here", VALVE),  # by the first of all workers
-            ("valve", "a.1", "here", ""),
-            ("pump", "z.1", "here", ""),  # it answers, or has just died
-            ("pump", "z.1", "ended", PUMP),
-            ("pump", "m.1", "here", PUMP),  # nobody else will answer
-        ],
-    )
-    def test_the_first_of_all_workers_refuses_what_no_other_one_answers(
-        self, device: str, holder: str, state: str, expected: str
-    ) -> None:
-        one = OneWorker(LINE, lives=True)
-        assert self.refusal(one) == self.PUMP
-        one.member(holder, state=state)
-        one.hold(LINE, holder)
-        assert self.refusal(one, device, 4.9) == expected
-
-    def test_a_worker_that_fell_silent_refuses_nothing(self) -> None:
-        """Half a lease without a word of the first: the next one refuses, which is heard."""
-        one = OneWorker(LINE, lives=True)
-        one.member("a.1")
-        one.member(one.me, 4.0)
-        assert [self.refusal(one, "valve", at) for at in (4.9, 5.1)] == ["", self.VALVE]
-        assert self.refusal(one, "valve", 100.0) == ""

@@ -57,10 +57,7 @@ def test_the_configuration_of_nats_works_as_it_stands(tmp_path, monkeypatch, cap
         text = text.replace("0.0.0.0:8883", f"127.0.0.1:{mqtt[number]}")
         return re.sub(r"\n  (routes|store_dir): .*", "", text)
 
-    with (
-        NatsServers(3, config=config) as servers,
-        asked_devices(1) as (urls, asked),
-    ):
+    with NatsServers(3, config=config) as servers, asked_devices(1) as (urls, asked):
         # They may have elected a leader meanwhile, who is not the same after a new start.
         for number in range(3):
             servers.kill(number)

@@ -1,6 +1,4 @@
-"""
-What people meet of the engine: errors in one line, changes, results over MQTT, commands, status.
-"""
+"""What people meet of the engine: errors, changes, results over MQTT, commands, status."""
 
 import contextlib
 import json
@@ -36,9 +34,6 @@ def failed(*arguments: object, code: int = 1) -> str:
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
     return fleet_file(tmp_path, ["tcp://127.0.0.1:9"], interval=1, engine="lease = 1")
-
-
-# --- errors ----------------------------------------------------------------------------------
 
 
 def test_an_error_of_the_engine_is_one_line(file, tmp_path, monkeypatch):
@@ -105,9 +100,6 @@ def test_wrong_usage_is_told_before_anything_is_sent(file, options, told):
     line = failed("poll", file, *options, code=2)
     assert told in line
     assert "secret" not in line
-
-
-# --- what it does ------------------------------------------------------------------------------
 
 
 async def requested(client: Any, subject: str, value: bytes) -> dict[str, Any]:

@@ -111,9 +111,6 @@ def test_connections_are_shared_about_equally(processes, connections):
     assert max(slots.values()) - min(slots.values()) <= 1
 
 
-# --- one fault each --------------------------------------------------------------------------
-
-
 def two_zones() -> World:
     """One worker for each zone; all connections are in the first."""
     world = World(5)

@@ -44,9 +44,7 @@ def record_of(trial: Trial) -> dict[str, Any]:
 
 
 @tried(2)
-async def test_a_worker_waits_for_the_longest_lease_reports_and_records_its_end(
-    trial: Trial,
-) -> None:
+async def test_a_worker_waits_for_the_longest_lease_reports_and_records_its_end(trial: Trial):
     await trial.start("a")
     took = await trial.all_asked(2 * LEASE)
     assert LEASE < took < LEASE + INTERVAL + 1
@@ -129,9 +127,7 @@ async def test_a_worker_watches_again_when_the_bucket_does_not_arrive_whole(
 
 
 @tried(1, "a")
-async def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(
-    trial: Trial, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_worker_alone_decides_as_often_as_it_renews_its_lease(trial: Trial, monkeypatch):
     decided: list[float] = []
 
     def counted(worker: Worker, at: float, report: Any) -> Decision:
@@ -165,9 +161,7 @@ async def test_an_engine_that_is_gone_is_told_once_a_minute_and_the_lease_when_i
 
 
 @tried(1)
-async def test_an_unreadable_record_is_logged_and_polled_by_no_worker(
-    trial: Trial, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_unreadable_record_is_logged_and_polled_by_no_worker(trial: Trial, caplog) -> None:
     def connection(host: int, *names: str, devices: str = "") -> Connection:
         made = [DeviceConfig(each, f"tcp://10.0.1.{host}", MAP) for each in names]
         return Connection("", f"tcp:10.0.1.{host}:502", 0.5, devices or devices_to_json(made))

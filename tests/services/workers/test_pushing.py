@@ -1,6 +1,4 @@
-"""
-A fleet file that is pushed into a bucket: what is written, what is counted, what is refused.
-"""
+"""A fleet file that is pushed into a bucket: what is written, what is counted, what is refused."""
 
 import asyncio
 from typing import Any
@@ -27,9 +25,7 @@ async def pushed(bucket: Any, *devices: DeviceConfig, lease: float = LEASE) -> P
 
 
 @with_engine
-async def test_only_what_differs_is_written_and_counted(
-    engine: Engine, client: EngineClient
-) -> None:
+async def test_only_what_differs_is_written_and_counted(engine: Engine, client: EngineClient):
     bucket = engine.bucket(client)
     assert engine.latest is not None
     assert await pushed(bucket) == PushCounts(0, 0, 0)

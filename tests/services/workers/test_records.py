@@ -1,9 +1,6 @@
-"""
-What stands in the bucket and in the stream of workers.
-"""
+"""What stands in the bucket and in the stream of workers."""
 
 import json
-import re
 from typing import Any, cast
 
 import pytest
@@ -23,6 +20,7 @@ from libmodbus_py.services.workers.records import (
 )
 from tests.services.workers.trial import LEASE, Trial, tried
 from tests.simulation.engine import Engine, EngineClient, with_engine
+from tests.support.golden import Refused
 
 LINE = "serial:/dev/ttyUSB0"
 DIGEST = digest_of(LINE)
@@ -54,43 +52,10 @@ def test_records_are_read_as_they_were_written(key: str, record: Any) -> None:
     assert decode(key, record.encode()) == record
 
 
-@pytest.mark.parametrize(
-    ("key", "given", "why"),
-    [
-        ("thing.x", value(), "no such key"),
-        ("settings.x", value(), "no such key"),
-        ("settings", b"[]", "must be of type dict"),
-        ("settings", value(format=2), "format 2 is not supported; this version reads format 1"),
-        ("settings", value(format=1, lease=0.4), "lease must be in 0.5..60"),
-        ("settings", value(format=1, lease=61), "lease must be in 0.5..60"),
-        ("settings", value(format=1, lease=True), "lease must be a number"),
-        ("settings", value(format=1, on_engine_loss="go"), "must be one of stop, continue"),
-        ("settings", value(lease=1), "format is missing"),
-        ("settings", value(format=1, leese=1), "leese: no such key"),
-        (f"connection._.{DIGEST}", line("tcp:x"), "does not match"),
-        (f"connection._.{DIGEST[:31]}", line(), "does not match"),
-        (f"connection._.{DIGEST}", line(timeout=61), "timeout must be in 0"),
-        (f"connection._.{DIGEST}", line(timeout=-1), "timeout must be in 0"),
-        (f"connection.a b.{DIGEST}", line(), "zone 'a b'"),
-        ("slot._.256", value(holder="a.1", by="a.1"), "the number of a slot must be 0..255"),
-        ("slot._.-1", value(holder="a.1", by="a.1"), "the number of a slot must be 0..255"),
-        ("slot._.007", value(holder="a.1", by="a.1"), "the number of a slot must be 0..255"),
-        ("slot._.1", value(holder=1, by="a.1"), "'1' must be of type str"),
-        ("worker.a.1", value(zones=["north"], state="gone"), "must be one of here, ended"),
-        ("worker.a.1", value(zones="north", state="here"), "'north' must be of type list"),
-        ("worker.a.1", value(zones=[], state="here", lease=1, beat=True, seen=0), "of type int"),
-        # What Python 3.14 reads to its end.
-        ("settings", b"[" * 10_000, "recursion|Expecting value"),
-    ],
-)
-def test_records_that_no_worker_wrote_are_refused(key: str, given: bytes, why: str) -> None:
-    with pytest.raises(RecordError) as refused:
-        decode(key, given)
-    assert str(refused.value).startswith(f"{key}: ")
-    assert re.search(why, str(refused.value))
-
-
-# --- of strangers ------------------------------------------------------------------------------
+def test_records_that_no_worker_wrote_are_refused(refused: Refused) -> None:
+    refused("wrong_records.txt", lambda record: decode(*record))
+    with pytest.raises(RecordError, match=r"settings: .*(recursion|Expecting value)"):
+        decode("settings", b"[" * 10_000)  # Python 3.14 reads it to its end
 
 
 KEY = "tcp:192.0.2.99:502"
@@ -102,9 +67,7 @@ KEY = "tcp:192.0.2.99:502"
     ids=str,
 )
 @tried(2, settings=FleetSettings(LEASE, commands=True))
-async def test_devices_in_any_form_cost_no_answer_and_no_poll(
-    trial: Trial, devices: object
-) -> None:
+async def test_devices_in_any_form_cost_no_answer_and_no_poll(trial: Trial, devices) -> None:
     await trial.start("a", "b")
     await trial.settle()
     value = {"connection": KEY, "timeout": 0.1, "devices": devices}

@@ -1,6 +1,4 @@
-"""
-What `fleet status` says, of a bucket on a simulated server.
-"""
+"""What `fleet status` says, of a bucket on a simulated server."""
 
 import asyncio
 import json

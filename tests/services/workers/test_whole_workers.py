@@ -54,9 +54,7 @@ async def test_a_worker_that_leaves_is_replaced_at_once(trial: Trial) -> None:
 
 @pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
 @tried(6, "a", "b", "c")
-async def test_a_worker_that_stood_still_polls_no_device_of_others(
-    trial: Trial, seconds: float
-) -> None:
+async def test_a_worker_that_stood_still_polls_no_device_of_others(trial: Trial, seconds) -> None:
     process = trial.workers["b"].process
     process.stop()
     await asyncio.sleep(seconds)
@@ -69,9 +67,7 @@ async def test_a_worker_that_stood_still_polls_no_device_of_others(
 
 @pytest.mark.parametrize("seconds", [0.3, LEASE, 3 * LEASE])
 @tried(6, "a", "b", "c")
-async def test_a_worker_without_the_engine_polls_no_longer_than_its_lease(
-    trial: Trial, seconds: float
-) -> None:
+async def test_a_worker_without_the_engine_polls_no_longer_than_its_lease(trial: Trial, seconds):
     cut = trial.workers["a"]
     host = cut.process.host
     since = trial.now
@@ -91,9 +87,7 @@ async def test_a_worker_without_the_engine_polls_no_longer_than_its_lease(
 
 @pytest.mark.parametrize("seconds", [0.3, 5 * LEASE])
 @tried(6, "a", "b", "c")
-async def test_without_the_engine_nobody_asks_beyond_the_lease(
-    trial: Trial, seconds: float
-) -> None:
+async def test_without_the_engine_nobody_asks_beyond_the_lease(trial: Trial, seconds) -> None:
     trial.engine.stop()
     since = trial.now
     await asyncio.sleep(seconds)
@@ -110,9 +104,7 @@ async def test_without_the_engine_nobody_asks_beyond_the_lease(
 
 
 @tried(2, "a", settings=FleetSettings(LEASE, "continue"))
-async def test_a_worker_polls_on_without_the_engine_if_its_settings_say_so(
-    trial: Trial,
-) -> None:
+async def test_a_worker_polls_on_without_the_engine_if_its_settings_say_so(trial: Trial) -> None:
     trial.engine.stop()
     gone = trial.now
     await asyncio.sleep(10)
@@ -150,9 +142,7 @@ async def test_an_engine_that_goes_back_has_none_asked_by_two(trial: Trial, seco
 
 
 @tried(4, "a", "b")
-async def test_the_time_of_day_may_be_set_to_any_time(
-    trial: Trial, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_the_time_of_day_may_be_set_to_any_time(trial: Trial, monkeypatch) -> None:
     """Leases do not end or grow, and no reading is taken for one that was sent before."""
     for hours in (-1, 2):
         monkeypatch.setattr(network, "EPOCH", network.EPOCH + 3600 * hours)
@@ -165,10 +155,7 @@ async def test_the_time_of_day_may_be_set_to_any_time(
 
 
 @tried(6, "a", "b", "c")
-async def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(
-    trial: Trial,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(trial: Trial, caplog):
     trial.engine.delete_bucket()
     since = trial.now
     await asyncio.sleep(2 * LEASE)
@@ -181,9 +168,7 @@ async def test_a_bucket_that_is_deleted_stops_all_until_it_is_pushed_again(
 
 
 @tried(6)
-async def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_else(
-    trial: Trial,
-) -> None:
+async def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_else(trial: Trial):
 
     await push_fleet(trial.engine, trial.devices(4), trial.settings)
     await trial.start("a", "b")
@@ -200,9 +185,6 @@ async def test_a_change_reaches_the_workers_within_a_second_and_touches_nothing_
     now = trial.now
     await asyncio.sleep(2)
     assert trial.asked.since(now) == UNITS
-
-
-# --- devices that no worker polls ---------------------------------------------------------------
 
 
 @tried(2, "a", "b")

@@ -1,6 +1,4 @@
-"""
-A fleet on a simulated network: devices that note who asks them, an engine, and whole workers.
-"""
+"""A fleet on a simulated network: devices that note who asks them, an engine, and whole workers."""
 
 from __future__ import annotations
 
@@ -21,8 +19,7 @@ from tests.simulation.workers import SimulatedWorker, push_fleet
 
 LEASE = 2.0
 INTERVAL = 0.5
-UNITS = 2
-"""Behind each connection."""
+UNITS = 2  # behind each connection
 
 MAP = RegisterMap(
     [
@@ -34,16 +31,12 @@ MAP = RegisterMap(
 
 class Asked:
     """
-    Who asked which device when.
-
-    A worker has one connection to a place, and another one when it gets that place again; unless
-    the engine forgot that it ever lost it, and then its lease was over meanwhile. So two have a
-    device if one asks it over a connection, after somebody else did so within a lease.
-
-    Attributes:
-        doubles: of each device that two had, when and by whom it was asked.
-        gap: the longest time, in seconds, in which a device was not asked, since `forget`.
-        last: when each device was asked the last time, and from where.
+    Who asked which device when. A worker has one connection to a place, and another one when it
+    gets that place again; unless the engine forgot that it ever lost it, and then its lease was
+    over meanwhile. So two have a device if one asks it over a connection, after somebody else did
+    so within a lease. `doubles`: of each device that two had, when and by whom it was asked; `gap`:
+    the longest time, in seconds, in which a device was not asked, since `forget`; `last`: when each
+    device was asked the last time, and from where.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
@@ -102,10 +95,8 @@ class _Told(Output):
 
 class Trial:
     """
-    All of it: so many connections with some units each, and the workers that were started.
-
-    Attributes:
-        told: what was reported of each device: when, by which worker, and the reading.
+    All of it: so many connections with some units each, and the workers that were started. `told`:
+    what was reported of each device: when, by which worker, and the reading.
     """
 
     def __init__(
@@ -223,10 +214,8 @@ class Trial:
 
 def tried(connections: int, *workers: str, **options: Any) -> Callable[[Any], Any]:
     """
-    Make a test of a coroutine that is given a `Trial` first; no device is asked by two.
-
-    Args:
-        workers: the names of those that share the devices when the test begins.
+    Make a test of a coroutine that is given a `Trial` first; no device is asked by two. `workers`:
+    the names of those that share the devices when the test begins.
     """
 
     def run(test: Callable[[Trial], Awaitable[None]]) -> None:

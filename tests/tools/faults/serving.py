@@ -1,6 +1,4 @@
-"""
-Servers with faults and requests to them, for the tests of faults.
-"""
+"""Servers with faults and requests to them, for the tests of faults."""
 
 import struct
 from collections.abc import Iterator

@@ -1,26 +1,15 @@
-"""
-The bytes of each fault, when they are sent, and the order of answers around them.
-"""
+"""The bytes of each fault, when they are sent, and the order of answers around them."""
 
-import asyncio
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
 from libmodbus_py import Client, ModbusConnectionError, Server
 from libmodbus_py.protocol.framing import AsciiFramer, Frame, Framer, RtuFramer, TcpFramer
-from libmodbus_py.server.faults import (
-    MAX_WAITING_BYTES,
-    Faults,
-    FaultyAnswers,
-    Fragment,
-)
+from libmodbus_py.server.faults import Faults
 from libmodbus_py.tools.faults.fault import Fault
 from tests.simulation.stage import Stage, Talker
 from tests.support.certificates import Pki, secured
-from tests.support.chunks import FakeChannel
 from tests.tools.faults.serving import FOREVER, READ, REQUEST, adu, client_of, made_device, serving
 
 # Address 107 holds 555, 0, 100: section 6.3 of the application protocol; the frames around
@@ -62,9 +51,7 @@ BYTES: list[tuple[Fault, Framer, list[tuple[float, str]]]] = [
 
 
 @pytest.mark.parametrize(("fault", "framer", "expected"), BYTES)
-def test_bytes_of_each_fault(
-    fault: Fault, framer: Framer, expected: list[tuple[float, str]]
-) -> None:
+def test_bytes_of_each_fault(fault, framer, expected) -> None:
     sent = [(each.wait, each.data.hex()) for each in fault.fragments(ANSWER, framer)]
     assert sent == expected
 
@@ -114,71 +101,14 @@ def blocks(client: Talker, requests: bytes) -> bool:
         (Fault("delay", every=50, seconds=0.001), b"\x03\0\0\0\x08"),
     ],
 )
-def test_a_client_that_gets_no_more_answers_is_not_read(
-    stage: Stage, fault: Fault, request_: bytes
-) -> None:
+def test_a_client_that_gets_no_more_answers_is_not_read(stage: Stage, fault, request_) -> None:
     with serving(stage, "tcp", fault) as url, stage.talk(url) as flood:
         assert blocks(flood, adu(request_) * 10_000)
 
 
-Step = list[Fragment] | float | str
-
-LONG = [Fragment(9, bytes(MAX_WAITING_BYTES - 1))]
-CUT = [Fragment(0, b"", is_last=True)]
-LAST = [Fragment(0, b"12", is_last=True)]
-
-
-@pytest.mark.parametrize(
-    ("steps", "lengths", "waits"),
-    [
-        # Each wait begins when what is before is sent.
-        ([[Fragment(10, b"1")], [Fragment(FOREVER, b"12")], 50.0, "close"], [1], [True]),
-        ([[Fragment(0, b"1"), Fragment(10, b"12")], "close", 50.0], [1], [True]),
-        (
-            [[Fragment(0, b"1")], [Fragment(9, b"12"), Fragment(9, b"123")], [Fragment(0, b"1")]],
-            [1, 2, 3, 1],
-            [True, False],
-        ),
-        # Answers that nobody waits for are lost; what `close` drops takes no room. A cut without
-        # bytes writes nothing: a channel of a port would write an empty frame.
-        (
-            [LONG, "close", LONG, [Fragment(0, b"1")], [Fragment(0, b"lost")], 50.0, CUT, LAST],
-            [len(LONG[0].data), 1, 2],
-            [True, False],
-        ),
-    ],
-)
-def test_fragments_of_a_fault_are_sent_at_their_times(
-    stage: Stage, steps: list[Step], lengths: list[int], waits: list[bool]
-) -> None:
-    written: list[bytes] = []
-    told: list[bool] = []
-
-    async def deliver() -> None:
-        channel = FakeChannel(follow=lambda: told.append(answers.is_waiting))
-        session: Any = SimpleNamespace(channel=channel, trace=None, write=written.append)
-        answers = FaultyAnswers(session)
-        for step in [*steps, 50.0]:
-            if isinstance(step, list):
-                answers.send(step)
-            elif isinstance(step, str):
-                answers.close()
-            else:
-                await asyncio.sleep(step)
-
-    stage.wait(deliver())
-    assert list(map(len, written)) == lengths
-    assert told == waits
-
-
-# --- faults that close a connection ---------------------------------------------------------------
-
-
 @pytest.mark.parametrize("length", [None, 5, 512])
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_a_fault_sends_its_part_before_it_closes_the_connection(
-    stage: Stage, scheme: str, length: int | None
-) -> None:
+def test_a_fault_sends_its_part_before_it_closes_the_connection(stage: Stage, scheme, length):
     fault = Fault("disconnect", function=3, length=length)
     with serving(stage, scheme, fault) as url, stage.talk(url) as connection:
         if scheme == "tcp":
@@ -230,10 +160,7 @@ def test_garbage_and_disconnects_of_datagrams(stage: Stage) -> None:
 
 def test_a_disconnect_closes_a_tunnel(tmp_path: Path) -> None:
     server = Server({1: made_device()}, faults={1: [Fault("disconnect", every=2, length=5)]})
-    with (
-        secured(server, Pki(tmp_path)) as url,
-        Client(url, unit=1, timeout=5) as client,
-    ):
+    with secured(server, Pki(tmp_path)) as url, Client(url, unit=1, timeout=5) as client:
         assert client.read_holding_registers(0, 1) == [555]
         with pytest.raises(ModbusConnectionError):
             client.read_holding_registers(0, 1)

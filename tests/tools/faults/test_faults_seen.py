@@ -1,6 +1,4 @@
-"""
-What a client sees of each fault.
-"""
+"""What a client sees of each fault."""
 
 from dataclasses import replace
 
@@ -51,9 +49,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("scheme", "name"), CASES)
-def test_a_client_sees_the_fault_and_the_next_request_succeeds(
-    stage: Stage, scheme: str, name: str
-) -> None:
+def test_a_client_sees_the_fault_and_the_next_request_succeeds(stage: Stage, scheme, name) -> None:
     fault, error = SEEN[name]
     if scheme in ("rtu", "ascii"):
         error = ON_LINES.get(name, error)

@@ -35,9 +35,7 @@ def test_a_range_that_fails_leaves_the_rest_of_the_device_alone(stage: Stage) ->
         assert client.read_coils(2, 1) == [False]
 
 
-def test_units_without_faults_are_answered_in_c(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_units_without_faults_are_answered_in_c(stage: Stage, monkeypatch) -> None:
     units = {1: made_device(), 2: made_device()}
     for device in units.values():
         monkeypatch.setattr(device, "_respond", lambda *_: pytest.fail("not in C"))
@@ -106,10 +104,7 @@ def test_a_refused_write_is_not_executed_and_all_others_are(stage: Stage) -> Non
         settings: dict[str, Any] = {"code": 6} if kind == "exception" else {}
         settings |= {"length": 3} if kind in ("truncate", "garbage") else {}
         fault = Fault(kind, **settings)
-        with (
-            serving(stage, "tcp", fault, units={1: device}) as url,
-            stage.talk(url) as connection,
-        ):
+        with serving(stage, "tcp", fault, units={1: device}) as url, stage.talk(url) as connection:
             connection.sendall(adu(b"\x06\0\0\0\x09"))
             with suppress(OSError):  # what closes may have closed before
                 connection.shutdown(socket.SHUT_WR)
@@ -140,9 +135,6 @@ def test_a_reserved_function_gets_no_answer_and_no_fault(stage: Stage) -> None:
         assert connection.receive(9) == adu(b"\x83\x06", 2)
 
 
-# --- others ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "fault", [Fault("delay", seconds=FOREVER), Fault("trickle", seconds=FOREVER)]
 )
@@ -162,9 +154,7 @@ def test_others_are_answered_while_the_fault_lasts(stage: Stage, fault: Fault, u
 
 
 @pytest.mark.parametrize("change", ["switched_off", "turned_off", "replaced"])
-def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(
-    stage: Stage, change: str
-) -> None:
+def test_a_fault_that_ends_while_a_request_is_out_holds_for_that_request_only(stage: Stage, change):
     server = Server({1: made_device()})
     with server.background("tcp://10.0.0.1:0") as running, stage.talk(running.urls[0]) as slow:
         switched = server.fault_switch.switch_on(Fault("delay", seconds=5))

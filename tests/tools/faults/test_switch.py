@@ -1,6 +1,4 @@
-"""
-The fault switch of a server: several users, none of whom undoes what another one did.
-"""
+"""The fault switch of a server: several users, none of whom undoes what another one did."""
 
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any

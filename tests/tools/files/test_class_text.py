@@ -1,6 +1,4 @@
-"""
-Python classes for register maps: what they have, and that no text of a map becomes a program.
-"""
+"""Python classes for register maps: what they have, and that no text of a map becomes a program."""
 
 import ast
 import sys
@@ -12,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from libmodbus_py import Client, Device, Point, RegisterMap, Server, load_map
-from libmodbus_py.maps.register_map import attribute_names
+from libmodbus_py.maps.point import attribute_names
 from libmodbus_py.tools.files.map_texts import class_name, class_text
 from tests.support.cases import each_case
 from tests.support.programs import run_to_end
@@ -114,8 +112,6 @@ def test_a_value_that_may_be_missing_is_none_and_another_raises() -> None:
         assert meter["b"] is None
 
 
-# --- attacks --------------------------------------------------------------------------------
-
 TEXTS = [
     '"""',
     "'''",
@@ -173,9 +169,6 @@ def check_texts(map: RegisterMap) -> None:
     )
     assert found == expected
     assert list(made(map)["MAP"].values()) == list(map.values())
-
-
-# --- names ----------------------------------------------------------------------------------
 
 
 @each_case(

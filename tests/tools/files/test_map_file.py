@@ -1,6 +1,4 @@
-"""
-Register maps from files: as people write them in TOML, as vendors give them in CSV, and as neither.
-"""
+"""Register maps from files: TOML as people write it, CSV of vendors, and what is neither."""
 
 from pathlib import Path
 
@@ -22,121 +20,6 @@ def loaded(path: Path, content: str | bytes, name: str = "meter.csv") -> Registe
     data = content if isinstance(content, bytes) else content.encode()
     (path / name).write_bytes(data)
     return load_map(path / name)
-
-
-# A table, and its points.
-TABLES = [
-    (  # the plain words, in any order
-        "unit,address,name,table,type,scale,offset,order,access,description,count\n"
-        "V,0x10,volts,input_registers,int16,0.1,-5,CDAB,read,of phase 1,3\n"
-        ",7,run,coils,,,,,,,\n",
-        [
-            Point("volts", I, 16, 3, "int16", "CDAB", scale=0.1, offset=-5, units="V",
-                  description="of phase 1"),
-            Point("run", "coils", 7),
-        ],
-    ),
-    (  # Excel in Germany: a mark of order, semicolons, carriage returns, a quoted heading
-        "\ufeff\"Register\nAddress\";Parameter;Data Type;R/W;Multiplier;Units;Comment\r\n"
-        "40001;Spannung L1;U16;R;0.1;V;\"a;b \"\"c\"\"\"\r\n"
-        "\r\n"
-        "30012;Leistung;S32;RO;;W;\r\n",
-        [
-            Point("Spannung L1", H, 0, scale=0.1, units="V", access="read", description='a;b "c"'),
-            Point("Leistung", I, 11, type="int32", units="W"),
-        ],
-    ),
-    (  # Excel, told to separate cells by semicolons
-        "sep=;\r\nname;address\r\na;40001\r\n",
-        [Point("a", H, 0)],
-    ),
-    (  # tabs, a comment, function codes, IEC types, a divisor, spaces that do not break
-        "# meter, revision 2\n"
-        "Tag\tFC\tAddr\tFormat\tDivisor\tMinimum\tMaximum\n"
-        "energy\u00a0total\t03\t1F40h\tUDINT\t1000\t\t\n"
-        "limit\t3/6/16\t100\tREAL\t\t-5\t5.5\n"
-        "door\tFC02\t9\tBOOL\t\t\t\n"
-        "lamp\t1, 5, 15\t9\tbit\t\t\t\n",
-        [
-            Point("energy total", H, 8000, type="uint32", scale=0.001),
-            Point("limit", H, 100, type="float32", minimum=-5, maximum=5.5),
-            Point("door", "discrete_inputs", 9),
-            Point("lamp", "coils", 9),
-        ],
-    ),
-    (  # references of all tables; text; bars; more than one column of remarks, and other columns
-        "label|Register|type|Comment|Remarks|Since\n"
-        "a|00001||x|y|1999\n"
-        "b|100002|bool|||\n"
-        "c|300003|string:10|||\n"
-        "d|465536|String:4|||\n".replace("465536", "465535"),
-        [
-            Point("a", "coils", 0, description="x"),
-            Point("b", "discrete_inputs", 1),
-            Point("c", I, 2, type="string:10"),
-            Point("d", H, 65534, type="string:4"),
-        ],
-    ),
-    (  # the word that is the key itself wins; words of SunSpec
-        "Register;Name;Label;Address;Table;Type;R W\n"
-        "40001;a;Alpha;0;holding register;enum16;R/W\n"
-        "40002;b;Beta;1;4x;bitfield32;w\n"
-        "30001;c;Gamma;0;IR;acc32;\n",
-        [
-            Point("a", H, 0),
-            Point("b", H, 1, type="bits32", access="write"),
-            Point("c", I, 0, type="uint32"),
-        ],
-    ),
-    (  # what raw values mean; a word of SunSpec, of whose accumulators 0 is missing
-        "name,table,address,type,missing,scale_from,plausible maximum,states,bits,bit,byte,"
-        "Never falls\n"
-        "v,holding,0,int16,sunspec,v_sf,500,,,,,\n"
-        "v_sf,holding,1,sunssf,0x8000,,,,,,,\n"
-        'state,holding,2,,255; 65535,,,"{""0"": ""off"", ""16"": ""a;b""}",,,,\n'
-        "flags,holding,3,,,,,,0 = door; 4..7 = mode,,,\n"
-        "mode,holding,4,,,,,,,4..7,,true\n"
-        "high,holding,5,,,,,,,,high,\n"
-        "total,holding,6,acc32,sunspec,,,,,,,\n",
-        [
-            Point("v", H, 0, type="int16", missing="sunspec", scale_from="v_sf",
-                  plausible_maximum=500),
-            Point("v_sf", H, 1, type="int16", missing=0x8000),
-            Point("state", H, 2, missing=[255, 65535], states={0: "off", 16: "a;b"}),
-            Point("flags", H, 3, bits={0: "door", "4..7": "mode"}),
-            Point("mode", H, 4, bit="4..7", never_falls=True),
-            Point("high", H, 5, byte="high"),
-            Point("total", H, 6, type="uint32", missing=0),
-        ],
-    ),
-    (  # comments with quotes, which are no cells; a comment within a cell, which is part of it
-        "name,table,address,description\n"
-        "# units are: \"kWh\",\"W\" and, as \"\n"
-        "a,holding,0,\"first\n# second\"\n"
-        "  # \"b,holding,1,\n"
-        "c,holding,2,\n",
-        [Point("a", H, 0, description="first # second"), Point("c", H, 2)],
-    ),
-    (  # numbers of rows below a mere #
-        "#,Name,Table,Address,Type\n1,volt,holding,0,U16\n2,amp,holding,1,S16\n",
-        [Point("volt", H, 0), Point("amp", H, 1, type="int16")],
-    ),
-    (  # Markdown, with text around, a bar in a cell, and decimal commas
-        "# Meter\n\nAll registers of *revision 2*.\n\n"
-        "| Name | Table | Address | Type | Scale | Note |\n"
-        "|:---|---|--:|:-:|---|---|\n"
-        "| volt | holding | 0 | `U16` | 0,1 | a \\| b |\n"
-        "| **amp** | holding | 1 | S16 | 1e-2 |  |\n\nThe end.\n",
-        [
-            Point("volt", H, 0, scale=0.1, description="a | b"),
-            Point("amp", H, 1, type="int16", scale=0.01),
-        ],
-    ),
-    (  # decimal commas between tabs
-        "name\ttable\taddress\tscale\na\tholding\t0\t0,1\n",
-        [Point("a", H, 0, scale=0.1)],
-    ),
-]  # fmt: skip
 
 
 # What German Excel saves: a title, an empty row, decimal commas, and its own encoding.
@@ -183,9 +66,10 @@ def test_a_column_that_is_named_must_be_there(tmp_path: Path) -> None:
         load_map(toml, columns={"name": "Bezeichnung"})
 
 
-@each_case(("text", "points"), TABLES)
-def test_tables_of_vendors(tmp_path: Path, text: str, points: list[Point]) -> None:
-    assert list(loaded(tmp_path, text).values()) == points
+@each_case("table", sorted((Path(__file__).parent / "tables").glob("*.csv")))
+def test_tables_of_vendors(table: Path) -> None:
+    """Beside each table stands what it means, in TOML."""
+    assert list(load_map(table).values()) == list(load_map(table.with_suffix(".toml")).values())
 
 
 HEAD = "name,table,address,type,scale,access\n"
@@ -236,8 +120,6 @@ def test_a_value_that_may_be_an_oversight_is_noted(tmp_path: Path) -> None:
     assert found[1].startswith("all addresses of holding_registers are in 40001..49999: if these")
     assert found[2:] == ["line 3: low overlaps whole at holding_registers 40002"]
 
-
-# --- anything ------------------------------------------------------------------------------
 
 PRINTABLE = st.characters(exclude_categories=("C", "Z"))
 WORDS = st.text(PRINTABLE, min_size=1, max_size=20).filter(lambda word: not word.startswith("#"))

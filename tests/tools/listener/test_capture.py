@@ -7,8 +7,6 @@ of them malformed. What is damaged it hands to Modbus RTU, which shows these thr
 they do not even look like frames.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import itertools
@@ -181,9 +179,7 @@ class TestReader:
         with pytest.raises(ValueError, match="a pipe, and no program reads it"):
             write(tmp_path / "pipe")
 
-    def test_a_pipe_that_is_full_ends_the_capture(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_pipe_that_is_full_ends_the_capture(self, tmp_path, monkeypatch) -> None:
         monkeypatch.setattr("libmodbus_py.tools.listener.capture.READER_TIME_S", 0.01)
         os.mkfifo(tmp_path / "pipe")
         reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
@@ -209,9 +205,6 @@ class TestReader:
     def test_a_file_that_is_not_there(self) -> None:
         with pytest.raises(FileNotFoundError):
             listen("nowhere.pcapng")
-
-
-# --- a disk that becomes full while traffic is recorded -------------------------------------------
 
 
 def test_a_tap_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

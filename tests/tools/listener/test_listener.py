@@ -1,6 +1,4 @@
-"""
-Listening for real: a line of pseudo-terminals, others' programs on it, and a tap between.
-"""
+"""Listening for real: a line of pseudo-terminals, others' programs on it, and a tap between."""
 
 import asyncio
 import importlib
@@ -184,8 +182,7 @@ class TestPort:
             assert hearing.wait_for(3)[2].kind == "answered"
 
     @pytest.mark.parametrize(
-        ("path", "what"),
-        [("/dev/nowhere", "No such file"), ("/dev/null", "not a serial port")],
+        ("path", "what"), [("/dev/nowhere", "No such file"), ("/dev/null", "not a serial port")]
     )
     def test_a_path_that_is_no_serial_port_is_an_error(self, path: str, what: str) -> None:
         with pytest.raises(ModbusConnectionError, match=what):
@@ -209,7 +206,7 @@ class TestEnding:
         gathering.close()
         assert list(gathering.line) == []
 
-    def test_close_from_a_signal_handler_and_in_asyncio(self, port: Line) -> None:
+    async def test_close_from_a_signal_handler_and_in_asyncio(self, port: Line) -> None:
         line = listen(f"rtu://{port.path}")
         before = signal.signal(signal.SIGALRM, lambda *_: line.close())
         try:
@@ -218,12 +215,9 @@ class TestEnding:
         finally:
             signal.signal(signal.SIGALRM, before)
 
-        async def heard() -> None:
-            line = listen(f"rtu://{port.path}")
-            asyncio.get_running_loop().call_later(0.1, line.close)
-            assert [each async for each in line] == []
-
-        asyncio.run(heard())
+        line = listen(f"rtu://{port.path}")
+        asyncio.get_running_loop().call_later(0.1, line.close)
+        assert [each async for each in line] == []
 
     def test_cancelling_loses_nothing(self, port: Line) -> None:
         async def heard() -> Transaction:

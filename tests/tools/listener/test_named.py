@@ -1,15 +1,8 @@
-"""
-Transactions that a listener hears, with the names of their values.
-"""
+"""Transactions that a listener hears, with the names of their values."""
 
-from typing import Any
-
-import pytest
-
-from libmodbus_py import Point, RegisterMap, pdu
+from libmodbus_py import Point, RegisterMap
 from libmodbus_py.listen import MapDecoder, Separator, Transaction
 from libmodbus_py.tools.listener.named import LearnedMap
-from libmodbus_py.tools.listener.transaction import AnswerTimes, damage_transaction, decoded
 from tests.support.cases import each_case
 from tests.support.talk import rtu
 
@@ -72,9 +65,7 @@ WRITTEN = ("valve", "secret")
         ([UNANSWERED], []),
     ],
 )
-def test_values_of_a_map_in_transactions(
-    pairs: list[tuple[str, str]], values: list[tuple[str, Any]]
-) -> None:
+def test_values_of_a_map_in_transactions(pairs, values) -> None:
     decoder = MapDecoder(POINTS)
     found = [each for transaction in heard(*pairs) for each in decoder.decode(transaction)]
     assert [(each.name, each.value) for each in found] == values
@@ -123,36 +114,3 @@ def test_a_broadcast_has_the_values_that_it_writes_and_no_others() -> None:
         (0, "voltage", 0.1, True)
     ]
     assert [each.description for each in learned.points()] == ["1", *["no value heard"] * 2]
-
-
-@each_case(
-    ("request_", "found"),
-    [
-        ("03 006B 0003", pdu.ReadHoldingRegisters(107, 3)),
-        ("41 01", pdu.RawRequest(0x41, b"\1")),  # a function that nobody knows
-        ("03 006B 0000", None),  # refused with exception 3
-        ("03 006B", None),
-        ("C1 01", None),  # no request has this code
-    ],
-)
-def test_requests_that_a_server_refuses_are_none_but_for_unknown_functions(
-    request_: str, found: pdu.Request[object] | None
-) -> None:
-    assert decoded(bytes.fromhex(request_)) == found
-
-
-def test_response_times_have_a_shortest_a_mean_and_a_longest() -> None:
-    times = AnswerTimes()
-    assert (times.shortest, times.mean, times.longest) == (0.0, 0.0, 0.0)
-    for seconds in (0.02, 0.01, 0.06):
-        times.add_time(seconds)
-    assert (times.shortest, times.longest) == (0.01, 0.06)
-    assert times.mean == pytest.approx(0.03)
-
-
-@each_case(
-    ("data", "text"),
-    [(b"\0", "a byte that is not a frame"), (b"\0\1", "2 bytes that are not a frame")],
-)
-def test_damage_is_told_with_its_size(data: bytes, text: str) -> None:
-    assert str(damage_transaction(1.0, data).error).startswith(text)

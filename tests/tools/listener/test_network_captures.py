@@ -3,8 +3,6 @@ Captures of a network: Modbus/TCP in pcap and pcapng files of any kind, written 
 the published formats, and put together from segments that came twice, late, cut or not at all.
 """
 
-from __future__ import annotations
-
 import random
 import struct
 from collections.abc import Sequence

@@ -1,8 +1,4 @@
-"""
-A capture replayed as a device, and as a master: what pymodbus and a device said at a tap.
-"""
-
-from __future__ import annotations
+"""A capture replayed as a device, and as a master: what pymodbus and a device said at a tap."""
 
 import asyncio
 from collections.abc import Iterator
@@ -21,13 +17,7 @@ from libmodbus_py import (
 )
 from libmodbus_py.listen import listen
 from libmodbus_py.tools.listener.replay import differences, replayed_devices
-from tests.tools.listener.test_network_captures import (
-    ANSWERED,
-    ASKED,
-    TWO,
-    packet,
-    pcap,
-)
+from tests.tools.listener.test_network_captures import ANSWERED, ASKED, TWO, packet, pcap
 
 
 @pytest.fixture

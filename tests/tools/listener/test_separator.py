@@ -8,7 +8,7 @@ talk.py computes.
 import random
 import tracemalloc
 from collections.abc import Iterable
-from typing import Any, get_args
+from typing import get_args
 
 import pytest
 
@@ -71,9 +71,6 @@ def test_every_example_of_the_specification_finds_its_answer(framing: str, step:
     assert len(done) == len(pairs) > 15
 
 
-# --- one transaction ------------------------------------------------------------------------------
-
-
 def test_question_and_answer_with_their_times() -> None:
     (done,) = listen([(100.0, ASK), (100.25, ANSWER)])
     assert (done.kind, done.time, done.unit, done.function) == ("answered", 100.0, 1, 3)
@@ -110,9 +107,7 @@ def test_every_kind_says_what_it_is() -> None:
 @each_case("code", ["00", "80"])
 @each_case("direction", [None, "client", "server"])
 @each_case("framing", ["rtu", "ascii"])
-def test_a_frame_without_a_function_is_invalid(
-    code: str, direction: str | None, framing: str
-) -> None:
+def test_a_frame_without_a_function_is_invalid(code, direction, framing) -> None:
     separator = Separator(framing)  # type: ignore[arg-type]
     frame = MAKE[framing](f"01 {code} 01")
     done = separator.feed(frame, 0.0, direction)  # type: ignore[arg-type]
@@ -131,9 +126,6 @@ def test_a_good_frame_that_nobody_sends_is_no_damage(framing: str) -> None:
         found = kinds([(at / 10, frame) for at, frame in enumerate(frames)], framing)
         assert found[0] == found[-1] == "answered", body
         assert found[1:-1] in (["unasked"], ["invalid"]), body
-
-
-# --- requests, responses and damage ---------------------------------------------------------------
 
 
 def in_bytes(frame: bytes) -> list[Piece]:
@@ -202,9 +194,7 @@ def test_an_echo_is_the_answer_if_it_comes_soon_and_else_the_question(question: 
         (0.002, 0.05, [200.0, 200.05, 200.052], ["unanswered", "answered"]),
     ],
 )
-def test_the_limit_is_learnt(
-    answers: float, timeout: float, last: list[float], said: list[str]
-) -> None:
+def test_the_limit_is_learnt(answers, timeout, last, said) -> None:
     """The unit takes so long to answer, and the client waits so long for an answer."""
     pieces: list[Piece] = []
     for number in range(10):
@@ -216,7 +206,7 @@ def test_the_limit_is_learnt(
 def test_repeats_are_counted_and_late_answers_named() -> None:
     done = listen([(0.0, ASK), (1.0, ASK), (2.0, ASK), (2.1, ANSWER)])
     assert [(each.kind, each.repeats) for each in done] == [
-        *(("unanswered", 0), ("unanswered", 1), ("answered", 2)),
+        *(("unanswered", 0), ("unanswered", 1), ("answered", 2))
     ]
     _, late, _ = listen([(0.0, ASK), (1.0, OTHER), (1.1, ANSWER)])
     assert (late.kind, late.unit, late.response) == ("late", 1, [7, 9])
@@ -287,9 +277,6 @@ def test_a_line_that_is_in_order_again_is_understood(framing: str, seed: int) ->
     assert [each.kind for each in done][-1] == "answered"
 
 
-# --- time passes, and directions are known --------------------------------------------------------
-
-
 FRONT = bytes([1, 3, 0xFA, 0, 0])
 
 
@@ -303,9 +290,7 @@ FRONT = bytes([1, 3, 0xFA, 0, 0])
         ([(ASK, "client"), (ANSWER[:3], "server")], {0.5: [], 9.0: [("damaged", ANSWER[:3])]}),
     ],
 )
-def test_a_transaction_that_is_over_is_returned_without_another_byte(
-    pieces: list[Any], told: Any
-) -> None:
+def test_a_transaction_that_is_over_is_returned_without_another_byte(pieces, told) -> None:
     separator = Separator("rtu")
     for data, direction in pieces:
         assert separator.feed(data, 0.0, direction) == []

@@ -1,6 +1,4 @@
-"""
-The connections through a tap: all of them end, whoever falls silent, and none keeps others out.
-"""
+"""Connections through a tap: all end, whoever falls silent; none keeps others out."""
 
 import contextlib
 import os
@@ -65,9 +63,7 @@ def test_an_idle_link_ends_at_both_sides(tapped: Tapped, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_a_link_that_one_side_has_left_waits_less_for_the_other(
-    first: int, tapped: Tapped, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_link_that_one_side_has_left_waits_less_for_the_other(first, tapped: Tapped, monkeypatch):
     monkeypatch.setattr(sources, "LEAVING", 0.05)
     ends = tapped.connected()
     assert passes(ends)
@@ -83,9 +79,7 @@ def test_a_side_that_takes_nothing_ends_it(tapped: Tapped, monkeypatch: pytest.M
         flood(client)
 
 
-def test_the_one_that_was_idle_longest_makes_room(
-    tapped: Tapped, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_one_that_was_idle_longest_makes_room(tapped: Tapped, monkeypatch) -> None:
     monkeypatch.setattr(timed_server, "MOST_CONNECTIONS", 2)
     first, second = tapped.connected(), tapped.connected()
     assert passes(second)

@@ -158,9 +158,6 @@ def test_a_listener_between_both_says_the_same(events: list[Event], kinds: str) 
     assert told(done + separator.end()) == kinds
 
 
-# --- memory --------------------------------------------------------------------------------------
-
-
 def test_a_response_that_comes_too_late_is_late() -> None:
     pairing = TracePairing()
     pairing.take(traced(ask(0, READ), TCP))

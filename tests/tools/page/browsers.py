@@ -1,6 +1,4 @@
-"""
-A headless Chromium of its own, driven by Selenium through Debian's chromedriver, and who uses it.
-"""
+"""A headless Chromium, driven by Selenium through Debian's chromedriver, and who uses it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""
-Pages whose streams and sweeps are not waited for.
-"""
+"""Pages whose streams and sweeps are not waited for."""
 
 import pytest
 

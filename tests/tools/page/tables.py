@@ -1,8 +1,4 @@
-"""
-A page of tables with values that a test puts.
-"""
-
-from __future__ import annotations
+"""A page of tables with values that a test puts."""
 
 import contextlib
 import time

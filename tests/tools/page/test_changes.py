@@ -1,8 +1,4 @@
-"""
-Values that are typed on a page: set, or refused with the reason; values that are held; and faults.
-"""
-
-from __future__ import annotations
+"""Values typed on a page: set, or refused with the reason; held values; and faults."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -89,9 +85,6 @@ def test_the_page_shows_the_values_that_registers_may_have() -> None:
             assert visitor.post("/readings", unit=1, **place) == {"readings": []}
 
 
-# --- a moving value of a simulator that is held on its page ---------------------------------------
-
-
 PLANT = """
 [[unit]]
 id = 1
@@ -160,9 +153,6 @@ def test_a_held_value_is_held_after_its_file_was_read_again(tmp_path: Path) -> N
     assert (after["level"], after.movement(after.points["level"])) == (33, False)
     after.hold(after.points["level"], is_on=False)
     assert after["level"] != 33
-
-
-# --- faults ---------------------------------------------------------------------------------------
 
 
 GIVEN = {1: [Fault("exception", code=6, function=3)], None: [Fault("no_answer", function=1)]}

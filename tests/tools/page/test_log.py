@@ -3,8 +3,6 @@ Who wrote last, and the log of requests: it names points, is filtered, and is sa
 spreadsheet takes for formulas.
 """
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import io
@@ -121,7 +119,7 @@ def test_the_saved_log_has_the_chosen_rows() -> None:
         every = saved(visitor, "")
         assert every[0][:6] == ["time", "client", "unit", "function", "request", "points"]
         assert every[1][2:8] == [
-            *("1", "6", "write holding registers 2: 125", "level 12.5 m", "done", "answered"),
+            *("1", "6", "write holding registers 2: 125", "level 12.5 m", "done", "answered")
         ]
         for query, rows in (
             ("?unit=1", [0, 1]),

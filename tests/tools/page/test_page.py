@@ -1,10 +1,4 @@
-"""
-A page as a whole: what it shows first, what changes on it, pages beside each other, and its end.
-"""
-
-from __future__ import annotations
-
-from typing import Any
+"""A page as a whole: what it shows first, what changes on it, other pages, and its end."""
 
 import pytest
 
@@ -18,29 +12,9 @@ from libmodbus_py import (
     ServerDeviceBusy,
 )
 from libmodbus_py.page import live_page
-from libmodbus_py.tools.page.streams import difference
-from tests.support.cases import each_case
 from tests.tools.page.watching import NAMES, Visitor, made_server, shown
 
 TOKEN = "Bookmarked-by_the-plant-2026"
-
-
-BEFORE = {"log": {1: ["a"], 2: ["b"]}, "view": {"count": 1}}
-
-
-@each_case(
-    ("after", "message"),
-    [
-        (BEFORE, {}),
-        ({"log": {1: ["a"], 2: ["b"]}}, {"view": None}),
-        (BEFORE | {"log": {2: ["c"], 3: ["d"]}}, {"log": {1: None, 2: ["c"], 3: ["d"]}}),
-        (BEFORE | {"log": {}, "rows": {}}, {"log": {1: None, 2: None}, "rows": {}}),
-        (BEFORE | {"log": {2: ["b"], 1: ["new"]}}, {"log": {1: ["new"]}}),  # gone, and there again
-    ],
-)
-def test_a_message_is_the_difference_of_rows(after: Any, message: object) -> None:
-    assert difference(BEFORE, after) == message  # type: ignore[arg-type]
-    assert difference({}, after) == after
 
 
 def test_the_first_message_has_all_tables() -> None:
@@ -124,9 +98,6 @@ def test_two_pages_of_a_server_on_one_token_follow_it_and_end_alone() -> None:
         other.receive(lambda: other.cells("2/holding_registers").get(3) == 1234)
 
 
-# --- values that a device computes ----------------------------------------------------------------
-
-
 def test_a_moving_value_is_computed_when_it_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("libmodbus_py.tools.page.units.RETRY", 0.3)
     mapping, is_busy = Mapping(holding_registers=8, input_registers=8), True
@@ -158,10 +129,7 @@ def test_a_moving_value_is_computed_when_it_is_shown(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, SystemExit])
-def test_a_hook_that_fails_is_logged_once_and_the_page_goes_on(
-    error: type[BaseException],
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_hook_that_fails_is_logged_once_and_the_page_goes_on(error, caplog) -> None:
     def broken(access: Access) -> None:
         raise error
 

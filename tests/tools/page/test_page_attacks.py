@@ -1,6 +1,4 @@
-"""
-Attacks on the page: who may not ask, requests that are none, and visitors who never end.
-"""
+"""Attacks on the page: who may not ask, requests that are none, and visitors who never end."""
 
 import json
 import os
@@ -35,8 +33,6 @@ def raw(visitor: Visitor, data: bytes, *, ends: bool = False) -> bytes:
                 received += piece
     return received
 
-
-# --- who may ask ----------------------------------------------------------------------------------
 
 CHANGE = {"unit": 1, "point": 1, "name": "level", "text": "9"}
 
@@ -119,8 +115,6 @@ def test_the_headers_of_the_page_restrict_browsers() -> None:
                 assert [each for each in (b"style=", b"onclick", b"://") if each in data] == []
 
 
-# --- requests that are none -----------------------------------------------------------------------
-
 REQUESTS: list[tuple[str, str, Any, dict[str, str | None], int]] = [
     ("GET", "/log.csv?" + "&".join("a=1" for _ in range(20)), None, {}, 400),
     ("GET", "/../page.py", None, {}, 404),
@@ -168,9 +162,6 @@ def test_requests_that_cannot_be_and_bytes_that_are_none() -> None:
             assert b" 200 " not in answer[:20]
             assert b"Traceback" not in answer
         assert visitor.ask("GET", "/")[0] == 200
-
-
-# --- visitors who never end -----------------------------------------------------------------------
 
 
 def test_a_connection_without_a_request_delays_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,8 +261,6 @@ def test_a_page_that_cannot_be_gets_one_line() -> None:
     assert f"cannot show a page on {place}: Address already" in done.err
     assert done.err.count("\n") == 1
 
-
-# --- behind a tunnel or a proxy -------------------------------------------------------------------
 
 OUTER_URLS = {
     "http://localhost:9000": "http://localhost:9000",  # ssh -L 9000:..., a container's port

@@ -186,9 +186,6 @@ def test_a_person_holds_a_value_and_reads_the_log(tmp_path: Path) -> None:
         assert person.complaints() == []
 
 
-# --- a page with a table --------------------------------------------------------------------------
-
-
 TOKEN = "Bookmarked-by_the-plant-2026"
 
 

@@ -3,9 +3,7 @@ The samples of a value: bounded, with gaps, in the order of time, and their extr
 rows over time, made of counters.
 """
 
-import math
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from libmodbus_py.tools.page.samples import Counts, RowHistory, Samples, with_gaps
@@ -33,17 +31,6 @@ def test_the_latest_samples_are_kept_and_the_extremes_of_all() -> None:
     samples.resize(2)
     samples.add(131, 7)
     assert samples.pairs() == [(130, 29), (131, 7)]
-
-
-@each_case(
-    "value",
-    [None, "text", "12", math.nan, math.inf, -math.inf, [1, 2], {"a": 1}, 10**400, object()],
-)
-def test_a_value_that_is_no_number_is_a_gap(value: Any) -> None:
-    samples = made(1, value, 3)
-    assert [each for _, each in samples.pairs()] == [1, None, 3]
-    assert samples.spark() == [0, -1, 20]
-    assert (samples.low, samples.high) == (1, 3)
 
 
 def test_a_sparkline_has_the_last_samples_in_20_levels() -> None:
@@ -83,8 +70,6 @@ def test_samples_are_in_the_order_of_time_and_a_gap_is_one_of_them() -> None:
     with_a_gap = [(1, 1), (2, None), (900, None), (5000, 2)]
     assert sampled(with_a_gap, 1.0).pairs() == with_a_gap
 
-
-# --- numbers made of counters ---------------------------------------------------------------------
 
 Name = tuple[str, str]
 LINE = "", "tcp://192.0.2.1"
@@ -134,32 +119,3 @@ def test_numbers_over_time_are_those_of_the_time_between() -> None:
         ("queue", [1, 2, None, 0]),
     ):
         assert [number for _, number in counters.numbers(LINE, column)] == numbers
-
-
-def test_rows_come_and_go() -> None:
-    counters = Counters()
-    other = "", "tcp://192.0.2.2"
-    counters.set(1, Counts(1_000_000), other)  # it counted before it was seen
-    counters.go_on(1, 7, other)
-    assert counters.numbers(other) == [(1002.0, 7.0)]
-    del counters.counts[LINE]
-    counters.go_on(1, 0, other)
-    assert counters.history.series(LINE, "rate") is None
-    assert counters.history.spark(LINE, "rate") == []
-
-
-def test_a_clock_that_is_set_back_makes_no_number_and_stops_none() -> None:
-    counters = Counters()
-    for seconds in (1, -3600, 1):
-        counters.go_on(seconds, 10)
-    assert sorted(number or 0 for _, number in counters.numbers()) == [10, 10]
-
-
-def test_threads_that_sample_at_once_count_nothing_twice() -> None:
-    counters = Counters()
-    counters.now += 1
-    counters.counts[LINE] = Counts(40)
-    with ThreadPoolExecutor(8) as pool:
-        samplings = [pool.submit(counters.history.sample) for _ in range(8)]
-    assert not any(each.exception() for each in samplings)
-    assert counters.numbers() == [(1001.0, 40.0)]

@@ -1,8 +1,4 @@
-"""
-Pages with a table: rows that are looked at, searches, problems, history, names that are attacks.
-"""
-
-from __future__ import annotations
+"""Pages with a table: rows that are looked at, searches, problems, history, hostile names."""
 
 import math
 import time
@@ -67,10 +63,7 @@ def test_a_device_that_is_down_is_one_problem_with_its_reason_in_words() -> None
         visitor.look_at(problems=True)
         visitor.receive(lambda: count(visitor) == 2)
         assert [(cells["name"], cells["state"]) for cells in visitor.rows("rows")] == [
-            (
-                {"group": "meter 2", "own": "I"},
-                {"word": "bad", "reason": "illegal data address"},
-            ),
+            ({"group": "meter 2", "own": "I"}, {"word": "bad", "reason": "illegal data address"}),
             (
                 {"group": "", "own": "meter 4"},
                 {"word": "down", "reason": "no answer within 0.5 s", "since": 1000.0},
@@ -102,15 +95,9 @@ def test_devices_that_are_replaced_vanish_and_their_history_stays_with_those_tha
 
 @each_case(
     ("every", "before"),
-    [
-        (10.0, [1.0, 2.0, None, 3.0, None]),
-        (300.0, [1.0, 2.0, 3.0, None]),
-        (None, [1.0, 2.0, 3.0]),
-    ],
+    [(10.0, [1.0, 2.0, None, 3.0, None]), (300.0, [1.0, 2.0, 3.0, None]), (None, [1.0, 2.0, 3.0])],
 )
-def test_history_is_that_of_memory_and_before_it_that_of_the_journal_with_gaps(
-    every: float | None, before: list[float | None]
-) -> None:
+def test_history_is_that_of_memory_and_before_it_that_of_the_journal_with_gaps(every, before):
     asked: list[Any] = []
     now = time.time()
 

@@ -1,6 +1,4 @@
-"""
-Whoever watches a page without a browser: requests as bytes or by http.client, and its stream.
-"""
+"""Whoever watches a page without a browser: requests as bytes or by http.client, and its stream."""
 
 from __future__ import annotations
 

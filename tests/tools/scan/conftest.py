@@ -1,6 +1,4 @@
-"""
-The network that scans meet, in simulated time.
-"""
+"""The network that scans meet, in simulated time."""
 
 from collections.abc import Iterator
 

@@ -24,13 +24,8 @@ Answer = Callable[[bytes], bytes | None]
 
 class Member(NamedTuple):
     """
-    One device.
-
-    Attributes:
-        answer: what it answers.
-        baudrate, stop_bits: at which it is heard.
-        after: seconds that it takes.
-        garbles: whether it is heard at other settings, too, as damaged bytes.
+    One device. `answer`: what it answers; `baudrate, stop_bits`: at which it is heard; `after`:
+    seconds that it takes; `garbles`: whether it is heard at other settings, too, as damaged bytes.
     """
 
     answer: Answer
@@ -75,11 +70,8 @@ def simulated(seed: int = 1) -> Iterator[Network]:
 
 class SimulatedBus(Party):
     """
-    Units on a line in memory, of which each hears only what is sent at its own settings.
-
-    Attributes:
-        url: of the line.
-        asked: every request, as (baudrate, unit, PDU).
+    Units on a line in memory, of which each hears only what is sent at its own settings. `url`: of
+    the line; `asked`: every request, as (baudrate, unit, PDU).
     """
 
     is_unit = True
@@ -125,9 +117,7 @@ class SimulatedBus(Party):
 def served(network: Network, url: str, *answers: Callable[[bytes], list[Any] | None]) -> Scripted:
     """
     Serve answers, as `FakeServer` does; None among the pieces of one closes the connection.
-
-    Args:
-        answers: one for each request, in order; the last one goes on.
+    `answers`: one for each request, in order; the last one goes on.
     """
     left = list(answers)
 

@@ -1,6 +1,4 @@
-"""
-Who answers where: real pseudo-terminals and sockets, and peers of every kind.
-"""
+"""Who answers where: real pseudo-terminals and sockets, and peers of every kind."""
 
 import signal
 import subprocess
@@ -45,9 +43,6 @@ def all_of(scanned: Scan) -> list[Found]:
 def only_read(pdus: list[bytes]) -> bool:
     """No function that writes, and of 8 and 43 none that changes anything."""
     return all(each[0] in READING and (each[0] != 43 or each[1] == 14) for each in pdus)
-
-
-# --- a line ------------------------------------------------------------------------------
 
 
 def three_units() -> dict[int, Member]:
@@ -122,9 +117,7 @@ def test_a_late_answer_is_its_own_units_on_tcp_too(network: Network) -> None:
         ([lambda request: [request]], "echo=True?"),
     ],
 )
-def test_noise_and_an_echo_do_not_make_a_unit(
-    network: Network, answers: list[Any], note: str
-) -> None:
+def test_noise_and_an_echo_do_not_make_a_unit(network: Network, answers, note) -> None:
     unit = served(network, "rtu:///dev/line", *answers)
     url = f"{unit.url}?baudrate=115200&parity=N"
     scanned = scan(url, units=range(1, 7), timeout=QUICK)
@@ -172,9 +165,6 @@ def test_a_rate_that_the_port_cannot_do_is_passed_over(monkeypatch: pytest.Monke
         assert "12345" in scanned.notes[0]
         with pytest.raises(ModbusConnectionError, match="refused"):
             next(scan(url, baudrates=[12345], units=[1]))
-
-
-# --- networks ----------------------------------------------------------------------------
 
 
 SCHEMES = ["tcp", "udp", "rtu+tcp", "ascii+tcp"]
@@ -254,9 +244,6 @@ def test_an_unreachable_host_is_an_error_soon(begin: Callable[..., Any]) -> None
         next(begin("rtu:///dev/nowhere"))
 
 
-# --- peers ---------------------------------------------------------------------------------
-
-
 def test_libmodbus_is_one_device_over_tcp(compiled: Callable[[str], Path]) -> None:
     """Its server does not look at the unit."""
     with program(compiled("server"), "tcp", 0) as process:
@@ -280,9 +267,6 @@ def _port(process: subprocess.Popen[str]) -> int:
     word, port = process.stdout.readline().split()
     assert word == "ready"
     return int(port)
-
-
-# --- leaving it -----------------------------------------------------------------------------
 
 
 def test_a_scan_can_be_left_at_any_time() -> None:
@@ -326,9 +310,6 @@ def test_an_exception_of_the_callback_ends_the_scan_and_closes_it() -> None:
 def test_wrong_arguments_are_refused_before_anything_is_sent(refused: Refused) -> None:
     refused("refused.txt", lambda given: scan(given[0], **given[1]))
     refused("search_refused.txt", lambda given: search(given[0], **given[1]))
-
-
-# --- tls -------------------------------------------------------------------------------------
 
 
 def test_units_are_found_over_tls(tmp_path: Path) -> None:

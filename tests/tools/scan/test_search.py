@@ -1,6 +1,4 @@
-"""
-What a unit has, over sockets and pseudo-terminals: devices that refuse in their own ways.
-"""
+"""What a unit has, over sockets and pseudo-terminals: devices that refuse in their own ways."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -115,9 +113,7 @@ def test_ranges_are_found_on_a_line() -> None:
         (11, 1, 1, "the unit does not answer any more"),
     ],
 )
-def test_a_table_that_refuses_all_is_left_soon(
-    network: Network, code: int, tables: int, requests: int, ended: str
-) -> None:
+def test_a_table_that_refuses_all_is_left_soon(network: Network, code, tables, requests, ended):
     searched = search(answering(network, lambda *asked: code).url, timeout=PATIENT)
     assert [each.ranges for each in searched] == [[]] * tables
     assert searched.requests == requests
@@ -209,9 +205,6 @@ def test_a_search_that_is_left_has_the_ranges_found_so_far(network: Network) -> 
     assert extent.ranges == [range(6001)]
 
 
-# --- which cells exist, by what can be read -------------------------------------------------------
-
-
 SIZE = 65536
 
 Reader = Callable[[range], bool]
@@ -263,9 +256,7 @@ def found(reader: Reader, most: int = 125, bound: int = 1_000_000) -> tuple[Cell
     ids=str,
 )
 @pytest.mark.parametrize("most", [1, 2, 7, 100, 125, 2000])
-def test_ranges_are_found_exactly_whatever_the_length_that_a_device_reads(
-    there: list[range], most: int
-) -> None:
+def test_ranges_are_found_exactly_whatever_the_length_that_a_device_reads(there, most) -> None:
     cells, reads = found(limited(most, *there), 2000 if most == 2000 else 125)
     assert cells.ranges == there
     assert cells.unseen < FINEST

@@ -1,6 +1,4 @@
-"""
-The order of a full scan of a line: usual settings and units first.
-"""
+"""The order of a full scan of a line: usual settings and units first."""
 
 import pytest
 
@@ -53,9 +51,7 @@ def test_usual_settings_and_units_are_asked_first(network: Network) -> None:
     ("baudrate", "stop_bits", "most"),
     [(9600, 1, 2), (9600, 2, 5), (19200, 2, 10), (38400, 1, 20), (115200, 2, 40), (1200, 1, 80)],
 )
-def test_a_device_as_it_left_the_factory_is_found_soon(
-    network: Network, baudrate: int, stop_bits: int, most: float
-) -> None:
+def test_a_device_as_it_left_the_factory_is_found_soon(network: Network, baudrate, stop_bits, most):
     bus = SimulatedBus(network, {1: Member(of(device()), baudrate, stop_bits)})
     started = network.events.now
     with scan(bus.url) as scanned:
@@ -65,9 +61,7 @@ def test_a_device_as_it_left_the_factory_is_found_soon(
     assert {unit for units in scanned.tried.values() for unit in units} <= {*FIRST_UNITS}
 
 
-def test_the_settings_at_which_a_unit_answered_are_the_first_of_the_second_round(
-    network: Network,
-) -> None:
+def test_the_settings_at_which_a_unit_answered_are_the_first_of_the_second_round(network: Network):
     members = {7: Member(of(device()), 19200, 1), 55: Member(of(device()), 19200, 1)}
     bus = SimulatedBus(network, members)
     told: list[Progress] = []

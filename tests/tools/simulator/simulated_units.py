@@ -1,6 +1,4 @@
-"""
-Units of device files, and a clock that tests set.
-"""
+"""Units of device files, and a clock that tests set."""
 
 import time
 from collections.abc import Callable

@@ -1,10 +1,6 @@
-"""
-Values that move by themselves.
-"""
+"""Values that move by themselves."""
 
 import math
-import resource
-import time
 
 import pytest
 from hypothesis import assume, given
@@ -91,12 +87,7 @@ def test_a_coil_blinks_and_a_bit_is_a_number() -> None:
 LIMITS = {name: kind.limits for name, kind in values.TYPES.items() if kind.limits is not None}
 
 
-@given(
-    kind=st.sampled_from(sorted(LIMITS)),
-    start=numbers,
-    step=numbers,
-    moment=st.floats(0, 1e9),
-)
+@given(kind=st.sampled_from(sorted(LIMITS)), start=numbers, step=numbers, moment=st.floats(0, 1e9))
 def test_counters_stay_in_their_type(kind: str, start: float, step: float, moment: float) -> None:
     clock = Clock()
     low, high = LIMITS[kind]
@@ -114,9 +105,6 @@ def test_counters_stay_in_their_type(kind: str, start: float, step: float, momen
     clock.now += moment
     value = read()
     assert low <= value <= high
-
-
-# --- values that are copies of others -------------------------------------------------------------
 
 
 def test_copies_go_on_from_run_to_run() -> None:
@@ -196,9 +184,6 @@ def test_a_copy_of_what_is_no_value_is_exception_4() -> None:
     assert inputs(device, 8) == [1]
 
 
-# --- values that walk at random -------------------------------------------------------------------
-
-
 def test_a_random_walk_with_a_seed_is_the_same_whenever_it_is_read() -> None:
     text = """
         [[unit.input_registers]]
@@ -216,9 +201,7 @@ def test_a_random_walk_with_a_seed_is_the_same_whenever_it_is_read() -> None:
 
 
 @given(step=st.floats(0.01, 500), start=st.integers(0, 10**12), seed=st.integers(0, 1 << 63))
-def test_no_move_of_a_random_walk_is_longer_than_its_step(
-    step: float, start: int, seed: int
-) -> None:
+def test_no_move_of_a_random_walk_is_longer_than_its_step(step: float, start: int, seed: int):
     clock = Clock()
     behaviour = f"random_walk = {{ low = -250, high = 250, step = {step!r}, seed = {seed} }}"
     device = unit(f'[[unit.input_registers]]\naddress = 0\ntype = "float64"\n{behaviour}', clock)
@@ -231,40 +214,8 @@ def test_no_move_of_a_random_walk_is_longer_than_its_step(
         clock.now += 1
 
 
-def test_random_walks_get_about() -> None:
-    """To both sides of where they begin, each its own way, as far as they may."""
-    clock = Clock()
-    text = "random_walk = { low = 0, high = 60000, step = 1000, seed = 3 }"
-    device = unit(f"[[unit.input_registers]]\naddress = 0\ncount = 100\n{text}", clock)
-    for moves in (16, 256, 4096, 65536):
-        clock.now = 1000.0 + moves
-        found = inputs(device, 0, 100)
-        assert min(found) < 30000 < max(found)
-        assert len(set(found)) > 20
-    assert min(found) < 10_000
-    assert max(found) > 50_000
-
-
-def test_2000_random_walks_at_once_do_not_stop_the_server() -> None:
-    """Not after an hour in which nobody looked, nor at each later read."""
-    clock = Clock()
-    walk = "random_walk = { low = 0, high = 1, step = 1, interval = 0.001 }"
-    device = unit(f"[[unit.coils]]\naddress = 0\ncount = 65536\n{walk}", clock)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    start = time.process_time()
-    for at in range(0, 65536 - 2000, 2000):
-        clock.now += 3600
-        assert len(answer(device, pdu.ReadCoils(at, 2000))) == 2000
-    # 32 reads; a move for each millisecond would take one second for each read.
-    assert time.process_time() - start < 8
-    # A random generator for each would take 2.5 KB.
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000
-
-
 @given(low=numbers, span=st.floats(1, 1e5), moments=st.lists(st.floats(0, 100), max_size=20))
-def test_waves_and_walks_stay_between_their_limits(
-    low: float, span: float, moments: list[float]
-) -> None:
+def test_waves_and_walks_stay_between_their_limits(low: float, span: float, moments: list[float]):
     clock = Clock()
     high = low + span
     limits = f"low = {low!r}, high = {high!r}"

@@ -1,8 +1,4 @@
-"""
-Bits in device files: by number, by range, and by name.
-"""
-
-from __future__ import annotations
+"""Bits in device files: by number, by range, and by name."""
 
 from pathlib import Path
 from typing import Any

@@ -1,6 +1,4 @@
-"""
-Device files: values lie where the file says, with the types that it says; units and their faults.
-"""
+"""Device files: addresses and types of values, units and their faults."""
 
 from pathlib import Path
 from typing import Any
@@ -68,9 +66,6 @@ def test_a_table_without_ranges_does_not_exist() -> None:
     assert answer(device, pdu.ReadExceptionStatus()) == 3
 
 
-# --- units and faults ------------------------------------------------------------------------
-
-
 def test_units_are_told_apart_and_faults_are_collected() -> None:
     simulation = parse("""
         fault = [{ kind = "no_answer", every = 9 }]
@@ -104,9 +99,6 @@ def test_every_unit_of_a_file_without_id_is_served(tmp_path: Path) -> None:
                 assert client.read_holding_registers(0, 1) == [42]
                 with pytest.raises(ExceptionResponse, match="exception 3"):
                     client.read_coils(0, 1)
-
-
-# --- which requests the ranges of a device file allow ---------------------------------------------
 
 
 ACCESS = """
@@ -147,9 +139,7 @@ REQUESTS = [
 
 
 @each_case(("request_", "is_executed"), REQUESTS, ids=str)
-def test_a_write_outside_the_ranges_is_exception_2(
-    request_: pdu.Request[Any], is_executed: bool
-) -> None:
+def test_a_write_outside_the_ranges_is_exception_2(request_, is_executed) -> None:
     device = unit(ACCESS)
     tables = device.mapping.holding_registers, device.mapping.coils, *device.files.values()
     before = [list(table) for table in tables]
@@ -159,9 +149,6 @@ def test_a_write_outside_the_ranges_is_exception_2(
         with pytest.raises(IllegalDataAddress):
             answer(device, request_)
     assert ([list(table) for table in tables] != before) is (is_executed and request_.changes)
-
-
-# --- roles in device files ------------------------------------------------------------------------
 
 
 UNITS = """
@@ -225,9 +212,7 @@ def allowed(text: str, unit: int, request: pdu.Request[Any]) -> set[str | None]:
 
 
 @each_case(("number", "request_", "roles"), ALLOWED, ids=str)
-def test_a_role_may_do_what_its_rules_allow(
-    number: int, request_: pdu.Request[Any], roles: set[str | None]
-) -> None:
+def test_a_role_may_do_what_its_rules_allow(number, request_, roles) -> None:
     assert allowed(UNITS + ROLES, number, request_) == roles
 
 

@@ -1,6 +1,4 @@
-"""
-Device files: the examples, and mistakes.
-"""
+"""Device files: the examples, and mistakes."""
 
 import json
 import math

@@ -1,8 +1,4 @@
-"""
-Hooks in a file of Python: what devices call, and what is said of a file with a mistake.
-"""
-
-from __future__ import annotations
+"""Hooks in a file of Python: what devices call, and what is said of a file with a mistake."""
 
 import os
 from pathlib import Path
@@ -109,9 +105,7 @@ def test_a_broken_file_keeps_the_former_hooks(path: Path) -> None:
     assert written(device, 101) == 6
 
 
-def test_the_first_failure_after_a_change_is_logged_again(
-    path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_first_failure_after_a_change_is_logged_again(path: Path, caplog) -> None:
     path.write_text("def after_write(access):\n    1 / 0\n")
     device = tables()
     file = HooksFile(str(path))

@@ -1,6 +1,4 @@
-"""
-Device files with names, scales, defaults and register maps: what clients, programs and pages find.
-"""
+"""Device files with names, scales, defaults and maps: what clients, programs and pages see."""
 
 import re
 from collections.abc import Callable
@@ -47,9 +45,6 @@ def made(tmp_path: Path) -> Write:
         return the(load(tmp_path / "device.toml", **options))
 
     return make
-
-
-# --- names, defaults and meanings ------------------------------------------------------------
 
 
 def test_a_device_knows_its_names_and_points() -> None:
@@ -141,9 +136,6 @@ def test_ranges_hold_what_their_values_mean() -> None:
     assert (device["remote"], device["mode"]) == (True, 9)
     with pytest.raises(ValueError, match=r"mode: value must be in \.\.9, not 10"):
         device["mode"] = 10
-
-
-# --- register maps ---------------------------------------------------------------------------
 
 
 def test_all_points_of_a_map_exist(made: Write) -> None:
@@ -278,9 +270,6 @@ def test_a_page_shows_and_sets_what_points_mean(made: Write) -> None:
         set_point(unit, points["state"], "up")
 
 
-# --- what comes with the package -------------------------------------------------------------
-
-
 def test_examples_are_described_and_can_be_loaded() -> None:
     found = example_files.descriptions()
     beside = {path.stem for path in Path(__file__).parents[3].glob("examples/*.toml")}
@@ -300,17 +289,12 @@ FORMS: dict[str, tuple[str, Callable[[Path], Any]]] = {
         '[[unit]]\nid = 1\nmap = "{name}"\n',
         lambda path: device_file.load(path).devices[1].points,
     ),
-    "list of devices": (
-        'devices = "list.csv"\n',
-        lambda path: load_fleet(path).devices[0].map,
-    ),
+    "list of devices": ('devices = "list.csv"\n', lambda path: load_fleet(path).devices[0].map),
 }
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_map_of_the_package_has_its_name_and_others_their_ending(
-    form: str, tmp_path: Path
-) -> None:
+def test_a_map_of_the_package_has_its_name_and_others_their_ending(form, tmp_path) -> None:
     (tmp_path / "sdm120.csv").write_text("name,table,address\nown,holding_registers,7\n")
 
     def names(map: str) -> set[str]:

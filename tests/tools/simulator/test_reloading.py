@@ -1,6 +1,4 @@
-"""
-A device file that is read again while its devices are served: what stays, and what is told.
-"""
+"""A device file that is read again while its devices are served: what stays, and what is told."""
 
 import asyncio
 import gc
@@ -37,9 +35,6 @@ input_registers = [
 id = 2
 holding_registers = [{ address = 0, value = 3 }]
 """
-
-
-# --- what stays ------------------------------------------------------------------------------
 
 
 def after(
@@ -112,9 +107,6 @@ def test_moving_values_go_on_after_a_reload() -> None:
     device = after(PLAIN, look_ahead, text)
     assert moving.decode_response(device.answer(moving.encode())) == found[0]
     assert found[0][0] == 10
-
-
-# --- reading again ---------------------------------------------------------------------------
 
 
 @contextmanager
@@ -204,9 +196,7 @@ def test_a_reload_logs_what_has_changed(path: Path) -> None:
             assert told[0].startswith(f"{path}: read again, {changes}")
 
 
-def test_changes_are_seen_also_of_maps_and_of_maps_that_come(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_changes_are_seen_also_of_maps_and_of_maps_that_come(path: Path, monkeypatch) -> None:
     looks = 0
 
     def signatures(reloader: Reloader) -> object:
@@ -257,9 +247,7 @@ def test_clients_lose_nothing_that_they_write_while_it_is_read_again(path: Path)
             thread.join()
 
 
-def test_the_end_of_a_server_in_the_middle_of_a_reading_leaves_no_task(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_end_of_a_server_in_the_middle_of_a_reading_leaves_no_task(path: Path, monkeypatch):
     begun, ended = threading.Event(), threading.Event()
 
     def read(name: str) -> Simulation:

@@ -1,6 +1,4 @@
-"""
-Discovery over TCP, beside pysunspec2's client: the same models, registers and values.
-"""
+"""Discovery over TCP, beside pysunspec2's client: the same models, registers and values."""
 
 import asyncio
 import importlib.util
@@ -75,9 +73,7 @@ def comparable(ours: Any, kind: str, theirs: Any, point: Any) -> tuple[Any, Any]
 
 @BOTH
 @pytest.mark.parametrize("name", DEVICES)
-def test_the_models_and_values_are_those_of_pysunspec2(
-    name: str, ask: Callable[[str], Found]
-) -> None:
+def test_the_models_and_values_are_those_of_pysunspec2(name, ask: Callable[[str], Found]) -> None:
     with serving(file_device(name)) as url:
         found, values = ask(url)
         host, _, port = url.removeprefix("tcp://").rpartition(":")
@@ -148,9 +144,6 @@ def test_without_pysunspec2_the_error_names_the_extra(monkeypatch: pytest.Monkey
         sunspec.discover(Client("tcp://127.0.0.1:9"))
 
 
-# --- chains of models, hostile ones included ------------------------------------------------------
-
-
 COMMON = [1, 66, *([0] * 66)]
 
 
@@ -191,9 +184,6 @@ def test_the_marker_is_sought_at_each_base(base: int) -> None:
     assert (done.result.base, done.result.notes) == (base, [])
     with pytest.raises(SunSpecError, match=r"address 0: .* address 40000: .* address 50000: "):
         walked(walk(BASES), [0] * 10, 0)
-
-
-# --- points of models -----------------------------------------------------------------------------
 
 
 KNOWN = [int(path.stem.partition("_")[2]) for path in folder().glob("model_*.json")]

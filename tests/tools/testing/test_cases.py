@@ -1,6 +1,4 @@
-"""
-Tables of cases, and the ends of lines in memory.
-"""
+"""Tables of cases, and the ends of lines in memory."""
 
 import inspect
 import os
@@ -35,38 +33,8 @@ def test_every_failed_case_is_named_and_the_others_are_not() -> None:
     assert "(6, 3)" not in text
 
 
-def raising(error: BaseException) -> None:
-    for check, _ in each([b"ab", b"cd"], name=lambda case: f"bytes {case!r}"):
-        with check:
-            raise error
-
-
-@pytest.mark.parametrize(
-    "error",
-    [
-        pytest.skip.Exception("why"),
-        KeyboardInterrupt(),
-        pytest.fail.Exception("Timeout (>180.0s) from pytest-timeout."),
-    ],
-)
-def test_an_exception_that_ends_the_test_leaves_the_loop(error: BaseException) -> None:
-    with pytest.raises(type(error)) as caught:
-        raising(error)
-    assert caught.value is error
-
-
 def test_an_empty_table_fails() -> None:
     assert failure([]) == "the table of cases is empty"
-
-
-def test_a_check_that_is_not_used_fails() -> None:
-    loop = each("ab")
-    next(loop)
-    with pytest.raises(AssertionError, match="was not used: 'a'"):
-        next(loop)
-
-
-# --- the decorator ---------------------------------------------------------------------
 
 
 def test_each_case_calls_the_test_with_every_combination() -> None:
@@ -114,9 +82,7 @@ def test_more_than_there_is_room_for_is_written_when_somebody_reads(ends: tuple[
 
 
 @pytest.mark.timeout(60)
-def test_a_wire_that_nobody_reads_at_the_other_end_can_be_closed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_wire_that_nobody_reads_at_the_other_end_can_be_closed(monkeypatch) -> None:
     """More is written than the terminals hold: what finds no room is lost, and not waited for."""
     monkeypatch.setattr("libmodbus_py.tools.testing.wires.TIMEOUT", 0.01)
     with SerialWire() as wire:

@@ -1,6 +1,4 @@
-"""
-The pytest plugin in suites of others: what reports show, and what it leaves behind.
-"""
+"""The pytest plugin in suites of others: what reports show, and what it leaves behind."""
 
 import re
 import runpy
@@ -112,9 +110,7 @@ class TestReports:
         result.assert_outcomes(passed=1, failed=1, skipped=1, xfailed=1)
         result.stdout.no_fnmatch_line("*modbus transactions*")
 
-    def test_the_last_fifty_and_the_beginning_of_long_ones(
-        self, suite: Suite, write: Write
-    ) -> None:
+    def test_the_last_fifty_and_the_beginning_of_long_ones(self, suite: Suite, write: Write):
         write("""
     def test_many(modbus_server):
         with Client(modbus_server.url) as plc:
@@ -212,9 +208,7 @@ class TestLeftBehind:
         assert result.ret == pytest.ExitCode.INTERRUPTED
         result.stdout.fnmatch_lines_random(["*KeyboardInterrupt*", "left: [[][]]"])
 
-    def test_a_test_that_hangs_is_ended_and_shows_what_passed(
-        self, suite: Suite, write: Write
-    ) -> None:
+    def test_a_test_that_hangs_is_ended_and_shows_what_passed(self, suite: Suite, write: Write):
         write("""
     @pytest.mark.timeout(60)
     def test_hanging(modbus_server, modbus_faults):
@@ -262,9 +256,6 @@ class TestImports:
         ours = {name.split(".")[1] for name in loaded if name.startswith("libmodbus_py.")}
         assert not ours & {"binding", "client", "server", "device", "listener", "ports"}
         assert not {"asyncio", "ssl", "_cffi_backend"} & set(loaded)
-
-
-# --- the version of pytest that the plugin needs --------------------------------------------------
 
 
 def test_the_plugin_refuses_an_older_one(monkeypatch: pytest.MonkeyPatch) -> None:

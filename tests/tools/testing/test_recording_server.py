@@ -1,6 +1,4 @@
-"""
-The fixtures of the pytest plugin, as tests get them: these are tests that do.
-"""
+"""The fixtures of the pytest plugin, as tests get them: these are tests that do."""
 
 import logging
 from collections.abc import Iterator
@@ -34,9 +32,7 @@ def quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
 
 class TestServer:
     @pytest.mark.parametrize("time", [1, 2])
-    def test_each_test_gets_a_new_one_with_all_tables(
-        self, modbus_server: RecordingServer, time: int
-    ) -> None:
+    def test_each_test_gets_a_new_one_with_all_tables(self, modbus_server: RecordingServer, time):
         assert modbus_server.transactions == []
         with Client(f"tcp://{modbus_server.host}:{modbus_server.port}", unit=247) as client:
             for unit in (1, 247):
@@ -55,9 +51,7 @@ class TestServer:
         assert modbus_server.device.mapping is modbus_server.mapping
         assert modbus_server.url == f"tcp://127.0.0.1:{modbus_server.port}"
 
-    def test_the_oldest_are_forgotten(
-        self, make_modbus_server: ServerMaker, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_the_oldest_are_forgotten(self, make_modbus_server: ServerMaker, monkeypatch) -> None:
         monkeypatch.setattr("libmodbus_py.tools.testing.recording.MOST", 4)
         server = make_modbus_server()
         with Client(server.url) as client:
@@ -117,11 +111,7 @@ class TestMaker:
 class TestSerialLine:
     @pytest.mark.parametrize("framing", ["rtu", "ascii"])
     def test_a_server_sits_on_one_end_and_goes_before_it(
-        self,
-        quiet: None,
-        make_modbus_server: ServerMaker,
-        modbus_serial_line: SerialWire,
-        framing: str,
+        self, quiet: None, make_modbus_server: ServerMaker, modbus_serial_line: SerialWire, framing
     ) -> None:
         server = make_modbus_server(f"{framing}://{modbus_serial_line.server}")
         assert (server.host, server.port) == ("", 0)

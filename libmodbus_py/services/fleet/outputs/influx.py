@@ -14,9 +14,9 @@ from itertools import groupby
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
-from ....protocol.extras import what_is_missing
 from ....protocol.mistakes import WrongType, WrongValue
 from ....protocol.plain import plain, without_controls
+from ....version import what_is_missing
 from ...other_servers import SecretFile, Trust, server_url, text_of
 from ...tasks import finish
 from ..config import DeviceConfig

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ....protocol.extras import what_is_missing
 from ....protocol.logs import HarmlessLogger
+from ....version import what_is_missing
 from ...other_servers import SecretFile, ServerUrl, Trust, text_of
 from ...tasks import KeptTasks, end_tasks, finish
 from .output import OutputError

@@ -9,11 +9,11 @@ import re
 from collections.abc import Mapping
 from urllib.parse import unquote
 
-from ....maps.point_checks import MAX_NAME
+from ....maps.point_checks import TEXTS
 from ....protocol.mistakes import WrongType, WrongValue
 from ..config import LONGEST_NAME, DeviceConfig
 
-_LONGEST = max(MAX_NAME, LONGEST_NAME)
+_LONGEST = max(TEXTS["name"][1], LONGEST_NAME)
 
 
 class Levels:

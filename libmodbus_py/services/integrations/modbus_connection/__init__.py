@@ -24,7 +24,7 @@ from dataclasses import replace
 from typing import Literal, TypeAlias, TypedDict, TypeVar, Unpack
 from urllib.parse import urlsplit
 
-from ....protocol.extras import how_to_add
+from ....version import how_to_add
 
 try:
     import modbus_connection as theirs

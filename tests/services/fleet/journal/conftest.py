@@ -1,6 +1,4 @@
-"""
-The file of a journal, and disks that take no time or fail.
-"""
+"""The file of a journal, and disks that take no time or fail."""
 
 from pathlib import Path
 

@@ -1,6 +1,4 @@
-"""
-What tests of journals share.
-"""
+"""What tests of journals share."""
 
 import asyncio
 import queue

@@ -1,6 +1,4 @@
-"""
-Journals under attack: programs that are killed, disks that fail, clocks, defects, and floods.
-"""
+"""Journals under attack: programs that are killed, disks that fail, clocks, defects, and floods."""
 
 import asyncio
 import contextlib
@@ -10,7 +8,6 @@ import shutil
 import signal
 import sqlite3
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -20,30 +17,17 @@ import pytest
 from fuzz.journal_trial import Found, KilledPolls, devices
 from fuzz.journal_trial import until as until_really
 from libmodbus_py import Fleet
-from libmodbus_py.fleet import Journal, Reading
-from libmodbus_py.services.fleet.journal import journal as journal_module
-from libmodbus_py.services.fleet.journal import place as recent
+from libmodbus_py.fleet import Journal
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
-from libmodbus_py.services.fleet.journal.schema import (
-    JournalDamaged,
-    JournalError,
-)
+from libmodbus_py.services.fleet.journal.schema import JournalDamaged, JournalError
 from libmodbus_py.services.fleet.outputs.pump import MOST_OF_JOURNAL
-from tests.services.fleet.fleets import (
-    NETWORK,
-    Peer,
-    in_real_time,
-    in_simulated_time,
-    meter,
-    until,
-)
+from tests.services.fleet.fleets import NETWORK, Peer, in_simulated_time, meter, until
 from tests.services.fleet.journal.journals import (
     Failing,
     asked,
     in_journal,
     journal_of,
     polls,
-    readings,
     run_for,
 )
 from tests.support.outputs import FakeOutput
@@ -154,9 +138,7 @@ async def test_a_reload_in_the_midst_of_transactions_loses_and_repeats_nothing(
     ],
     ids=["clears", "reverses", "extends"],
 )
-def test_an_output_that_changes_the_list_it_is_given_loses_nothing(
-    path: str, inline: None, change: Callable[[list[Reading]], object]
-) -> None:
+def test_an_output_that_changes_the_list_it_is_given_loses_nothing(path: str, inline: None, change):
     class Changing(FakeOutput):
         async def write_readings(self, readings: Any) -> None:
             await super().write_readings(list(readings))
@@ -169,54 +151,6 @@ def test_an_output_that_changes_the_list_it_is_given_loses_nothing(
     assert (broker.ids + again.ids) == in_journal(path)
 
 
-@pytest.mark.parametrize("seed", range(4))
-@in_simulated_time
-async def test_the_number_of_waiting_readings_is_right_after_any_event(
-    path: str, inline: None, disk: Failing, monkeypatch: pytest.MonkeyPatch, seed: int
-) -> None:
-    """Each reading is accepted, dropped or waits, through damage, full files and other runs."""
-    monkeypatch.setattr(journal_module, "SIZE_BOUNDS", ("1 kB", "1 TB"))
-    monkeypatch.setattr(recent, "MOST_IN_MEMORY", 40)
-    chance = random.Random(seed)
-    put = accepted = dropped = 0
-    for _ in range(3):
-        journal = Journal(path, size="60 kB" if seed % 2 else "1 GB")
-        [place] = await journal.open(["a"])
-        for at in range(150):
-            put += len(journal.put_readings(readings("a", time.time() + at, chance.randint(1, 9))))
-            disk.error = JournalDamaged("is damaged") if chance.random() < 0.01 else None
-            await asyncio.sleep(chance.choice([0, 0.01, 0.3]))
-            if chance.random() < 0.6:
-                batch = await place.take_polls(chance.choice([1, 20, 200]), 0.1)
-                way = chance.choice(
-                    [
-                        place.confirm_readings,
-                        place.confirm_readings,
-                        place.put_back,
-                        place.drop_readings,
-                    ]
-                )
-                before = place.confirmed
-                if (confirming := way(batch)) is not None:
-                    await confirming
-                    accepted += sum(each.id > before for each in batch)
-        disk.error = None
-        await asyncio.sleep(10)
-        assert put == accepted + dropped + place.dropped + len(place)
-        [[last]] = asked(path, "SELECT max(id) FROM poll")
-        if place.confirmed < last and not Path(f"{path}-damaged").exists():
-            behind = f"SELECT sum(readings) FROM poll WHERE id > {place.confirmed}"
-            assert asked(path, behind) == [(len(place),)]
-        dropped += place.dropped
-        await journal.close()
-    [place] = await journal.open(["a"])
-    while batch := await place.take_polls(100, 0.1):
-        accepted += len(batch)
-        await place.confirm_readings(batch)
-    assert (put, len(place)) == (accepted + dropped + place.dropped, 0)
-    await journal.close()
-
-
 KILLS = 3
 
 
@@ -226,7 +160,6 @@ def confirmed(polls: KilledPolls) -> int:
     return 0
 
 
-@in_real_time
 async def test_a_poll_that_is_killed_loses_nothing_that_was_journalled(tmp_path: Path) -> None:
     async with devices(5) as urls:
         polls = KilledPolls(tmp_path, urls, interval=0.05)
@@ -260,9 +193,7 @@ async def polled(broker: FakeOutput, count: int) -> None:
 
 @pytest.mark.usefixtures("inline")
 @pytest.mark.parametrize("endings", [("", "-wal", "-shm"), ("", "-wal", "-shm", "-lock"), ("",)])
-def test_a_journal_that_was_deleted_is_replaced(
-    path: str, endings: tuple[str, ...], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_journal_that_was_deleted_is_replaced(path: str, endings, caplog) -> None:
     broker, away = FakeOutput(), FakeOutput("away", is_away=True)
 
     async def lose(fleet: Fleet) -> None:
@@ -284,9 +215,7 @@ def test_a_journal_that_was_deleted_is_replaced(
 
 
 @pytest.mark.usefixtures("inline")
-def test_a_journal_whose_changes_were_deleted_is_kept(
-    path: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_journal_whose_changes_were_deleted_is_kept(path: str, caplog) -> None:
     """The changes are in the file -wal, which is merged once it is closed."""
     broker = FakeOutput()
 

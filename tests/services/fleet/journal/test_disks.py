@@ -48,13 +48,7 @@ BROKEN = OSError(errno.EIO, "Input/output error")
     ],
 )
 def test_a_disk_that_fails_for_long_is_logged_delays_no_output_and_loses_no_reading(
-    path: str,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    kind: object,
-    name: str,
-    error: Exception,
-    told: str,
+    path: str, monkeypatch, caplog, kind, name, error, told
 ) -> None:
     failing = Failing(monkeypatch, kind, name)
     broker, away = FakeOutput(), FakeOutput("away", is_away=True)
@@ -152,9 +146,7 @@ def test_damage_that_a_reader_meets_is_healed_too(path: str, reader: Failing) ->
     assert away.ids[-30:] == in_journal(path)[-30:]
 
 
-def test_a_damaged_journal_is_replaced_when_a_fleet_begins(
-    path: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_damaged_journal_is_replaced_when_a_fleet_begins(path: str, caplog) -> None:
     run_for(path, 100, FakeOutput())
     whole = bytearray(Path(path).read_bytes())
     whole[4096:] = b"\xff" * (len(whole) - 4096)
@@ -166,9 +158,7 @@ def test_a_damaged_journal_is_replaced_when_a_fleet_begins(
     assert caplog.text.count("a new journal begins") == 1
 
 
-def test_a_disk_that_reports_errors_to_a_reader_is_asked_again(
-    path: str, reader: Failing, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_disk_that_reports_errors_to_a_reader_is_asked_again(path: str, reader: Failing, caplog):
     away = FakeOutput("away", is_away=True)
 
     async def read(fleet: Fleet) -> None:
@@ -202,9 +192,7 @@ async def test_an_output_gets_what_memory_has_dropped_when_it_is_in_the_file(
 
 
 @in_simulated_time
-async def test_each_poll_is_forced_onto_the_disk_although_none_follows(
-    path: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_each_poll_is_forced_onto_the_disk_although_none_follows(path: str, monkeypatch):
     calls: list[tuple[str, float]] = []
     call = Inline.call
 

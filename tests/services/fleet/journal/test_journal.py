@@ -6,33 +6,22 @@ how it begins and ends.
 import asyncio
 import threading
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from libmodbus_py import Fleet
-from libmodbus_py.fleet import Journal, JournalError, Reading
+from libmodbus_py.fleet import Journal, JournalError
 from libmodbus_py.services.fleet.journal import journal as journal_module
 from libmodbus_py.services.fleet.journal import place as recent
 from libmodbus_py.services.fleet.journal.journal_file import JournalFile
-from libmodbus_py.services.fleet.outputs import pump as pumps
 from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
-from tests.services.fleet.fleets import (
-    Peer,
-    in_real_time,
-    in_simulated_time,
-    meter,
-    until,
-)
+from tests.services.fleet.fleets import Peer, in_simulated_time, meter, until
 from tests.services.fleet.journal.journals import asked, in_journal, journal_of, readings, run_for
 from tests.support.outputs import FakeOutput
 
 HOUR = 3600.0
-
-
-# --- outputs --------------------------------------------------------------------------------
 
 
 def test_a_broker_that_is_away_for_an_hour_misses_nothing(path: str, inline: None) -> None:
@@ -130,9 +119,6 @@ def test_a_file_is_the_same_output_in_whatever_folder_the_program_starts(
     assert asked(path, "SELECT output FROM place") == [(f"json {tmp_path}/readings.jsonl",)]
 
 
-# --- the beginning and the end --------------------------------------------------------------
-
-
 @in_simulated_time
 async def test_a_journal_that_cannot_be_used_ends_the_fleet_before_it_polls(
     path: str, inline: None
@@ -145,10 +131,7 @@ async def test_a_journal_that_cannot_be_used_ends_the_fleet_before_it_polls(
         assert peer.connections == []
 
 
-@in_real_time
-async def test_a_journal_may_be_behind_a_link_and_is_the_same_one(
-    path: str, tmp_path: Path
-) -> None:
+async def test_a_journal_may_be_behind_a_link_and_is_the_same_one(path: str, tmp_path) -> None:
     link = tmp_path / "link.db"
     link.symlink_to(path)
     journal = Journal(link)
@@ -162,7 +145,6 @@ async def test_a_journal_may_be_behind_a_link_and_is_the_same_one(
     assert {each.name for each in tmp_path.iterdir() if each.name.startswith("link")} == {link.name}
 
 
-@in_real_time
 async def test_a_journal_belongs_to_one_fleet(path: str) -> None:
     journal = Journal(path)
     await journal.open([])
@@ -174,7 +156,6 @@ async def test_a_journal_belongs_to_one_fleet(path: str) -> None:
     await journal.close()
 
 
-@in_real_time
 async def test_waiting_readings_are_written_when_the_fleet_ends(path: str) -> None:
     journal = Journal(path)
     await journal.open(["x"])
@@ -187,10 +168,7 @@ async def test_waiting_readings_are_written_when_the_fleet_ends(path: str) -> No
     assert found[-1] == last
 
 
-@in_real_time
-async def test_a_cancelled_opening_leaves_the_file_to_others(
-    path: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_cancelled_opening_leaves_the_file_to_others(path: str, monkeypatch) -> None:
     opening, goes_on = threading.Event(), threading.Event()
     original = JournalFile.open
 
@@ -211,7 +189,6 @@ async def test_a_cancelled_opening_leaves_the_file_to_others(
     await other.close()
 
 
-@in_real_time
 async def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     hangs, goes_on = threading.Event(), threading.Event()
     write = JournalFile.write_polls
@@ -243,29 +220,3 @@ async def test_a_disk_that_hangs_delays_nothing(path: str, monkeypatch: pytest.M
 def test_wrong_arguments_are_named(wrong: dict[str, Any]) -> None:
     with pytest.raises((TypeError, ValueError), match="must be"):
         Journal(**{"path": "fleet.db", **wrong})
-
-
-@in_simulated_time
-async def test_an_output_that_is_fast_and_behind_gets_larger_batches(
-    path: str, inline: None
-) -> None:
-    sizes: list[int] = []
-
-    class Fast(FakeOutput):
-        async def write_readings(self, readings: Sequence[Reading]) -> None:
-            sizes.append(len(readings))
-            await super().write_readings(readings)
-
-    journal = Journal(path)
-    [place] = await journal.open(["broker"])
-    for at in range(1000):  # 30 do not divide 500
-        journal.put_readings(readings("a", 1_700_000_000.0 + at, 30))
-    output = Fast()
-    pump = pumps.Pump(output, waiting=place)
-    pump.start()
-    await until(lambda: len(output.ids) == 30_000)
-    pump.close_pump()
-    await pump.task
-    await journal.close()
-    assert sizes[:4] == [480, 990, 1980, 3990]
-    assert max(sizes) in range(4900, 5100)

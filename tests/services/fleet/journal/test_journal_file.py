@@ -41,14 +41,12 @@ def file(path: str) -> Iterator[JournalFile]:
     made.close()
 
 
-# --- what is written ------------------------------------------------------------------------
-
-
 def test_polls_are_read_as_they_were_written(file: JournalFile) -> None:
     every = polls(1000, 10)
     file.write_polls(every[:7], {}, 0)
     file.write_polls(every[7:], {}, 0)
-    single = list(numbered(readings("a", 2000.0)[:1], 1020))
+    bad = readings("a", 2000.0)[0]._replace(value=None, quality="bad", reason="Missing")
+    single = list(numbered([bad], 1020))
     file.write_polls(single, {}, 0)
     for _ in range(2):
         assert file.read_polls(999, 1000) == every + single
@@ -90,26 +88,9 @@ def test_a_person_sees_names_units_and_labels(file: JournalFile) -> None:
 
 def test_a_question_about_one_device_uses_the_index(file: JournalFile) -> None:
     plan = asked(
-        file.path,
-        "EXPLAIN QUERY PLAN SELECT * FROM reading WHERE device = 'a' AND seconds > 5",
+        file.path, "EXPLAIN QUERY PLAN SELECT * FROM reading WHERE device = 'a' AND seconds > 5"
     )
     assert any("poll_of_device (device=? AND time>?)" in str(row) for row in plan), plan
-
-
-def test_points_keep_their_rows_in_other_runs(path: str) -> None:
-    for first in (1, 100):
-        file = opened(path)
-        file.write_polls(polls(first, 1), {}, 0)
-        file.close()
-    file = opened(path)
-    changed = [each._replace(units="mV") for each in readings()]
-    file.write_polls(list(numbered(changed, 200)), {}, 0)
-    file.close()
-    assert asked(path, "SELECT points, unit FROM point ORDER BY id") == [
-        *[(1, "V"), (1, "V")],
-        *[(3, "mV"), (3, "mV"), (3, "V"), (3, "V")],
-    ]
-    assert {unit for (unit,) in asked(path, "SELECT unit FROM reading WHERE id < 200")} == {"V"}
 
 
 def some(first: int, *names: str, site: str = "north") -> list[JournalPoll]:
@@ -117,44 +98,6 @@ def some(first: int, *names: str, site: str = "north") -> list[JournalPoll]:
     labels = {"site": site}
     changed = [Reading(first / 1e3, "a", name, first, "V", "good", labels=labels) for name in names]
     return list(numbered(changed, first))
-
-
-def test_polls_of_the_points_that_have_changed_add_no_lists_of_points(
-    file: JournalFile, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """After a change of labels, after a failed transaction, or in the next run."""
-    names = [f"p{at}" for at in range(12)]
-    number = 1
-
-    def write_changes(site: str) -> None:
-        nonlocal number
-        for at in range(100):
-            chosen = [name for bit, name in enumerate(names) if (at * 41) >> bit & 1] or names[:1]
-            file.write_polls(some(number, *chosen, site=site), {}, 0)
-            number += len(chosen)
-
-    file.write_polls(some(number, *names), {}, 0)
-    number += len(names)
-    write_changes("north")
-    assert asked(file.path, "SELECT count(*) FROM point") == [(12,)]
-    with monkeypatch.context() as failing:
-        failing.setattr(journal_file, "SET_PLACE", "no SQL")
-        with pytest.raises(JournalError):
-            file.write_polls(some(number, "p3"), {"a": 1}, 0)
-    write_changes("north")
-    file.close()
-    file.open([])
-    write_changes("north")
-    assert asked(file.path, "SELECT count(*) FROM point") == [(12,)]
-    write_changes("south")
-    sizes = asked(file.path, "SELECT count(*) FROM point WHERE device = 2 GROUP BY points")
-    assert sizes == sorted({*sizes})  # each list has all points of those before it
-    assert len(history(file.path, "a", "p11", 0, 1e9)) == sum(
-        1 for (name,) in asked(file.path, "SELECT name FROM reading") if name == "p11"
-    )
-    read = [one for poll in file.read_polls(0, 10_000) for one in poll.readings]
-    assert len(read) == number - 1
-    assert all(each.value in range(each.id - 11, each.id + 1) for each in read)
 
 
 def test_readings_keep_the_labels_of_their_time(file: JournalFile) -> None:
@@ -185,9 +128,7 @@ def test_a_history_has_numbers_and_text(file: JournalFile, names: tuple[str, ...
     assert list(map(repr, found)) == ["1", "1", "'[1,null]'", "'{\"a\":false}'"]
 
 
-def test_a_poll_that_cannot_be_written_delays_no_other(
-    file: JournalFile, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_poll_that_cannot_be_written_delays_no_other(file: JournalFile, caplog) -> None:
     strange = Reading(1.0, "b", "p0", object(), "", "good")
     nameless = strange._replace(device="\ud800", value=1)
     file.write_polls(
@@ -196,9 +137,6 @@ def test_a_poll_that_cannot_be_written_delays_no_other(
     assert asked(file.path, "SELECT id FROM poll") == [(1,), (5,)]
     assert "a poll of 'b' is not written: Object of type object" in caplog.text
     assert "a poll of '\\ud800' is not written: 'utf-8' codec" in caplog.text
-
-
-# --- places and runs ------------------------------------------------------------------------
 
 
 def test_places_are_kept_for_each_output(path: str) -> None:
@@ -218,9 +156,7 @@ def test_places_are_kept_for_each_output(path: str) -> None:
 
 
 @pytest.mark.parametrize("now", [0.0, 4e9])
-def test_ids_rise_whatever_the_clock_says(
-    path: str, now: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ids_rise_whatever_the_clock_says(path: str, now, monkeypatch) -> None:
     file = JournalFile(path, DAY, 10**9)
     begun = file.open([])
     file.write_polls(polls(begun.first, 5), {}, 0)
@@ -228,9 +164,6 @@ def test_ids_rise_whatever_the_clock_says(
     monkeypatch.setattr(journal_file, "time", SimpleNamespace(time=lambda: now, monotonic=float))
     assert file.open([]).first >= begun.first + 9 + MARGIN
     file.close()
-
-
-# --- what is deleted ------------------------------------------------------------------------
 
 
 def test_old_readings_are_deleted_once_all_outputs_confirmed_them(path: str) -> None:
@@ -247,9 +180,7 @@ def test_old_readings_are_deleted_once_all_outputs_confirmed_them(path: str) -> 
 
 
 @pytest.mark.parametrize("now", [0.0, 4e9])
-def test_a_clock_that_is_wrong_for_a_while_deletes_little(
-    path: str, now: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_clock_that_is_wrong_for_a_while_deletes_little(path: str, now, monkeypatch) -> None:
     file = opened(path, keep=90 * DAY)
     file.write_polls(polls(1, 1000, time=time.time()), {}, 10_000)
     file._to_delete = 0  # what these allowed was used up long ago
@@ -290,9 +221,6 @@ def test_a_file_above_a_new_limit_becomes_smaller(path: str) -> None:
         file.write_polls([], {}, 0)
     file.close()
     assert os.path.getsize(path) < 200_000 < before
-
-
-# --- what is refused ------------------------------------------------------------------------
 
 
 def refused(path: str) -> str:
@@ -362,9 +290,6 @@ def test_a_damaged_row_is_left_out(file: JournalFile, caplog: pytest.LogCaptureF
         file._used.execute(f"UPDATE poll SET {column} = ? WHERE id = ?", (text, number))
     assert file.read_polls(0, 100) == [every[0], every[4]]
     assert caplog.text.count("cannot be read") == 3
-
-
-# --- histories ------------------------------------------------------------------------------
 
 
 def test_a_history_is_read_while_the_journal_is_written(file: JournalFile) -> None:

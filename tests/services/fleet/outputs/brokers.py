@@ -1,6 +1,4 @@
-"""
-mosquitto for tests, its subscribers, and fleets that it commands.
-"""
+"""mosquitto for tests, its subscribers, and fleets that it commands."""
 
 import asyncio
 import json
@@ -125,10 +123,7 @@ async def commanded(broker: Broker, **options: Any) -> AsyncIterator[tuple[Fleet
     device = simulated()
     async with Server({1: device}).serving("tcp://127.0.0.1:0") as running:
         output = Mqtt(broker.url, **options)
-        devices = [
-            meter("a", running.urls[0], interval=0.02),
-            meter("down", "tcp://127.0.0.1:1"),
-        ]
+        devices = [meter("a", running.urls[0], interval=0.02), meter("down", "tcp://127.0.0.1:1")]
         async with (
             Fleet(devices, outputs=[output]) as fleet,
             hearing(broker, "modbus/+/+/set/result") as heard,

@@ -1,6 +1,4 @@
-"""
-InfluxDB for tests: version 1, as Debian 12 has it.
-"""
+"""InfluxDB for tests: version 1, as Debian 12 has it."""
 
 import json
 import os

@@ -1,6 +1,4 @@
-"""
-Outputs under attack: servers that answer badly, disks that are full, reloads while readings wait.
-"""
+"""Outputs under attack: bad answers, full disks, reloads while readings wait."""
 
 import asyncio
 import errno
@@ -18,7 +16,6 @@ from libmodbus_py.services.fleet.outputs.output import OutputError
 from tests.services.fleet.fleets import (
     Peer,
     good,
-    in_real_time,
     in_simulated_time,
     meter,
     polling,
@@ -30,9 +27,6 @@ from tests.support.outputs import FakeOutput, pumping
 
 def poll(at: int, device: str = "a") -> list[Reading]:
     return [Reading(100.0 + at, device, name, at, "V", "good") for name in ("x", "y")]
-
-
-# --- files ----------------------------------------------------------------------------------
 
 
 class SmallDisk:
@@ -53,7 +47,6 @@ class SmallDisk:
 
 @pytest.mark.parametrize("make", [JsonOutput, CsvOutput])
 @pytest.mark.parametrize("room", [0, 10, 60, 200])
-@in_real_time
 async def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[str], LineFile], room: int
 ) -> None:
@@ -76,9 +69,7 @@ async def test_a_file_on_a_full_disk_has_whole_lines_and_each_once(
 
 
 @in_simulated_time
-async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_reads(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_reads(caplog) -> None:
     """`run` raises its error; in an `async with` nobody else would hear of it."""
 
     class Broken(FakeOutput):
@@ -94,9 +85,6 @@ async def test_an_output_that_fails_for_good_is_shown_to_a_program_that_only_rea
         with pytest.raises(OutputError, match="MQTT needs aiomqtt"):
             await Fleet([meter("a", peer.url)], outputs=[Broken("broken")]).run()
         assert caplog.text == ""
-
-
-# --- labels, reloads ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("after", [[], ["b"], ["a"]], ids=["none", "another", "itself"])
@@ -123,7 +111,6 @@ async def test_an_answer_after_a_reload_is_of_nobody(after: list[str]) -> None:
             assert statistics.down == 0
 
 
-@in_real_time
 async def test_metrics_can_be_scraped_while_a_fleet_is_read_again() -> None:
     """From another thread, as a server of metrics does."""
     prometheus = pytest.importorskip("prometheus_client")

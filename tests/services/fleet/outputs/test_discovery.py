@@ -1,6 +1,4 @@
-"""
-Discovery by Home Assistant, over a real broker, as a subscriber sees it that knows only its schema.
-"""
+"""Discovery by Home Assistant, over a real broker, as a subscriber sees it."""
 
 import asyncio
 import signal
@@ -21,7 +19,7 @@ from libmodbus_py.services.fleet.outputs.discovery import CLASS_OF, Discovery, T
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Topic
 from libmodbus_py.services.fleet.poller import DeviceState
-from tests.services.fleet.fleets import in_real_time, meter, real_peer, until
+from tests.services.fleet.fleets import meter, real_peer, until
 from tests.services.fleet.outputs.brokers import Broker, hearing, publish
 from tests.services.fleet.outputs.home_assistant import UNITS, HomeAssistant, check, home_assistant
 
@@ -74,10 +72,7 @@ async def discovered(
 
 
 @pytest.mark.parametrize("topic", ["modbus/{device}/{name}", "plant/{label.site}/{device}"])
-@in_real_time
-async def test_every_kind_of_point_becomes_the_entity_that_shows_it(
-    broker: Broker, topic: str
-) -> None:
+async def test_every_kind_of_point_becomes_the_entity_that_shows_it(broker: Broker, topic) -> None:
     device = device_of_every_kind()
     async with (
         Server({1: device}).serving("tcp://127.0.0.1:0") as running,
@@ -133,7 +128,6 @@ async def test_every_kind_of_point_becomes_the_entity_that_shows_it(
         }
 
 
-@in_real_time
 async def test_a_value_that_a_user_sets_is_written_and_shown_at_once(broker: Broker) -> None:
     device = device_of_every_kind()
     async with (
@@ -164,7 +158,6 @@ async def test_a_value_that_a_user_sets_is_written_and_shown_at_once(broker: Bro
         assert (home.state("setpoint"), home.state("mode")) == (12.3, "off")
 
 
-@in_real_time
 async def test_without_commands_nothing_can_be_set(broker: Broker) -> None:
     async with real_peer() as peer:
         north = meter("north", peer.url, map=EVERY_KIND, items=("setpoint", "mode"))
@@ -173,7 +166,6 @@ async def test_without_commands_nothing_can_be_set(broker: Broker) -> None:
             assert home.names == {"sensor: north: setpoint", "sensor: north: mode"}
 
 
-@in_real_time
 async def test_entities_are_available_while_poller_and_device_answer(broker: Broker) -> None:
     async with home_assistant(broker) as home, real_peer() as peer:
         devices = [meter("a", peer.url), meter("down", "tcp://127.0.0.1:1")]
@@ -192,7 +184,6 @@ def points(count: int) -> RegisterMap:
     return RegisterMap(Point(f"point {at}", H, at, units="V") for at in range(count))
 
 
-@in_real_time
 async def test_two_hundred_entities_are_added_and_deleted(broker: Broker) -> None:
     async with real_peer() as peer:
         devices = [meter(f"meter {at}", peer.url, map=points(20)) for at in range(10)]
@@ -230,7 +221,6 @@ NAMES = [
 
 
 @pytest.mark.parametrize("topic", ["modbus/{device}/{name}", "plant/{device}"])
-@in_real_time
 async def test_names_of_any_characters_are_those_of_entities(broker: Broker, topic: str) -> None:
     map_ = RegisterMap(Point(name, H, at) for at, name in enumerate(NAMES))
     async with real_peer() as peer:
@@ -247,7 +237,6 @@ async def test_names_of_any_characters_are_those_of_entities(broker: Broker, top
             await until(lambda: not home.entities)
 
 
-@in_real_time
 async def test_devices_that_are_rarely_polled_appear_at_the_start_and_go(broker: Broker) -> None:
     async with real_peer() as peer:
         devices = [meter(name, peer.url, interval=86_400) for name in ("a", "b")]
@@ -258,7 +247,6 @@ async def test_devices_that_are_rarely_polled_appear_at_the_start_and_go(broker:
             assert fleet.statistics.polls == 0
 
 
-@in_real_time
 async def test_a_device_that_is_renamed_in_a_reload_has_other_entities(broker: Broker) -> None:
     async with real_peer() as peer:
         north, south = meter("north", peer.url), meter("south", peer.url, unit=2)
@@ -274,7 +262,6 @@ async def test_a_device_that_is_renamed_in_a_reload_has_other_entities(broker: B
             assert len(home.added) == 9  # what has not changed is not published again
 
 
-@in_real_time
 async def test_a_label_in_the_topic_that_changes_keeps_the_entities(broker: Broker) -> None:
     async with real_peer() as peer:
         north = meter("north", peer.url, labels={"site": "x"})
@@ -288,15 +275,10 @@ async def test_a_label_in_the_topic_that_changes_keeps_the_entities(broker: Brok
             await until(lambda: home.state("power") == 7)
 
 
-# --- what earlier runs left -----------------------------------------------------------------------
-
 FOREIGN = "homeassistant/sensor/zigbee/other/config"
 
 
-@in_real_time
-async def test_configurations_of_an_earlier_run_are_deleted_at_the_next_start(
-    broker: Broker,
-) -> None:
+async def test_configurations_of_an_earlier_run_are_deleted_at_the_next_start(broker: Broker):
     other = '{"name": "x", "state_topic": "x"}'
     await publish(broker, FOREIGN, other.encode(), retain=True)
     async with real_peer() as peer:
@@ -342,7 +324,6 @@ async def discovered_now(
         await asyncio.gather(listening, return_exceptions=True)
 
 
-@in_real_time
 async def test_pollers_with_one_prefix_leave_each_other_their_entities(broker: Broker) -> None:
     """Which of them comes first, and whichever ends."""
     async with real_peer() as peer:
@@ -357,7 +338,6 @@ async def test_pollers_with_one_prefix_leave_each_other_their_entities(broker: B
             assert home.removed == []
 
 
-@in_real_time
 async def test_a_poller_that_was_killed_is_followed_by_one_with_another_file(
     broker: Broker, tmp_path: Path
 ) -> None:
@@ -379,7 +359,6 @@ async def test_a_poller_that_was_killed_is_followed_by_one_with_another_file(
                 poller.send_signal(number)
 
 
-@in_real_time
 async def test_a_broker_that_lost_what_it_retained_gets_it_again(broker: Broker) -> None:
     async with real_peer() as peer:
         output = Mqtt(broker.url, discovery="homeassistant")
@@ -398,9 +377,6 @@ async def test_a_broker_that_lost_what_it_retained_gets_it_again(broker: Broker)
             broker.start()
             async with home_assistant(broker) as home:
                 await until(lambda: len(home.entities) == 3 and home.is_available("power"))
-
-
-# --- without a broker -----------------------------------------------------------------------------
 
 
 def discovery() -> Discovery:

@@ -1,10 +1,7 @@
-"""
-MQTT with a real broker: TLS, the last will, commands, and a message for each poll of a device.
-"""
+"""MQTT with a real broker: TLS, the last will, commands, and a message for each poll."""
 
 import asyncio
 import logging
-import re
 import socket
 import subprocess
 import sys
@@ -20,11 +17,11 @@ from libmodbus_py.services.fleet.outputs import mqtt_connection
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.pump import Pump
 from libmodbus_py.tools.certificates import Identity
-from tests.services.fleet.fleets import in_real_time, meter, real_peer, until
+from tests.services.fleet.fleets import meter, real_peer, until
 from tests.services.fleet.outputs.brokers import Broker, commanded, heard_of, hearing, publish, told
 from tests.support import certificates
-from tests.support.cases import each_case
 from tests.support.certificates import Pki
+from tests.support.golden import Refused
 from tests.support.outputs import pumping
 
 
@@ -41,7 +38,6 @@ def secure(broker: Broker, pki: Pki, identity: Identity) -> str:
     return f"mqtts://127.0.0.1:{port}"
 
 
-@in_real_time
 async def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
     pki = Pki(tmp_path)
     url = secure(broker, pki, certificates.server())
@@ -54,10 +50,7 @@ async def test_readings_over_tls(broker: Broker, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wrong", ["another authority", "another host"])
-@in_real_time
-async def test_a_broker_that_is_not_trusted_gets_nothing(
-    broker: Broker, tmp_path: Path, wrong: str
-) -> None:
+async def test_a_broker_that_is_not_trusted_gets_nothing(broker: Broker, tmp_path, wrong) -> None:
     pki = Pki(tmp_path)
     is_foreign = wrong == "another authority"
     identity = certificates.server(**({} if is_foreign else {"hosts": ("other.example",)}))
@@ -72,7 +65,6 @@ async def test_a_broker_that_is_not_trusted_gets_nothing(
         assert heard == []
 
 
-@in_real_time
 async def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> None:
     (tmp_path / "ca.pem").write_text("nothing")
     output = Mqtt("mqtts://127.0.0.1:1", ca=str(tmp_path / "ca.pem"))
@@ -80,7 +72,6 @@ async def test_a_file_of_authorities_that_is_none_is_told(tmp_path: Path) -> Non
         await output.open_output()
 
 
-@in_real_time
 async def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) -> None:
     """A poller is killed: the broker says so, not the poller."""
     (tmp_path / "meter.csv").write_text("name,table,address\nx,holding_registers,0\n")
@@ -97,10 +88,7 @@ async def test_the_last_will_says_who_is_gone(broker: Broker, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("options", [{"user": "user", "password": "wrong"}, {}])
-@in_real_time
-async def test_wrong_credentials_are_one_line(
-    broker: Broker, options: Any, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_wrong_credentials_are_one_line(broker: Broker, options, caplog) -> None:
     said = "Not authorized"
     broker.settings[1] = f"password_file {broker._folder / 'passwords'}"
     broker.change()
@@ -121,7 +109,6 @@ async def test_wrong_credentials_are_one_line(
     assert "secret" not in caplog.text
 
 
-@in_real_time
 async def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mqtt_connection, "TIMEOUT_S", 0.2)
     silent = socket.create_server(("127.0.0.1", 0))
@@ -135,10 +122,6 @@ async def test_a_connection_that_says_nothing_stops_nobody(monkeypatch: pytest.M
     silent.close()
 
 
-# --- commands ---------------------------------------------------------------------------------
-
-
-@in_real_time
 async def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
     cases: list[tuple[str, bytes, str]] = [
         ("a/setpoint", b"21", ""),
@@ -177,7 +160,6 @@ async def test_writes_are_answered_with_their_outcome(broker: Broker) -> None:
         assert fleet.statistics.commands == 1
 
 
-@in_real_time
 async def test_off_unless_enabled(broker: Broker) -> None:
     async with commanded(broker) as (fleet, heard, device):
         await publish(broker, "modbus/a/setpoint/set", b"21")
@@ -186,7 +168,6 @@ async def test_off_unless_enabled(broker: Broker) -> None:
         assert (heard, device.mapping.holding_registers[2]) == ([], 20)
 
 
-@in_real_time
 async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
     async with commanded(broker, commands=True) as (fleet, heard, _):
         async with aiomqtt.Client("127.0.0.1", broker.port) as client:
@@ -200,8 +181,6 @@ async def test_a_flood_of_commands_is_bounded(broker: Broker) -> None:
         assert fleet.statistics.commands == 0
         assert fleet.statistics.up == 1
 
-
-# --- a message for each poll --------------------------------------------------------------------
 
 TOPIC = "plant/{device}"
 
@@ -219,7 +198,6 @@ async def written(pump: Pump, readings: list[Reading]) -> None:
     await until(lambda: pump.statistics.written == count)
 
 
-@in_real_time
 async def test_a_retained_message_has_the_last_values_of_all_points(broker: Broker) -> None:
     """The broker retains one message of a topic; with changes only, a poll has few values."""
     async with pumping(Mqtt(broker.url, topic=TOPIC)) as pump:
@@ -237,7 +215,6 @@ async def test_a_retained_message_has_the_last_values_of_all_points(broker: Brok
             assert told(heard[-1][1]) == {"y": 5, "z": 4}
 
 
-@in_real_time
 async def test_polls_above_the_largest_message_are_several(broker: Broker) -> None:
     broker.change("message_size_limit 2000")
     output = Mqtt(broker.url, topic=TOPIC, retain=False, max_message=2000)
@@ -250,66 +227,5 @@ async def test_polls_above_the_largest_message_are_several(broker: Broker) -> No
         assert sum(len(each["values"]) for each in messages) == 100
 
 
-# --- what cannot be -----------------------------------------------------------------------------
-
-
-BAD_TOPICS: dict[str, list[object]] = {
-    "topic must hold": ["x/{name}", "x/{device}/{name}/{zone}", "x/{device!r}/{name}"],
-    "topic must hold {device} and {name} once": ["plant", "plant/{site}/{device}/{name}"],
-    "topic must hold {device} once": ["x/{device}/{zone}"],
-    "each level must have one {name}": [
-        *("x/{device}{name}", "x/{device}-{name}", "x/{name}.{device}/y", "x/{device}/{name}/{"),
-        *("x}/{device}/{name}", "x/{device}}/{name}", "x/{{device}/{name}"),
-        *("plant/{label.site}{device}/{name}", "plant/{label.site/{device}/{name}"),
-        *("plant/{label.site}-{label.line}/{device}/{name}", "plant/{label.}/{device}/{name}"),
-    ],
-    "must be a topic without": ["#/{device}/{name}"],
-}
-
-BAD_STATES: dict[str, list[object]] = {
-    "device_status must hold {device} once": ["states", "{device}/{name}", "{device}/{device}"],
-    "device_status: each level must have one {name}": ["x{/{device}"],
-    "device_status must not be another topic": [
-        *("{device}/a/b", "modbus/{device}/x/set/result", "modbus/{device}"),
-    ],
-    "device_status must be a topic without + and #": ["#/{device}"],
-    "device_status must be text": [7],
-}
-
-
-@each_case(
-    ("options", "named"),
-    [
-        ({"url": 7}, "url must be text"),
-        ({"url": "mqtt://u:p@h"}, "url must not contain a user or password"),
-        ({"url": "mqtt://h:99999"}, "url: the port"),
-        ({"url": "mqtt://h/x"}, "url must be a URL such as"),
-        ({"password": "x"}, "user must be given"),
-        ({"retain": 1}, "retain must be true or false"),
-        ({"qos": 3}, "qos must be in 0..1"),
-        ({"ca": "x"}, "ca can only be used with mqtts"),
-        ({"status": "+"}, "status must be a topic without"),
-        ({"topic": "modbus/{device}"}, "status must not be the topic of a reading"),
-        (
-            {"topic": "{label.site}/{device}/{name}", "status": "a/b/c"},
-            "status must not be the topic of a reading",
-        ),
-        (
-            {"topic": "plant/{device}", "device_status": "plant/a/{device}/set"},
-            "device_status must not be another topic",
-        ),
-        (
-            {"topic": "plant/{device}", "max_message": 100, "retain": False},
-            "max_message must be in 1024..",
-        ),
-        (
-            {"topic": "plant/{device}", "max_message": 9999},
-            "max_message needs a topic without {name}, and retain = false",
-        ),
-        *(({"topic": topic}, said) for said, topics in BAD_TOPICS.items() for topic in topics),
-        *(({"device_status": t}, said) for said, topics in BAD_STATES.items() for t in topics),
-    ],
-)
-def test_bad_option_is_named(options: Any, named: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=re.escape(named)):
-        Mqtt(**{"url": "mqtt://192.0.2.1", **options})
+def test_bad_option_is_named(refused: Refused) -> None:
+    refused("refused_mqtt.txt", lambda options: Mqtt(**{"url": "mqtt://192.0.2.1", **options}))

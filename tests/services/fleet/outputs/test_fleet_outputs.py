@@ -1,6 +1,4 @@
-"""
-Outputs that are slow, full, gone or wrong: polling goes on, and what was lost is counted.
-"""
+"""Outputs that are slow, full, gone or wrong: polling goes on, and what was lost is counted."""
 
 import asyncio
 import errno
@@ -20,7 +18,6 @@ from libmodbus_py.services.fleet.outputs.line_file import JsonOutput
 from libmodbus_py.services.fleet.outputs.output import Output, OutputError
 from tests.services.fleet.fleets import (
     Peer,
-    in_real_time,
     in_simulated_time,
     meter,
     real_peer,
@@ -107,12 +104,8 @@ async def test_an_iterator_that_is_not_read_loses_the_oldest_readings() -> None:
         assert len(fleet._receivers._iterated) == 1
 
 
-# --- files ------------------------------------------------------------------------------------
-
-
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("path", ["/dev/full", "/nowhere/at/all", "/proc/version"])
-@in_real_time
 async def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any) -> None:
     output = JsonOutput(path)
     fleet = await polled(output, lambda fleet: fleet.statistics.polls > 10, kind=real_peer)
@@ -124,7 +117,6 @@ async def test_a_file_that_cannot_be_written_stops_nobody(path: str, caplog: Any
 
 
 @pytest.mark.usefixtures("quick")
-@in_real_time
 async def test_a_pipe_that_nobody_reads_stops_nobody_and_leaves_nothing(tmp_path: Path) -> None:
     path = tmp_path / "pipe"
     os.mkfifo(path)
@@ -155,9 +147,7 @@ class Described(FakeOutput):
 
 
 @in_simulated_time
-async def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_apart() -> (
-    None
-):
+async def test_outputs_are_told_the_labels_of_devices_and_those_of_one_name_are_told_apart():
     outputs = [Described(), FakeOutput(), FakeOutput()]
     async with Peer() as peer:
         devices = [meter("a", peer.url, labels={"site": "here"})]

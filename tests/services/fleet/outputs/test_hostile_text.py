@@ -44,9 +44,6 @@ def written(output: LineFile, *readings: Reading) -> None:
     asyncio.run(write(output, readings))
 
 
-# --- files --------------------------------------------------------------------------------------
-
-
 @each_case("text", TEXTS)
 def test_readers_of_csv_get_the_text_back(text: str) -> None:
     for rows in ([[text]], [["a", text, 1, None, 2.5]], [["x"], [text, text], ["y"]]):
@@ -72,9 +69,6 @@ def test_the_files_of_fleets_hold_the_text(tmp_path: Path) -> None:
     lines = told.decode().split("\n")[:-1]
     assert [json.loads(line)["value"] for line in lines] == TEXTS
     assert not OBEYED & set(told.decode())
-
-
-# --- terminals ----------------------------------------------------------------------------------
 
 
 def test_text_for_a_terminal_has_no_control_characters() -> None:

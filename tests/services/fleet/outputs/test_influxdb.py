@@ -1,6 +1,4 @@
-"""
-InfluxDB itself, version 1 as Debian 12 has it: it takes the lines, and answers with what they said.
-"""
+"""InfluxDB itself, version 1 as Debian 12 has it: what it takes, and what it answers with."""
 
 import asyncio
 from collections.abc import Iterator

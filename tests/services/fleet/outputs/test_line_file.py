@@ -136,16 +136,12 @@ def test_half_a_line_of_a_file_that_cannot_be_read_is_left(tmp_path: Path) -> No
         assert json.loads(pipe.read())["value"] == 1
 
 
-# --- files of others ----------------------------------------------------------------------------
-
 KEY = b"-----BEGIN PRIVATE KEY-----\nMC4CAQAwBQYDK2Vw\n"
 
 
 @each_case("kind", ["json", "csv", "influx"])
 @each_case("content", [KEY, b"#!/bin/sh\nexit 0\n", b"\n", b"secret", b"\xef\xbb\xbf" + HEADER])
-def test_a_file_that_holds_no_readings_is_left_as_it_is(
-    tmp_path: Path, kind: str, content: bytes
-) -> None:
+def test_a_file_that_holds_no_readings_is_left_as_it_is(tmp_path, kind, content) -> None:
     path = tmp_path / "theirs"
     path.write_bytes(content)
     with pytest.raises(OSError, match=r"does not begin with .* rename the file") as caught:
@@ -171,9 +167,6 @@ def test_a_file_with_other_columns_is_not_continued(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
-# --- the standard output ------------------------------------------------------------------------
-
-
 def test_a_standard_output_gets_one_header(capfd: pytest.CaptureFixture[str]) -> None:
     written(CsvOutput("-"), reading(1), reading(2))
     header, *lines = capfd.readouterr().out.splitlines(keepends=True)
@@ -181,9 +174,7 @@ def test_a_standard_output_gets_one_header(capfd: pytest.CaptureFixture[str]) ->
     assert [line.split(",")[3] for line in lines] == ["1", "2"]
 
 
-def test_a_standard_output_that_does_not_block_is_waited_for(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_standard_output_that_does_not_block_is_waited_for(capfd) -> None:
     received = bytearray()
     text = "x" * 300_000  # more than a pipe holds
 

@@ -14,13 +14,12 @@ import pytest
 from libmodbus_py.fleet import Reading
 from libmodbus_py.services.fleet.outputs.mqtt import DeviceStates, Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Topic
-from tests.services.fleet.fleets import in_real_time, until
+from tests.services.fleet.fleets import until
 from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish, told
 from tests.support.cases import each_case
 from tests.support.outputs import pumping
 
 
-@in_real_time
 async def test_the_status_is_online_while_one_of_two_is_connected(broker: Broker) -> None:
     async with hearing(broker, "modbus/status") as heard:
         first, second = Mqtt(broker.url), Mqtt(broker.url)
@@ -41,7 +40,6 @@ def reading(device: str, value: object, at: float = 0) -> Reading:
 
 
 @pytest.mark.parametrize("qos", [0, 1])
-@in_real_time
 async def test_last_values_at_which_the_broker_ends_connections_do_not_stop_others(
     broker: Broker, qos: int, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -82,9 +80,7 @@ def poll(device: str, qualities: str, at: float = 0) -> list[Reading]:
         (["gg", "oo", "oo"], [True, False, False]),
     ],
 )
-def test_a_device_answers_while_a_point_of_it_is_read_or_refused(
-    polls: list[str], states: list[bool | None]
-) -> None:
+def test_a_device_answers_while_a_point_of_it_is_read_or_refused(polls, states) -> None:
     known = DeviceStates(Topic("device_status", TOPIC, ("device",)))
     found = []
     for letters in polls:
@@ -140,14 +136,8 @@ def test_removed_devices_take_no_room() -> None:
     ],
     ids=["values", "states of devices", "a message for each poll"],
 )
-@in_real_time
 async def test_retained_messages_are_published_again_after_each_reconnection(
-    broker: Broker,
-    caplog: pytest.LogCaptureFixture,
-    options: Any,
-    polls: list[list[Reading]],
-    retained: dict[str, Any],
-    qos: int,
+    broker: Broker, caplog, options, polls, retained, qos
 ) -> None:
     """Nothing is read again: mosquitto keeps nothing on the disk unless told to."""
 
@@ -185,7 +175,6 @@ def narrow(broker: Broker) -> Broker:
 
 
 @pytest.mark.parametrize("qos", [0, 1])
-@in_real_time
 async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_told_by_the_pump_only(
     narrow: Broker, qos: int, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -206,7 +195,6 @@ async def test_a_message_on_which_the_broker_disconnects_is_dropped_and_told_by_
     assert any(each.name.endswith(".mqtt_connection.client") for each in caplog.records)
 
 
-@in_real_time
 async def test_a_connection_is_closed_if_nobody_waits_for_the_broker_any_more() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         output = Mqtt(f"mqtt://127.0.0.1:{listening.getsockname()[1]}")
@@ -223,7 +211,6 @@ async def test_a_connection_is_closed_if_nobody_waits_for_the_broker_any_more() 
             assert await asyncio.wait_for(loop.sock_recv(accepted, 1), 10) == b""
 
 
-@in_real_time
 async def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had_them(
     broker: Broker,
 ) -> None:
@@ -238,7 +225,6 @@ async def test_readings_of_qos_0_are_sent_again_if_the_broker_died_before_it_had
     await output.close_output()
 
 
-@in_real_time
 async def test_a_write_that_is_cancelled_publishes_no_longer(broker: Broker) -> None:
     output = Mqtt(broker.url, qos=1)
     await output.open_output()

@@ -1,8 +1,4 @@
-"""
-Names as levels of topics and subjects, and topics with names and labels.
-"""
-
-from pathlib import Path
+"""Names as levels of topics and subjects, and topics with names and labels."""
 
 import pytest
 
@@ -10,7 +6,7 @@ from libmodbus_py import Fleet, Server
 from libmodbus_py.fleet import FleetFileError, load
 from libmodbus_py.services.fleet.outputs.mqtt import Mqtt
 from libmodbus_py.services.fleet.outputs.topics import Levels, Topic
-from tests.services.fleet.fleets import in_real_time, meter, simulated, until
+from tests.services.fleet.fleets import meter, simulated, until
 from tests.services.fleet.outputs.brokers import Broker, heard_of, hearing, publish
 from tests.support.cases import each_case
 
@@ -78,9 +74,7 @@ topic = "plant/{label.site}/{device}/{name}"
 
 
 @each_case("labels", ["", 'labels = { place = "Hof" }', 'labels = { site = "" }'])
-def test_a_device_without_the_label_is_told_when_the_file_is_read(
-    labels: str, tmp_path: Path
-) -> None:
+def test_a_device_without_the_label_is_told_when_the_file_is_read(labels, tmp_path) -> None:
     file = tmp_path / "fleet.toml"
     file.write_text(FLEET.replace("LABELS", labels))
     with pytest.raises(FleetFileError) as raised:
@@ -91,7 +85,6 @@ def test_a_device_without_the_label_is_told_when_the_file_is_read(
     assert str(raised.value).startswith(f"{file}, line {line}: ")
 
 
-@in_real_time
 async def test_a_device_without_the_label_is_not_added() -> None:
     with Server({1: simulated()}).background("tcp://127.0.0.1:0") as served:
         url = served.urls[0]
@@ -119,7 +112,6 @@ async def test_a_device_without_the_label_is_not_added() -> None:
     ],
     ids=["with labels", "without the name of a point"],
 )
-@in_real_time
 async def test_a_command_goes_to_the_own_topic_of_a_point_only(
     broker: Broker, template: str, reading: str, other: str, own: str
 ) -> None:
@@ -129,10 +121,7 @@ async def test_a_command_goes_to_the_own_topic_of_a_point_only(
         states = "states/{label.site}/{device}"
         output = Mqtt(broker.url, topic=template, device_status=states, status="", commands=True)
         north = meter("north", served.urls[0], labels={"site": "Halle 1"})
-        async with (
-            hearing(broker, "#") as heard,
-            Fleet([north], outputs=[output]),
-        ):
+        async with hearing(broker, "#") as heard, Fleet([north], outputs=[output]):
             await until(lambda: heard_of(heard, reading))
             await until(lambda: heard_of(heard, "states/Halle 1/north") == ["online"])
             await publish(broker, other, b"25")

@@ -64,12 +64,7 @@ def written(output: FakeOutput, devices: str, later: str = "") -> OutputStatisti
     return played(output, play)
 
 
-# --- an output that says what it refuses ----------------------------------------------------------
-
-
-def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_poll_that_can_never_be_written_is_dropped_and_the_others_are_written(caplog) -> None:
     output = FakeOutput(refused=("b", "d"))
     statistics = written(output, "abcde")
     assert [each.device for each in output.accepted] == list("aaccee")
@@ -111,18 +106,13 @@ def test_a_poll_is_never_divided_by_the_buffer() -> None:
 
 @pytest.mark.parametrize(("is_gone", "counts"), [(False, (3, 0)), (True, (0, 3))])
 @in_simulated_time
-async def test_once_waits_for_a_slow_output_and_ends_after_a_failure(
-    is_gone: bool, counts: tuple[int, int]
-) -> None:
+async def test_once_waits_for_a_slow_output_and_ends_after_a_failure(is_gone, counts) -> None:
     output = FakeOutput(refused=("a",), error=OSError("gone")) if is_gone else FakeOutput(next=[60])
     async with Peer() as peer:
         fleet = Fleet([meter("a", peer.url)], outputs=[output])
         await fleet.run(once=True)
     statistics = fleet.statistics.outputs["fake"]
     assert (statistics.written, statistics.dropped) == counts
-
-
-# --- one whose other side ends the connection -----------------------------------------------------
 
 
 @each_case(
@@ -202,9 +192,6 @@ async def test_the_suspected_poll_may_fall_out_of_a_full_buffer() -> None:
     assert pump.statistics.written >= 4
 
 
-# --- a device that is refused again and again -----------------------------------------------------
-
-
 def test_a_loss_after_a_refused_poll_drops_nothing() -> None:
     """That a poll was refused says nothing about the next ones, if the other side is away."""
     output = FakeOutput(refused="b", error=LOST)
@@ -260,9 +247,6 @@ def test_a_device_that_is_accepted_again_is_believed_again() -> None:
     assert [each.device for each in output.accepted].count("b") == 4
 
 
-# --- NATS -----------------------------------------------------------------------------------------
-
-
 class Denied(Stream):
     """Its server denies the subject of x: such a publish is never acknowledged."""
 
@@ -279,9 +263,7 @@ class Denied(Stream):
 
 
 @each_case(("kind", "value"), [(Denied, 1), (Stream, "y" * 3000)])
-def test_a_poll_that_nats_denies_or_finds_too_large_holds_up_no_others(
-    kind: type[Stream], value: Any
-) -> None:
+def test_a_poll_that_nats_denies_or_finds_too_large_holds_up_no_others(kind, value) -> None:
     network = Network()
     engine = Engine(network)
 
