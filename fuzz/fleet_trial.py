@@ -27,7 +27,7 @@ from fuzz.asked_devices import UNITS, Asked, Workers, asked_devices, fleet_file,
 from fuzz.command import numbers
 from fuzz.nats_servers import NatsServers, Way
 from libmodbus_py.services.engine.buckets import open_bucket
-from libmodbus_py.services.engine.connection import EngineGone, connected
+from libmodbus_py.services.engine.connection import EngineGone, open_connection
 from libmodbus_py.services.workers.contents import fleet_status
 from libmodbus_py.services.workers.records import BUCKET
 
@@ -95,7 +95,7 @@ class Trial:
         return len(slots) == len(NAMES) and max(slots) - min(slots) <= 2
 
     async def _status(self) -> dict[str, Any]:
-        client = await connected(self.servers.urls.split(","), name="trial")
+        client = await open_connection(self.servers.urls.split(","), name="trial")
         try:
             return await fleet_status(await open_bucket(client, BUCKET))
         finally:

@@ -32,16 +32,6 @@ if TYPE_CHECKING:
     from ..ports.options import Form, Option
     from .parser import Parser
 
-# fmt: off
-__all__ = [
-    "OF_CLIENTS", "OF_SERVERS", "SCHEMES_OF_URLS", "URL", "URLS", "add_client",
-    "add_client_options", "add_columns", "add_forms", "add_requests", "add_security_options",
-    "add_serial_options", "add_units", "add_verbose", "connected", "endpoint_of",
-    "given", "list_keys", "lists_of_parities", "maps", "names_of_maps", "read_as", "refuse_given",
-    "with_forms", "with_options",
-]
-# fmt: on
-
 
 def _listed(shapes: Iterable[str]) -> str:
     """Return an enumeration of URLs in lines of at most 79 characters."""
@@ -84,14 +74,14 @@ def flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def given(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]:
+def typed_options(options: argparse.Namespace, names: Collection[str]) -> dict[str, Any]:
     """Return the options that were typed."""
     return {name: value for name in names if (value := getattr(options, name, None)) is not None}
 
 
-def refuse_given(options: argparse.Namespace, names: Collection[str], why: str) -> None:
+def refuse_options(options: argparse.Namespace, names: Collection[str], why: str) -> None:
     """Raise ValueError if one of some options was typed: its name, and why it cannot be."""
-    if typed := given(options, names):
+    if typed := typed_options(options, names):
         raise ValueError(f"{flag(next(iter(typed)))} {why}")
 
 
@@ -103,7 +93,6 @@ URL = "URL\n  such as 192.0.2.10, 192.0.2.10:1502 or /dev/ttyUSB0\n"
 
 
 def add_client(command: Parser, *, several: bool = False) -> None:
-    """Add the URL and the options of a client."""
     declare(command, URL)
     add_requests(command, several=several)
 
@@ -120,13 +109,10 @@ def add_requests(command: Parser, *, several: bool = False) -> None:
 
 
 def add_verbose(command: Parser) -> None:
-    """Add -v."""
     declare(command, "-v --verbose\n  print every frame sent and received to stderr")
 
 
 def add_units(group: Any, text: str) -> None:
-    """Add -u with a list of units."""
-
     def units(text: str) -> list[int]:
         from ..protocol.plain import units_of
 
@@ -247,7 +233,8 @@ def add_client_options(
     group: Any, *, without: Collection[str] = (), usual: Callable[[], Mapping[str, Any]] = dict
 ) -> None:
     """Add the options of clients; `usual` returns texts in place of their default values."""
-    _add(group, CLIENT_OPTIONS, lambda: {**_of_clients(), **usual()}, without)
+    defaults = {name: row.default for name, row in CLIENT_OPTIONS.items()}
+    _add(group, CLIENT_OPTIONS, lambda: {**defaults, **usual()}, without)
 
 
 def add_serial_options(command: Parser, *, without: Collection[str] = ()) -> Any:
@@ -258,7 +245,6 @@ def add_serial_options(command: Parser, *, without: Collection[str] = ()) -> Any
 
 
 def add_security_options(command: Parser) -> None:
-    """Add the files that tls:// needs."""
     _add(command.group("certificates, for tls://"), SECURITY_OPTIONS)
 
 
@@ -302,10 +288,6 @@ def read_as(form: Form, separator: str | None = None) -> Callable[[str], Any]:
     return read
 
 
-def _of_clients() -> dict[str, Any]:
-    return {name: row.default for name, row in CLIENT_OPTIONS.items()}
-
-
 def _of_serial_ports() -> dict[str, Any]:
     others = {name: value for name, value in ASCII_DEFAULTS.items() if name in SERIAL_DEFAULTS}
     texts = {name: f"{SERIAL_DEFAULTS[name]}; ascii: {value}" for name, value in others.items()}
@@ -346,7 +328,7 @@ def endpoint_of(options: argparse.Namespace) -> Endpoint:
     return with_options([options.url], options)[0]
 
 
-def connected(options: argparse.Namespace) -> Client:
+def new_client(options: argparse.Namespace) -> Client:
     """Make the client; it connects when it is used."""
     from ..client.blocking import Client
 
@@ -367,7 +349,7 @@ def with_options(
     from ..ports.endpoint import parse
 
     endpoints = [parse(url) for url in urls]
-    typed = given(options, names)
+    typed = typed_options(options, names)
     typed |= {name: ",".join(typed[name]) for name in REPEATED if name in typed}
     useful = {name for each in endpoints for name in options_of(each.scheme)}
     for transport, rules in TRANSPORTS.items():

@@ -19,8 +19,6 @@ from .parser import Parser, declare
 if TYPE_CHECKING:
     from ..tools.authority import Authority
 
-__all__ = ["add_command"]
-
 HOSTS = ("localhost", "127.0.0.1", "::1")
 
 ROLES = ("Viewer", "Operator", "Engineer")
@@ -50,11 +48,10 @@ that of a file, such as viewer, or of a MACHINE. Servers use DIR/crl.pem with
 
 EXAMPLES = """\
 examples:
-  libmodbus-py certificates papers --host plc.example --role Operator --days 30
+  libmodbus-py certificates certs --host plc.example --role Operator --days 30
   libmodbus-py certificates fleet n1.example n2.example n3.example
-  libmodbus-py certificates papers server --renew --days 90
-  libmodbus-py certificates papers --revoke operator"""
-
+  libmodbus-py certificates certs server --renew --days 90
+  libmodbus-py certificates certs --revoke operator"""
 
 ARGUMENTS = f"""
 DIR
@@ -80,7 +77,6 @@ DIR
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EXAMPLES
     declare(command, ARGUMENTS, dir={"type": Path})
     command.set_defaults(run=_run)

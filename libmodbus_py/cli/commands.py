@@ -18,8 +18,6 @@ TYPE_CHECKING = False  # typing alone takes a twentieth of what --version may
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-__all__ = ["COMMANDS", "PROGRAM", "parsed", "parser_of", "whole_parser"]
-
 COMMANDS = {
     "read": ("ask.values", "read registers, coils, records and named points, once or repeatedly"),
     "write": ("ask.values", "write registers, coils, records and named points"),
@@ -59,7 +57,7 @@ examples:
   libmodbus-py read /dev/ttyUSB0 -b 9600 -u 7 --map meter.csv --watch"""
 
 
-def parsed(arguments: Sequence[str]) -> argparse.Namespace:
+def parse_arguments(arguments: Sequence[str]) -> argparse.Namespace:
     """
     Return the arguments of the command; ``run``, which runs the command with them; and
     ``parser``, whose ``error`` prints a message and exits.
@@ -114,7 +112,6 @@ def _is_read(arguments: Sequence[str]) -> bool:
 
 
 def parser_of(name: str) -> Parser:
-    """Import the file of a command, and return the parser."""
     module, about = COMMANDS[name]
     parser = Parser(prog=f"{PROGRAM} {name}", description=f"{about[0].upper()}{about[1:]}.")
     import_module(f".{module}", __package__).add_command(parser)

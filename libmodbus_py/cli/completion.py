@@ -1,6 +1,4 @@
-"""
-The command completion, and the answers to shells that complete.
-"""
+"""The command completion, and the answers to shells that complete."""
 
 from __future__ import annotations
 
@@ -14,8 +12,6 @@ from .foreign import is_place
 from .output import PROGRAM
 from .parser import Parser, declare
 
-__all__ = ["add_command", "complete"]
-
 SHELLS = ("bash", "zsh", "fish")
 
 EXAMPLES = """\
@@ -27,7 +23,6 @@ examples:
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description = "Print a script that makes a shell complete commands, options and names."
     command.epilog = EXAMPLES
     declare(command, f"SHELL\n  one of {', '.join(SHELLS)}", shell={"choices": SHELLS})
@@ -85,7 +80,6 @@ def _without_options(parser: Parser, words: Sequence[str]) -> list[str]:
 
 
 def _flags(parser: Parser) -> dict[str, argparse.Action]:
-    """Return the options of a parser and of all its commands."""
     flags = parser.flags
     for command in parser.commands.values():
         flags |= _flags(command)

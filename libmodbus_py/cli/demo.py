@@ -27,8 +27,6 @@ from ..tools.testing.wires import SerialWire, TcpWire
 from .output import PROGRAM, styled
 from .parser import Parser
 
-__all__ = ["add_command"]
-
 BOLD, RED, GREEN = "1", "31", "32"
 
 EXAMPLES: tuple[tuple[str, int, pdu.Request[Any], Any], ...] = (
@@ -67,7 +65,6 @@ To try next, the second and the third in another terminal:
 
 
 def add_command(command: Parser) -> None:
-    """Declare that it has no arguments."""
     command.set_defaults(run=_demo)
 
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from typing import Any
 
-__all__ = ["COMMANDS", "equivalents", "is_place", "place"]
-
 UNIT = "-u VALUE"
 PORT = "HOST:VALUE"
 URL = "HOST, udp://HOST, rtu+tcp://HOST:PORT, /dev/ttyUSB0 or ascii:///dev/ttyUSB0"
@@ -54,11 +52,7 @@ OPTIONS = {
 }
 """Option of another program -> what is typed here; VALUE stands for its value."""
 
-TAKEN = {
-    "-p": ("[0-9]+", PORT),
-    "--parity": ("[0-9]+", PORT),
-    "-s": ("(?![12]$)[0-9]+", UNIT),
-}
+TAKEN = {"-p": ("[0-9]+", PORT), "--parity": ("[0-9]+", PORT), "-s": ("(?![12]$)[0-9]+", UNIT)}
 """Option that is one here, too -> the values that it has only there, and what is typed here."""
 
 SWITCHES = ("-B", "-f", "-i", "-0", "-1", "-R", "-F", "--swap", "--float", "--registers")

@@ -17,12 +17,9 @@ from ..protocol.plain import time_text
 from .output import log_line
 from .parser import Parser, declare
 
-__all__ = ["add_arguments", "called_before_lines", "logged"]
-
 PACKAGE = "libmodbus_py"
 
 LEVELS = ("debug", "info", "warning", "error")
-
 
 OPTIONS = f"""
 --log LEVEL
@@ -33,7 +30,6 @@ rare --log-format FORMAT
 
 
 def add_arguments(command: Parser) -> None:
-    """Declare the options."""
     group = command.group("log, on stderr")
     declare(group, OPTIONS, log={"choices": LEVELS}, log_format={"choices": ("json", "text")})
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from .parser import Parser
 
-__all__ = ["INTERRUPTED", "CommandError", "advice", "main"]
-
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as in shells."""
 
@@ -51,14 +49,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
-    from .commands import parsed
+    from .commands import parse_arguments
     from .output import print_log_lines, written_to
 
     if "_ARGCOMPLETE" in os.environ:
         from .completion import complete
 
         complete()
-    options = parsed(arguments)
+    options = parse_arguments(arguments)
     print_log_lines(is_on=getattr(options, "log_format", None) == "json")
     options.screen = sys.stdout  # while what is printed goes to a file
     options.written_to = getattr(options, "written_to", None)
@@ -79,7 +77,6 @@ class CommandError(Exception):
 
 
 def _failed(error: Exception) -> int:
-    """Print an error, and return the exit code."""
     from ..protocol.errors import ModbusError
     from .output import abandon, complain
 

@@ -20,14 +20,6 @@ if TYPE_CHECKING:
     from ..tools.scan.scan import Progress
     from ..tools.scan.search import Extent, Searching
 
-# fmt: off
-__all__ = [
-    "PROGRAM", "Redrawn", "Status", "abandon", "complain", "counted", "duration", "harmless",
-    "inform", "log_line", "missing", "prepare", "print_csv", "print_json", "print_log_lines",
-    "progress", "styled", "written_to",
-]
-# fmt: on
-
 PROGRAM = "libmodbus-py"
 
 ERROR = "1;31"

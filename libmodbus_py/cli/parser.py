@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
     from typing import Any, NoReturn
 
-__all__ = ["Group", "Parser", "Printing", "declare"]
-
 POSITIONAL, OPTIONS = "positional arguments", "options"
 """The titles of the arguments that are in no group."""
 
@@ -77,7 +75,6 @@ class Parser(argparse.ArgumentParser):
         return [action for group in self.arguments.values() for action in group]
 
     def group(self, title: str) -> Group:
-        """Return a new group of arguments."""
         return Group(self, title, self.add_argument_group(title))
 
     def exclusive(self) -> Group:

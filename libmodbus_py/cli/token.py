@@ -13,8 +13,6 @@ import secrets
 
 from .parser import Parser, declare
 
-__all__ = ["add_command"]
-
 TOKEN_BYTES = 24
 """32 letters; a page takes 22 to 200."""
 
@@ -36,7 +34,6 @@ ARGUMENTS = """
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EXAMPLES
     declare(command, ARGUMENTS)
     command.set_defaults(run=_make)

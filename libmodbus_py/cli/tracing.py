@@ -1,6 +1,4 @@
-"""
-Frames in columns, as --verbose prints them.
-"""
+"""Frames in columns, as --verbose prints them."""
 
 from __future__ import annotations
 
@@ -13,8 +11,6 @@ from ..ports.trace import WIRE, Traced
 from ..protocol.pdu import REQUESTS
 from ..protocol.plain import clock_text
 from .output import inform
-
-__all__ = ["Tracing", "print_frame", "wire_printed"]
 
 
 class Tracing:

@@ -37,19 +37,12 @@ from ..client.sender import Sender, Submitted
 from ..ports.waiting import Alarm
 from ..protocol.errors import ExceptionResponse, ModbusTimeoutError
 
-__all__ = ["FairQueue", "LineRequest", "SharedLine", "rest_after"]
-
 SHORTEST_TRIAL_S = 0.02
 """The least time of a trial that others wait for: a few requests of a fast line."""
 
-FADING = 0.95
-"""The share of a unit's longest response time that is kept with each further answer."""
-
-TRIALS_BEFORE_LONG = 16
-"""One trial of a unit in so many has its whole timeout."""
-
-MOST_DOUBLINGS = 20
-"""The most doublings of a rest, so that no number grows without bound."""
+FADING = 0.95  # the share of a unit's longest response time that is kept with each further answer
+TRIALS_BEFORE_LONG = 16  # one trial of a unit in so many has its whole timeout
+MOST_DOUBLINGS = 20  # the most doublings of a rest, so that no number grows without bound
 
 
 def rest_after(misses: int, first: float, longest: float) -> float:
@@ -158,7 +151,7 @@ class SharedLine(ABC, Generic[Job]):
         self._most_trials = most_trials
         self._urgent, self._usual = make_queue(), make_queue()
         self._trials: FairQueue[Job] = FairQueue()
-        self._trying: dict[Job, None] = {}  # the trials in flight, in their order
+        self._open_trials: dict[Job, None] = {}  # the trials in flight, in their order
         self._was_trial = False  # the request that was sent last
         # Unit -> the longest time that its answers took, fading.
         self._took: dict[int, float] = {}
@@ -233,7 +226,6 @@ class SharedLine(ABC, Generic[Job]):
         self._go_on_soon()
 
     def remove(self, job: Job) -> bool:
-        """Remove a request that waits; return False if it does not."""
         return any(queue.remove(job) for queue in (self._urgent, self._usual, self._trials))
 
     def stop(self) -> list[Job]:
@@ -266,7 +258,7 @@ class SharedLine(ABC, Generic[Job]):
                 self._send(job, now)
             else:
                 self.expire(job, now)
-        if self._trying:
+        if self._open_trials:
             self._end_overstayed(now)
         if self._next_at < self._alarm.at:
             self._alarm.set(self._next_at, self._loop)
@@ -293,20 +285,20 @@ class SharedLine(ABC, Generic[Job]):
 
         job = self._trials.pick(may_ask) if self._is_trial_due(now) else None
         job = job or self._urgent.pick(may_ask) or self._usual.pick(may_ask)
-        if job is None and len(self._trying) < self._most_trials:
+        if job is None and len(self._open_trials) < self._most_trials:
             job = self._trials.pick(may_ask)
         return job
 
     def _is_trial_due(self, now: float) -> bool:
         """Return True if a trial is to be sent before others, which wait."""
         first = next(iter(self._trials), None)
-        if first is None or self._trying or self._was_trial:
+        if first is None or self._open_trials or self._was_trial:
             return False
         return now - first.waits_since >= self.sender_of(first).client.timeout
 
     def _end_overstayed(self, now: float) -> None:
         """End a trial that others have waited for, for long enough."""
-        job = next((job for job in self._trying if job.misses % TRIALS_BEFORE_LONG), None)
+        job = next((job for job in self._open_trials if job.misses % TRIALS_BEFORE_LONG), None)
         if job is None or not self.waiting or not self._is_full():
             return
         took = max([SHORTEST_TRIAL_S, *self._took.values()])
@@ -327,7 +319,7 @@ class SharedLine(ABC, Generic[Job]):
         self.in_flight[job] = None
         self._was_trial = job.is_trial
         if job.is_trial:
-            self._trying[job] = None
+            self._open_trials[job] = None
         job.asked_at = now
         job.submitted = self.sender_of(job).submit(
             job.unit, job.request, partial(self._note_done, job)
@@ -336,7 +328,7 @@ class SharedLine(ABC, Generic[Job]):
     def _end(self, job: Job) -> None:
         job.submitted = None
         del self.in_flight[job]
-        self._trying.pop(job, None)
+        self._open_trials.pop(job, None)
 
     def _note_done(self, job: Job) -> None:
         self._go_on_soon()

@@ -1,6 +1,4 @@
-"""
-Loads files of any kind: register maps, devices, gateways and fleets.
-"""
+"""Loads files of any kind: register maps, devices, gateways and fleets."""
 
 from __future__ import annotations
 
@@ -16,8 +14,6 @@ if TYPE_CHECKING:
     from ..tools.simulator.simulated import Simulation
     from .fleet.files import FleetFile
     from .gateway.config import GatewayFile
-
-__all__ = ["load"]
 
 KINDS: dict[str, str] = {
     "point": "map",

@@ -23,8 +23,6 @@ from ..protocol.mistakes import WrongType, WrongValue
 from ..security.certificates import in_words
 from ..security.security import Renewed, read_secret
 
-__all__ = ["SecretFile", "ServerUrl", "Trust", "server_url", "text_of"]
-
 
 class ServerUrl(NamedTuple):
     """The parts of the URL of a server, in lower case; an IPv6 address has no brackets."""

@@ -14,8 +14,6 @@ import threading
 from collections.abc import Callable, Collection, Coroutine
 from typing import Any
 
-__all__ = ["AGAIN", "FINISHING_S", "KeptTasks", "Pauses", "WriterThread", "end_tasks", "finish"]
-
 # Seconds before the first try after a failure, and before the later ones: a server that is down
 # for an hour is asked 120 times.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
@@ -75,7 +73,6 @@ class Pauses:
         self._next = FIRST_PAUSE_S
 
     def next(self) -> float:
-        """Return the seconds until the next try."""
         pause, self._next = self._next, min(2 * self._next, self._longest)
         return pause
 
@@ -88,7 +85,7 @@ Job = tuple[Callable[..., Any], tuple[Any, ...], asyncio.Future[Any]]
 
 
 class WriterThread:
-    """Calls functions in a thread, in order. A disk that hangs does not keep the program alive."""
+    """Calls functions in a thread, in order. A disk that hangs never delays the end."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -126,20 +123,15 @@ class WriterThread:
 def _work(jobs: queue.SimpleQueue[Job | None]) -> None:
     while (job := jobs.get()) is not None:
         function, arguments, done = job
-        settle: Callable[..., None] = _set_result
+        result, error = None, None
         try:
-            outcome: Any = function(*arguments)
-        except BaseException as error:
-            settle, outcome = _set_exception, error
+            result = function(*arguments)
+        except BaseException as failure:
+            error = failure
         with contextlib.suppress(RuntimeError):  # the loop is closed
-            done.get_loop().call_soon_threadsafe(settle, done, outcome)
+            done.get_loop().call_soon_threadsafe(_settle, done, result, error)
 
 
-def _set_result(done: asyncio.Future[Any], result: Any) -> None:
+def _settle(done: asyncio.Future[Any], result: Any, error: BaseException | None) -> None:
     if not done.done():
-        done.set_result(result)
-
-
-def _set_exception(done: asyncio.Future[Any], error: BaseException) -> None:
-    if not done.done():
-        done.set_exception(error)
+        done.set_result(result) if error is None else done.set_exception(error)

@@ -18,16 +18,12 @@ from ..device.state import replace_file
 from ..security.certificates import role_of, time_in
 from .certificates import EARLIER, Identity, check_days, load
 
-__all__ = ["Authority"]
-
 AUTHORITY = "ca"
 
 
 @dataclass(frozen=True)
 class Issued:
-    """
-    A certificate in a folder; `name` is that of its file, or of the machine that it is for.
-    """
+    """A certificate in a folder; `name` is that of its file, or of the machine that it is for."""
 
     name: str
     path: Path
@@ -75,7 +71,7 @@ class Authority:
         self._issuer_key = x509.AuthorityKeyIdentifier.from_issuer_public_key(public_key)
         self.list_path: Path = directory / "crl.pem"
         self._directory = directory
-        self._revoked: dict[int, x509.RevokedCertificate] = {}
+        self._revocations: dict[int, x509.RevokedCertificate] = {}
         self._number = 0
         self.list_ends: datetime | None = None
         if self.list_path.exists():
@@ -88,7 +84,7 @@ class Authority:
             raise ValueError(f"{self.list_path}: no revocation list in PEM format") from None
         if not revoked.is_signature_valid(self.identity.key.public_key()):
             raise ValueError(f"{self.list_path} is not signed by {self._directory / 'ca.pem'}")
-        self._revoked = {entry.serial_number: entry for entry in revoked}
+        self._revocations = {entry.serial_number: entry for entry in revoked}
         self.list_ends = time_in(revoked, "next_update")
         for extension in revoked.extensions:
             if isinstance(extension.value, x509.CRLNumber):
@@ -116,7 +112,7 @@ class Authority:
                 raise ValueError(f"{path}: no certificate in PEM format") from None
             # Not the issuer, because authorities of one command have one name.
             if self._issuer_key in [extension.value for extension in certificate.extensions]:
-                is_revoked = certificate.serial_number in self._revoked
+                is_revoked = certificate.serial_number in self._revocations
                 issued[name] = Issued(name, path, certificate, is_revoked)
         return issued
 
@@ -144,7 +140,8 @@ class Authority:
         ]
         for name in every:
             old = issued[name]
-            replace_file(old.path, _pem(self._renewed(old.certificate, days)))
+            renewed = self._renewed(old.certificate, days)
+            replace_file(old.path, renewed.public_bytes(serialization.Encoding.PEM).decode())
             if name == AUTHORITY:
                 self._copy(old.path)
         return [issued[name].path for name in every]
@@ -177,7 +174,7 @@ class Authority:
         now = datetime.now(UTC)
         for serial in serials:
             entry = x509.RevokedCertificateBuilder().serial_number(serial).revocation_date(now)
-            self._revoked.setdefault(serial, entry.build())
+            self._revocations.setdefault(serial, entry.build())
         return [f"{serial:x}" for serial in serials]
 
     def write_list(self, days: float) -> Path:
@@ -197,7 +194,7 @@ class Authority:
             .add_extension(x509.CRLNumber(self._number + 1), critical=False)
             .add_extension(self._issuer_key, critical=False)
         )
-        for entry in self._revoked.values():
+        for entry in self._revocations.values():
             builder = builder.add_revoked_certificate(entry)
         signed = builder.sign(self.identity.key, hashes.SHA256())
         replace_file(self.list_path, signed.public_bytes(serialization.Encoding.PEM).decode())
@@ -231,7 +228,3 @@ def _end(certificate: x509.Certificate) -> datetime:
     end = time_in(certificate, "not_valid_after")
     assert end is not None
     return end
-
-
-def _pem(certificate: x509.Certificate) -> str:
-    return certificate.public_bytes(serialization.Encoding.PEM).decode()

@@ -29,8 +29,6 @@ try:
 except ImportError as error:
     raise ImportError(what_is_missing("making certificates", "security")) from error
 
-__all__ = ["EARLIER", "Identity", "check_days", "load", "make", "write"]
-
 PrivateKey = ec.EllipticCurvePrivateKey | rsa.RSAPrivateKey
 
 EARLIER = timedelta(hours=1)

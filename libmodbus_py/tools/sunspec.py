@@ -27,13 +27,6 @@ from ..protocol.mistakes import WrongType, WrongValue
 from ..protocol.tables import TABLE_SIZE, Table
 from ..version import what_is_missing
 
-# fmt: off
-__all__ = [
-    "BASES", "ModelLayout", "SunSpecDevice", "SunSpecError", "SunSpecModel", "definition_of",
-    "discover", "folder", "walk",
-]
-# fmt: on
-
 BASES = (0, 40000, 50000)
 """The addresses at which SunSpec allows a chain to begin."""
 
@@ -41,12 +34,8 @@ BASES = (0, 40000, 50000)
 MARKER = [0x5375, 0x6E53]
 END = 0xFFFF
 
-# The longest chains of real devices have some thirty models.
-MOST_MODELS = 256
-
-# Addresses at which a chain is sought; SunSpec names three.
-MOST_BASES = 16
-
+MOST_MODELS = 256  # the longest chains of real devices have some thirty models
+MOST_BASES = 16  # addresses at which a chain is sought; SunSpec names three
 
 Result = TypeVar("Result")
 
@@ -306,7 +295,7 @@ def _discovery(bases: Iterable[int]) -> _Steps[SunSpecDevice]:
 
 
 def _counts(chain: _Chain, header: _Header, group: Mapping[str, Any]) -> _Steps[dict[str, int]]:
-    """Read the points by which groups are repeated, which are neighbours in all definitions."""
+    """Read the points by which groups are repeated, which are adjacent in all definitions."""
     offsets = counters_of(group)
     offsets = {name: at for name, at in offsets.items() if at < HEADER + header.length}
     if not offsets:
@@ -336,17 +325,10 @@ def _made_up(header: _Header) -> dict[str, Any]:
 
 TABLE: Table = "holding_registers"
 
-# Registers of the header of a model: id and length.
-HEADER = 2
-
-# Points of one device, as many as a map file may have.
-MOST_POINTS = 10000
-
-# Registers; a longer text is kept as registers.
-LONGEST_TEXT = 125
-
-# The register of a number of groups that the device does not have.
-NOT_IMPLEMENTED = 0xFFFF
+HEADER = 2  # registers of the header of a model: id and length
+MOST_POINTS = 10000  # points of one device, as many as a map file may have
+LONGEST_TEXT = 125  # registers; a longer text is kept as registers
+NOT_IMPLEMENTED = 0xFFFF  # the register of a number of groups that the device does not have
 
 # Type of SunSpec -> keys of a point. An accumulator that a device lacks is 0.
 _TYPES: dict[str, dict[str, Any]] = {

@@ -18,8 +18,6 @@ from typing import Any, Self, cast
 from ..ports.hosts import host_and_port, listen_on, start_thread
 from ..protocol.logs import HarmlessLogger
 
-__all__ = ["TimedServer"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Seconds between two looks for connections whose time is over; the server ends as soon.

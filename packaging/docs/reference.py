@@ -23,7 +23,7 @@ PAGES = ROOT / "docs" / "api"
 HEAD = "<!-- Generated from the docstrings by packaging/docs/reference.py; do not edit. -->\n\n"
 
 INTERNAL = re.compile(
-    r"_|(note|note_\w+|abandon|answer_chunk|go_on_from|going_on_from|take_worst|close_later"
+    r"_|(note|note_\w+|abandon|answer_chunk|take_state_of|with_state_of|take_worst|close_later"
     r"|scaling_for|cells_of_one|masks_of|judge|scale_sources|found_in)$"
 )
 """Members that are private, or that parts of the package call of each other."""

@@ -8,7 +8,7 @@ import re
 
 from libmodbus_py import Client, Device, Mapping, Server
 from libmodbus_py.cli.arguments import endpoint_of
-from libmodbus_py.cli.commands import parsed
+from libmodbus_py.cli.commands import parse_arguments
 from libmodbus_py.cli.foreign import OPTIONS
 from libmodbus_py.ports.options import CLIENT_OPTIONS, SERIAL_OPTIONS
 from libmodbus_py.ports.schemes import SECURITY_OPTIONS
@@ -62,7 +62,7 @@ def test_the_unit_is_that_of_the_url_unless_it_is_told(query, options, unit) -> 
 
 @each_case(("flag", "echo"), [("--echo", True), ("--no-echo", False)])
 def test_an_echo_is_set_for_lines_behind_a_converter_too(flag: str, echo: bool) -> None:
-    options = parsed(["read", "rtu+tcp://h:4001", "coils", "0", flag])
+    options = parse_arguments(["read", "rtu+tcp://h:4001", "coils", "0", flag])
     assert endpoint_of(options).options == {"echo": echo}
 
 

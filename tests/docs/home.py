@@ -86,8 +86,8 @@ class Home:
             r'"192\.0\.2\.10"(?:, (?:port=)?502\b)?(?!, (?:port=)?\d)': (
                 f'"{self.address}", port={DEVICE_PORT}'
             ),
-            "(?m)libmodbus-py certificates papers$": (
-                f"libmodbus-py certificates --host {self.address} papers"
+            "(?m)libmodbus-py certificates certs$": (
+                f"libmodbus-py certificates --host {self.address} certs"
             ),
             r"0\.0\.0\.0:502\b": f"{self.address}:{OPEN_PORT}",
             r"\b192\.0\.2\.10\b|\b0\.0\.0\.0\b|\b127\.0\.0\.1\b|\blocalhost\b": self.address,

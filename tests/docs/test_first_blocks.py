@@ -53,7 +53,7 @@ def test_the_first_block_of_a_page_runs_as_typed(path: Path, tmp_path: Path) -> 
     (tmp_path / "examples").symlink_to(ROOT / "examples")
 
     def here(text: str) -> str:
-        text = text.replace("certificates papers", f"certificates --host {address} papers")
+        text = text.replace("certificates certs", f"certificates --host {address} certs")
         return text.replace("127.0.0.1", address)
 
     def there(text: str) -> str:

@@ -146,12 +146,12 @@ def test_systemd_takes_a_template(command: str, tmp_path: Path) -> None:
 
 
 def test_a_command_of_the_templates_takes_its_words(tmp_path: Path) -> None:
-    from libmodbus_py.cli.commands import parsed
+    from libmodbus_py.cli.commands import parse_arguments
 
     for command in COMMANDS:
         (start,) = re.findall("^ExecStart=(.*)$", template(command), re.MULTILINE)
         _, *words = start.replace("${URL}", "tcp://0.0.0.0:502").split()
         words = [word.replace("%i", "plant").replace("${STATE_DIRECTORY}", "/s") for word in words]
-        given = parsed(words)
+        given = parse_arguments(words)
         assert given.log == "info"
         assert getattr(given, "state", "/s/state.json") == "/s/state.json"

@@ -10,7 +10,7 @@ from typing import Any, cast
 from libmodbus_py.services.engine.buckets import open_bucket
 from libmodbus_py.services.fleet.config import DeviceConfig
 from libmodbus_py.services.fleet.outputs.output import Output
-from libmodbus_py.services.workers.contents import Pushed, connections_of, fleet_seen, push
+from libmodbus_py.services.workers.contents import PushCounts, connections_of, push, read_fleet
 from libmodbus_py.services.workers.polling import Polling
 from libmodbus_py.services.workers.records import FleetSettings
 
@@ -21,7 +21,7 @@ from .processes import Process
 
 async def push_fleet(
     engine: Engine, devices: Iterable[DeviceConfig], settings: FleetSettings | None = None
-) -> Pushed:
+) -> PushCounts:
     """Write the devices to the bucket, as ``poll --push`` does."""
     settings = settings or FleetSettings()
     client = engine.client()
@@ -71,7 +71,7 @@ class SimulatedWorker:
 
     async def _start(self) -> None:
         bucket = await open_bucket(cast(Any, self.client), "modbus-fleet")
-        _, settings = await fleet_seen(bucket)
+        _, settings = await read_fleet(bucket)
         kind = type("_Polling", (_SeededPolling,), {"network": self._network})
         self.polling = kind(
             self.client,

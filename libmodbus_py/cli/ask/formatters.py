@@ -22,19 +22,11 @@ if TYPE_CHECKING:
     from ...maps.point import Point
     from ...protocol.values import Interpretation, ValueType
 
-# fmt: off
-__all__ = [
-    "Printer", "ReadResult", "TerminalTable", "ValueText", "aligned", "printer_of", "result_of",
-    "rows_of_point",
-]
-# fmt: on
-
 CHANGED = "*"
 """Mark of a line whose value has just changed."""
 
 NUMBER_CHARACTERS = 5
 """The width of an address, so that the addresses of several commands are below each other."""
-
 
 MOST_AT_ONCE, SIZES, LIKELY = 125, (1, 2, 4), 3
 """Of --type all: the most registers of one value; those of a part of them; values of a part."""
@@ -397,12 +389,13 @@ class TerminalTable:
     def print(self, unit: int, results: Sequence[ReadResult], reason: str) -> None:
         failures = [reason] if reason else [each.failure for each in results if each.failure]
         self._rounds += unit == next(iter(self._lines))
+        now = clock_text(time.time())
         if failures:
             self._failed += 1
-            self._last_failure = f", {self._failed} failed, last at {_clock()}"
+            self._last_failure = f", {self._failed} failed, last at {now}"
         lines = [] if reason else self._marked(unit, results)
         self._lines[unit] = [*lines, *((each, False) for each in failures)]
-        title = f"{_clock()}  {self._title}, {self._rounds} polls{self._last_failure}"
+        title = f"{now}  {self._title}, {self._rounds} polls{self._last_failure}"
         shown = [(title, False)]
         for each, its_lines in self._lines.items():
             shown += [(f"unit {each}", False)] if len(self._lines) > 1 else []
@@ -420,7 +413,3 @@ class TerminalTable:
             (f"{' ' if text == old else CHANGED} {line}", text != old)
             for line, text, old in zip(aligned(results), texts, before, strict=True)
         ]
-
-
-def _clock() -> str:
-    return clock_text(time.time())

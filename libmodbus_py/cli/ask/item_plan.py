@@ -15,8 +15,6 @@ from ...maps.plan import Plan
 from ...protocol.errors import ModbusError
 from .items import Item, cells_of, requests_of
 
-__all__ = ["ItemPlan"]
-
 
 class ItemPlan(Plan):
     """A plan whose results are cells; files and queues are read by themselves, behind all else."""

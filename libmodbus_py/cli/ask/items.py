@@ -41,13 +41,6 @@ if TYPE_CHECKING:
     from ...maps.register_map import RegisterMap
     from ...protocol.values import ValueType
 
-# fmt: off
-__all__ = [
-    "ALL", "HEX", "REGISTERS", "TABLE_WORDS", "Item", "Words", "cells_of", "map_of", "reason_of",
-    "requests_of",
-]
-# fmt: on
-
 TABLE_WORDS = {
     "coils": "coils",
     "discrete": "discrete_inputs",
@@ -327,7 +320,6 @@ def _split(text: str) -> tuple[str, str | None, str | None, str | None]:
 
 
 def _with_bit(item: Item, text: str) -> Item:
-    """Return the item of one bit of a register."""
     if item.table not in REGISTER_TABLES:
         raise ValueError(f"{item.label()}.{text}: only holding and input registers have bits")
     return item._replace(bit=integer("bit", number_of("bit", text), 0, 15))

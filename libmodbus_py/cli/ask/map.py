@@ -1,6 +1,4 @@
-"""
-The command map: the arguments of its actions, and the action list.
-"""
+"""The command map: the arguments of its actions, and the action list."""
 
 from __future__ import annotations
 
@@ -13,8 +11,6 @@ from .. import arguments
 from ..arguments import maps, names_of_maps
 from ..output import complain
 from ..parser import Parser, declare
-
-__all__ = ["add_command"]
 
 CHECK = "check register maps, and print their points and requests"
 LIST = "list the register maps that come with the package"
@@ -93,7 +89,6 @@ examples:
 
 {arguments.URLS}"""
 
-
 DEVICE = """
 --device URL
     read all points of this device, and print those that it refuses
@@ -113,7 +108,6 @@ OF_CLASS_OUTPUT = """
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments of each action."""
     command.epilog = EXAMPLES
     add_action = command.add_commands("ACTION")
 

@@ -1,6 +1,4 @@
-"""
-The actions of the command map: check maps, make a class of one, or a map of a device.
-"""
+"""The actions of the command map: check maps, make a class of one, or a map of a device."""
 
 from __future__ import annotations
 
@@ -26,25 +24,13 @@ from ...protocol.tables import TABLES
 from ...tools.files.map_texts import MARK, class_text, csv_text, toml_text
 from ...tools.scan.search import Extent, search
 from ...tools.simulator.example_files import map_file
-from ..arguments import OF_CLIENTS, connected, endpoint_of, list_keys, refuse_given
+from ..arguments import OF_CLIENTS, endpoint_of, list_keys, new_client, refuse_options
 from ..main import INTERRUPTED, CommandError
 from ..output import PROGRAM, Status, complain, counted, missing, progress, written_to
 
-# fmt: off
-__all__ = [
-    "TEXTS", "check", "check_output", "class_of", "from_device", "from_sunspec", "import_list",
-    "write_map",
-]
-# fmt: on
-
-MOST_MISTAKES = 20
-"""Mistakes in a file that are printed, at most."""
-
-# A list has no more.
-MOST_ROWS = 1_000_000
-
-# With more cells the file would be too long, so points are ranges instead.
-MOST_CELLS = 4000
+MOST_MISTAKES = 20  # mistakes in a file that are printed, at most
+MOST_ROWS = 1_000_000  # a list has no more
+MOST_CELLS = 4000  # with more cells the file would be too long, so points are ranges instead
 
 TEXTS: dict[str, Callable[[Iterable[Point]], str]] = {".toml": toml_text, ".csv": csv_text}
 
@@ -56,10 +42,10 @@ def check(options: argparse.Namespace) -> int:
     """
     said = ListOptions(**list_keys(options))
     if options.device is None:
-        refuse_given(options, OF_CLIENTS, "needs --device")
+        refuse_options(options, OF_CLIENTS, "needs --device")
         return max([_check_file(file, said) for file in options.files])
     options.url = options.device
-    with closing(connected(options)) as context:
+    with closing(new_client(options)) as context:
         return max([_check_file(file, said, context) for file in options.files])
 
 
@@ -231,7 +217,7 @@ def from_sunspec(options: argparse.Namespace) -> int:
     from ...tools.sunspec import discover
 
     check_output(options.output, TEXTS)
-    with closing(connected(options)) as context:
+    with closing(new_client(options)) as context:
         device = discover(context)
     for remark in device.notes:
         complain(remark)

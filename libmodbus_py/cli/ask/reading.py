@@ -23,8 +23,6 @@ from .units import ask_units, client_of, units_of
 if TYPE_CHECKING:
     from .item_plan import ItemPlan
 
-__all__ = ["Reader", "read"]
-
 STATUS_AFTER_S = 1.0
 """Until a status line is shown: most reads are over by then."""
 

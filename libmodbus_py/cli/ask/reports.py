@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from ...client.blocking import Client
     from .units import Named
 
-__all__ = ["add_command"]
-
 IDENTIFY = """\
 Print the device identification (function 43/14) and the server id
 (function 17). Devices have one, both or neither; with neither the exit code
@@ -49,7 +47,6 @@ examples:
   libmodbus-py raw 192.0.2.10 0x2B "0E 01 00" -v
   libmodbus-py raw /dev/ttyUSB0 -b 9600 -u 7 43 0D0102
   libmodbus-py raw 'tcp://192.0.2.10?unit=7&timeout=0.5' 100"""
-
 
 LEVEL = "--level L\n  basic, regular, extended, or the number of one object (regular)"
 
@@ -78,7 +75,6 @@ FUNCTION
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments of identify, diagnose or raw."""
     name = command.prog.rpartition(" ")[2]
     arguments.add_client(command, several=name != "raw")
     if name == "raw":
@@ -208,7 +204,7 @@ def _raw(options: argparse.Namespace) -> int:
     from ...protocol.errors import ModbusError
     from ...protocol.pdu import RawRequest, decode_request
     from ...protocol.plain import number_of
-    from ..arguments import connected
+    from ..arguments import new_client
 
     function = options.function
     words = [function, *options.data]
@@ -219,7 +215,7 @@ def _raw(options: argparse.Namespace) -> int:
             raise ValueError(f"FUNCTION {function} can be {ways}; type the one that is meant")
         function = f"0x{function}"
     request = RawRequest(number_of("function", function), b"".join(map(_bytes_of, options.data)))
-    with closing(connected(options)) as context:
+    with closing(new_client(options)) as context:
         response = request.encode_response(context.execute(request))
     print(response.hex(" "))
     with suppress(ModbusError, ValueError):  # of a function that is not known

@@ -1,6 +1,4 @@
-"""
-The values of read --watch as a page shows them.
-"""
+"""The values of read --watch as a page shows them."""
 
 from __future__ import annotations
 
@@ -14,8 +12,6 @@ from ...tools.page.table_source import COLUMNS, Column, Older, PageRow, ShownPoi
 from ...tools.page.text import cell_text, first_names
 from .formatters import ReadResult, ValueText
 from .items import Item
-
-__all__ = ["ShownWatch"]
 
 
 class ShownWatch:
@@ -134,7 +130,6 @@ def _device(unit: int) -> str:
 
 
 def _name(item: Item, row: ValueText) -> tuple[str, str]:
-    """Return the name of a value, and its unit of measurement."""
     where = row.where.strip()
     if item.point is not None:
         return where, item.point.units

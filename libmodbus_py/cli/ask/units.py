@@ -12,21 +12,11 @@ from functools import partial
 from typing import Any
 
 from ...client.blocking import Client
-from ...protocol.errors import (
-    ExceptionResponse,
-    InvalidResponse,
-    ModbusConnectionError,
-    ModbusError,
-)
-from ..arguments import connected, endpoint_of
+from ...protocol import errors
+from ...protocol.errors import ExceptionResponse, ModbusConnectionError, ModbusError
+from ..arguments import endpoint_of, new_client
 from ..main import CommandError, advice
 from ..output import complain, print_json
-
-# fmt: off
-__all__ = [
-    "Named", "ask_units", "client_of", "fail", "print_report", "report_units", "units_of",
-]
-# fmt: on
 
 Named = Iterable[tuple[str, Any]]
 
@@ -58,7 +48,7 @@ def ask_units(
     """
     units = units_of(options)
     codes = [0]
-    with closing(connected(options)) as context:
+    with closing(new_client(options)) as context:
         for unit in units:
             try:
                 codes.append(ask(client_of(context, unit)) or 0)
@@ -114,7 +104,7 @@ def print_report(
             answers.update(ask(context))
         except ModbusError as error:
             lacking[name] = str(error.args[0])
-            if not isinstance(error, ExceptionResponse | InvalidResponse):
+            if not isinstance(error, ExceptionResponse | errors.InvalidResponse):
                 silent.append(error)
         has_spoken = answers or len(lacking) > len(silent)
         if not has_spoken and len(silent) == min(MAX_SILENT, len(questions)):

@@ -1,6 +1,4 @@
-"""
-The commands read and write: their arguments. What they do is imported when they run.
-"""
+"""The commands read and write: their arguments. What they do is imported when they run."""
 
 from __future__ import annotations
 
@@ -15,8 +13,6 @@ from .. import arguments
 from ..arguments import maps
 from ..parser import Parser, declare
 from ..serve import over_http
-
-__all__ = ["add_command", "names"]
 
 WHAT = """\
 WHAT is one of
@@ -54,7 +50,6 @@ examples:
   libmodbus-py write /dev/ttyUSB0 -b 9600 40123 3.14 --type float32 --order CDAB
   libmodbus-py write 192.0.2.10 --map meter.csv setpoint 21.5 --dry-run -v
   libmodbus-py write 'tcp://192.0.2.10?unit=7&timeout=0.5' hr 4 --mask 0xFFF0 5"""
-
 
 OF_READ = """
 [WHAT ...]
@@ -114,7 +109,6 @@ OF_SENDING = """
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments of read or write."""
     (_add_read if command.prog.endswith(" read") else _add_write)(command)
 
 
@@ -153,7 +147,6 @@ def _add_write(command: Parser) -> None:
 
 
 def _add_item_arguments(command: Parser, more: str = "") -> None:
-    """Add the arguments that say how values are stored in a device."""
     group = command.group("values")
     types = [*get_args(NumberType), *get_args(BitsType), *get_args(TimeType), "string:"]
     orders = {"complete": get_args(Order)}

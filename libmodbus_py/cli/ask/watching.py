@@ -20,15 +20,13 @@ from typing import Any, TextIO
 from ...client.blocking import Client
 from ...maps.watched import PointIntervals, Totals
 from ...protocol.errors import ModbusError
-from ..arguments import connected
+from ..arguments import new_client
 from ..main import CommandError, advice
 from ..output import complain, counted
 from ..serve import over_http
 from .formatters import Printer, ReadResult, TerminalTable, printer_of
 from .reading import Reader
 from .units import units_of
-
-__all__ = ["watch"]
 
 
 class Watcher(Reader):
@@ -78,7 +76,7 @@ def watch(options: argparse.Namespace) -> int:
     readers = [Watcher(options, unit) for unit in units_of(options)]
     interval = min(reader.interval for reader in readers)
     is_answered, polls = False, 0
-    with closing(connected(options)) as context, ExitStack() as stack:
+    with closing(new_client(options)) as context, ExitStack() as stack:
         units = ",".join(str(reader.unit) for reader in readers)
         title = f"{context.url}, unit {units}, every {interval:g} s"
         printers = _printers(options, readers, title)

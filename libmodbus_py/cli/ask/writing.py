@@ -1,6 +1,4 @@
-"""
-The command write: a request for each item, all checked before the first is sent.
-"""
+"""The command write: a request for each item, all checked before the first is sent."""
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ from ...protocol.errors import IllegalFunction, ModbusError
 from ...protocol.framing import Frame, make_framer
 from ...protocol.plain import bit_of, number_of, value_of
 from ...protocol.tables import TABLES
-from ..arguments import connected, endpoint_of
+from ..arguments import endpoint_of, new_client
 from ..main import CommandError
 from ..output import complain, counted
 from .formatters import aligned, result_of
@@ -25,8 +23,6 @@ from .items import Item, Words, reason_of
 if TYPE_CHECKING:
     from ...maps.register_map import RegisterMap
     from ...protocol.tables import WriteFunction
-
-__all__ = ["write"]
 
 Request = pdu.Request[Any]
 
@@ -61,7 +57,7 @@ def write(options: argparse.Namespace) -> int:
     is_broadcast = has_broadcast and client.get("unit") == 0
     if options.verify and is_broadcast:
         raise ValueError("--verify cannot be used with unit 0: nothing answers a broadcast")
-    with closing(connected(options)) as context:
+    with closing(new_client(options)) as context:
         for done, (item, request) in enumerate(requests):
             try:
                 result = context.execute(request)
@@ -86,7 +82,7 @@ def write(options: argparse.Namespace) -> int:
 def _show(options: argparse.Namespace, requests: list[Request]) -> None:
     """Print the requests as frames of the endpoint, in the order of sending."""
     endpoint = endpoint_of(options)
-    connected(options).close()  # checks the options
+    new_client(options).close()  # checks the options
     framer = make_framer(endpoint.framing, "client")
     unit = endpoint.client_options.get("unit", 1)
     for number, request in enumerate(requests, 1):
@@ -149,7 +145,7 @@ def _point_requests(
         raise ValueError(f"--dry-run asks no device, and {names[0]} of the device is the scale")
     scales: dict[str, Any] = {}
     if names:
-        with closing(connected(options)) as context:
+        with closing(new_client(options)) as context:
             scales = context.read_map(points, names)
     return [*points.writes(wanted, write_function=_function(options), sources=scales)]
 

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from ...tools.listener.named import LearnedMap, MapDecoder, NamedValue
     from ..ask.formatters import ValueText
 
-__all__ = ["add_command"]
-
 RED, YELLOW = "31", "33"
 
 STYLES = {"answered": "", "broadcast": "", "late": YELLOW, "exception": YELLOW}
@@ -37,7 +35,6 @@ STYLES = {"answered": "", "broadcast": "", "late": YELLOW, "exception": YELLOW}
 _shown = reprlib.Repr()
 _shown.maxlist = _shown.maxtuple = _shown.maxdict = 16
 _shown.maxstring = _shown.maxother = 200
-
 
 DESCRIPTION = """\
 Print every transaction on a line, and a summary after Ctrl-C. Nothing is
@@ -64,7 +61,6 @@ URL: rtu:///dev/ttyUSB0 or ascii:///dev/ttyUSB0, or just /dev/ttyUSB0;
      as in "rtu:///dev/ttyUSB0?baudrate=9600&parity=N". Quote such a URL,
      because shells interpret &. An option overrides the setting in the URL."""
 
-
 ARGUMENTS = """
 URL
     where to listen, or a capture to read: FILE.pcapng, or FILE.pcap of tcpdump
@@ -85,7 +81,6 @@ URL
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     declare(command, ARGUMENTS, map={"complete": arguments.maps})
     arguments.add_columns(command, encoding=True)
@@ -103,7 +98,7 @@ def _listen(options: argparse.Namespace) -> int:
         place = with_options([place], options, SERIAL_OPTIONS)[0].url
     else:
         why = f"applies to serial ports only, not to {place}"
-        arguments.refuse_given(options, SERIAL_OPTIONS, why)
+        arguments.refuse_options(options, SERIAL_OPTIONS, why)
     if options.compare_with is not None:
         return _compare(options, place, is_live=is_live)
     if options.writes:
@@ -239,7 +234,6 @@ def line_of(transaction: Transaction) -> str:
 
 
 def _plain(transaction: Transaction) -> dict[str, Any]:
-    """Return a transaction as an object of JSON."""
     error = transaction.error
     return {
         "time": time_text(transaction.time),
@@ -260,7 +254,6 @@ def _plain(transaction: Transaction) -> dict[str, Any]:
 
 
 def _print_values(decoder: MapDecoder, values: Iterable[NamedValue]) -> None:
-    """Print a line for each value: time, unit, name, value and units."""
     for each in values:
         clock = clock_text(each.time, with_milliseconds=True)
         for row in _rows(decoder, each):

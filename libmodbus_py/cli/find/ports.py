@@ -1,6 +1,4 @@
-"""
-The command ports: the serial ports of this machine.
-"""
+"""The command ports: the serial ports of this machine."""
 
 from __future__ import annotations
 
@@ -11,8 +9,6 @@ from ...ports.serial_devices import SerialDevice, serial_devices
 from .. import arguments
 from ..output import harmless, print_csv, print_json
 from ..parser import Parser, declare
-
-__all__ = ["add_command"]
 
 DESCRIPTION = """\
 List the serial ports of this machine, and what the system knows of them.
@@ -32,7 +28,6 @@ COLUMNS = ("path", "state", "driver", "vendor", "product", "serial_number", "sta
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     declare(command, "--all\n  list those without a USB device too, such as ttyS0")
     arguments.add_forms(command.exclusive(), "print CSV")

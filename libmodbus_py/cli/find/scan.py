@@ -20,15 +20,7 @@ from ...ports.schemes import DEFAULT_PORT
 from ...protocol.errors import ModbusConnectionError
 from ...protocol.pdu.interface import OBJECT_NAMES
 from ...protocol.tables import joined
-from ...tools.scan.probe import (
-    BAUDRATES,
-    FIRST_UNITS,
-    ON_LINES,
-    ON_NETWORKS,
-    PARITIES,
-    USUAL,
-    USUAL_UNITS,
-)
+from ...tools.scan import probe
 from ...tools.scan.scan import Found, Progress, Scan, scan
 from ...tools.scan.search import MOST_REQUESTS, Extent, Searching, search
 from .. import arguments
@@ -36,8 +28,6 @@ from ..arguments import with_options
 from ..main import INTERRUPTED
 from ..output import Status, counted, duration, missing, print_json, progress
 from ..parser import Parser, declare
-
-__all__ = ["add_command"]
 
 MOST_IN_ALL = 10 * MOST_REQUESTS
 """Requests of all searches together, at most."""
@@ -53,10 +43,9 @@ AT_ONCE = 64
 
 RANGE = re.compile(r"(?:tcp://)?\[?([0-9A-Fa-f.:]+/[0-9]{1,3})\]?(?::([0-9]{1,5}))?")
 
-QUICK_BAUDRATES = tuple(dict.fromkeys(baudrate for baudrate, _ in USUAL))
+QUICK_BAUDRATES = tuple(dict.fromkeys(baudrate for baudrate, _ in probe.USUAL))
 
-QUICK_PARITIES = tuple(dict.fromkeys(parity for _, parity in USUAL))
-
+QUICK_PARITIES = tuple(dict.fromkeys(parity for _, parity in probe.USUAL))
 
 DESCRIPTION = """\
 Ask each unit for one register at each setting of the line, and print those
@@ -74,7 +63,6 @@ examples:
   libmodbus-py scan 192.0.2.10 -u 1,17,255 --deep --json
   libmodbus-py scan 192.0.2.10 -u 7 --deep --values > copy.toml"""
 
-
 ARGUMENTS = f"""
 --quick
     try usual settings and units only: {",".join(map(str, QUICK_BAUDRATES))};
@@ -90,24 +78,23 @@ ARGUMENTS = f"""
 
 OF_LINES = f"""
 -b --baudrate --baudrates LIST
-    baud rates to try ({",".join(map(str, BAUDRATES))})
+    baud rates to try ({",".join(map(str, probe.BAUDRATES))})
 -p --parity --parities LIST
-    parities to try, such as none,even ({",".join(PARITIES)}); none is tried with 2 stop bits, which
-    finds devices with 1 stop bit too
+    parities to try, such as none,even ({",".join(probe.PARITIES)}); none is tried with 2 stop
+    bits, which finds devices with 1 stop bit too
 """
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, f"{EXAMPLES}\n\n{arguments.URLS}"
     declare(command, arguments.URL)
     arguments.add_units(command, "units to ask, such as 1,5,9-12 (1-247; on networks also 255)")
-    declare(command, ARGUMENTS.format(_units(USUAL_UNITS)))
+    declare(command, ARGUMENTS.format(_units(probe.USUAL_UNITS)))
     arguments.add_forms(command, json="print JSON, one object in the end")
     arguments.add_client_options(
         command.group("requests"),
         without=("unit",),
-        usual=lambda: {"timeout": f"{ON_LINES:g}; on networks {ON_NETWORKS:g}"},
+        usual=lambda: {"timeout": f"{probe.ON_LINES:g}; on networks {probe.ON_NETWORKS:g}"},
     )
     baudrate, parity = (
         {"dest": dest, "type": arguments.read_as(SERIAL_OPTIONS[name].form, ",")}
@@ -129,7 +116,7 @@ def _scan(options: argparse.Namespace) -> int:
     if hosts is not None:
         if not _may_go_on(len(hosts), is_confirmed=options.yes):
             return 1
-        timeout = options.timeout or ON_NETWORKS
+        timeout = options.timeout or probe.ON_NETWORKS
         rounds = -(-len(hosts) // AT_ONCE)
         report.hosts = len(hosts)
         report.say(
@@ -157,7 +144,7 @@ def _scan_place(options: argparse.Namespace, report: _Report, url: str) -> None:
     endpoint = with_options([url], options)[0]
     chosen = {name: getattr(options, name) for name in ("baudrates", "parities", "units")}
     if options.quick:
-        usual: dict[str, Any] = {"units": [*USUAL_UNITS, *[255] * (not endpoint.is_serial)]}
+        usual: dict[str, Any] = {"units": [*probe.USUAL_UNITS, *[255] * (not endpoint.is_serial)]}
         if endpoint.is_serial:
             usual |= {"baudrates": QUICK_BAUDRATES, "parities": QUICK_PARITIES}
         chosen = {name: value or usual.get(name) for name, value in chosen.items()}
@@ -181,7 +168,8 @@ def _estimate(scan: Scan, deep: bool) -> str:
     more = f"; then up to {MOST_REQUESTS} requests to each unit found" if deep else ""
     first = at = ""
     if scan.longest_first < scan.longest:
-        first = f"; units {_units(FIRST_UNITS)} come first, and take {duration(scan.longest_first)}"
+        units = _units(probe.FIRST_UNITS)
+        first = f"; units {units} come first, and take {duration(scan.longest_first)}"
     if scan.settings > 1:
         at = f" at {scan.settings} settings"
     return (
@@ -333,7 +321,6 @@ def _toml(found: Found, extents: list[Extent], requests: int, *, has_values: boo
 
 
 def _plain(found: Found, extents: list[Extent] | None, *, has_values: bool) -> dict[str, Any]:
-    """Return a unit as an object of JSON."""
     # fmt: off
     names = (
         "unit", "url", "baudrate", "parity", "data_bits", "stop_bits", "took", "exception",

@@ -1,6 +1,4 @@
-"""
-The command sunspec: the SunSpec models of a device, and their values.
-"""
+"""The command sunspec: the SunSpec models of a device, and their values."""
 
 from __future__ import annotations
 
@@ -13,8 +11,6 @@ from .. import arguments
 from ..ask.units import ask_units, fail, units_of
 from ..output import complain, harmless, print_csv, print_json
 from ..parser import Parser, declare
-
-__all__ = ["add_command"]
 
 DESCRIPTION = """\
 Print the SunSpec models of a device, and their values with units.
@@ -31,7 +27,6 @@ examples:
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, f"{EXAMPLES}\n\n{arguments.URLS}"
     arguments.add_client(command, several=True)
     text = "the address at which the models begin (0, 40000 and 50000 are tried)"
@@ -75,16 +70,9 @@ def _asked(context: Client, base: int | None) -> list[dict[str, Any]]:
         for name, point in model.map.items():
             value = values[f"{model.name}.{name}"]
             is_missing = isinstance(value, Exception)
-            rows.append(
-                {
-                    "model": model.id,
-                    "address": point.address,
-                    "name": f"{model.name}.{name}",
-                    "value": None if is_missing else value,
-                    "units": point.units,
-                    "reason": str(value) if is_missing else "",
-                }
-            )
+            where = {"model": model.id, "address": point.address, "name": f"{model.name}.{name}"}
+            row = {**where, "value": None if is_missing else value, "units": point.units}
+            rows.append({**row, "reason": str(value) if is_missing else ""})
     return rows
 
 

@@ -1,6 +1,4 @@
-"""
-Fleets on several machines: poll --engine, which is one worker, and the command fleet.
-"""
+"""Fleets on several machines: poll --engine, which is one worker, and the command fleet."""
 
 from __future__ import annotations
 
@@ -15,21 +13,14 @@ from typing import Any, TypeVar
 
 from ...protocol.logs import HarmlessLogger
 from ...server.running import signal_handlers
+from ...services.engine import connection as engine
 from ...services.engine.buckets import Bucket, open_bucket
-from ...services.engine.connection import (
-    EngineError,
-    EngineGone,
-    NothingThere,
-    connected,
-    disconnect,
-    parse_servers,
-)
 from ...services.fleet.files import FleetFile
 from ...services.fleet.fleet import Fleet
 from ...services.fleet.journal.schema import JournalError
 from ...services.fleet.outputs.output import Output, OutputError
 from ...services.workers import contents
-from ...services.workers.contents import Pushed
+from ...services.workers.contents import PushCounts
 from ...services.workers.polling import Polling
 from ...services.workers.records import BUCKET, Connection, FleetSettings, in_key
 from .. import arguments
@@ -37,8 +28,6 @@ from ..main import CommandError
 from ..output import complain, print_json
 from ..parser import Parser, declare
 from .running import Hangup, notify_ready
-
-__all__ = ["add_arguments", "add_command", "poll", "waited_for"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -83,7 +72,6 @@ ELECTION = 30.0
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments of the command fleet."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     text = f"STATUS\n  print the status of the fleet\n{ENGINE}"
     what = {"dest": "what", "metavar": "status", "choices": ["status"]}
@@ -93,7 +81,6 @@ def add_command(command: Parser) -> None:
 
 
 def add_arguments(command: Parser) -> None:
-    """Declare the options of poll for several machines."""
     group = command.group("several machines")
     declare(group, f"{ENGINE}{OF_WORKERS}", zone={"default": []}, worker={"default": ""})
 
@@ -107,18 +94,16 @@ def poll(
     hangup: Hangup,
 ) -> int:
     """Poll as one worker of a fleet until a signal, or only write the file to the engine."""
-    servers = parse_servers(options.engine)
+    servers = engine.parse_servers(options.engine)
     settings = FleetSettings(**file.engine)
     connections = contents.connections_of(file.devices, settings.lease)
     for zone in options.zone:
         in_key(zone)
     if options.push:
-        return waited_for(_push(servers, settings, connections))
+        return run_to_end(_push(servers, settings, connections))
 
     async def work() -> int:
-        hung_up = hangup.answered(
-            lambda lines: logger.warning("%s", "; ".join([OF_PUSH, *lines])),
-        )
+        hung_up = hangup.answered(lambda lines: logger.warning("%s", "; ".join([OF_PUSH, *lines])))
         # From now on, though NATS may elect a leader for a while.
         with signal_handlers({signal.SIGHUP: hung_up}):
             hangup.release()
@@ -148,14 +133,14 @@ def poll(
         return 0
 
     journal = file.made_journal()
-    return waited_for(work())
+    return run_to_end(work())
 
 
-def waited_for(running: Coroutine[Any, Any, T]) -> T:
+def run_to_end(running: Coroutine[Any, Any, T]) -> T:
     """Run a fleet or a question about it to its end, and raise what ends a command."""
     try:
         return asyncio.run(running)
-    except (EngineError, JournalError, OutputError) as error:
+    except (engine.EngineError, JournalError, OutputError) as error:
         if isinstance(error, OutputError) and isinstance(error.__cause__, OSError):
             raise error.__cause__ from None
         raise CommandError(str(error)) from None
@@ -168,20 +153,18 @@ def waited_for(running: Coroutine[Any, Any, T]) -> T:
 async def _engine(
     servers: list[str], name: str, on_change: Callable[[], None] = lambda: None
 ) -> AsyncIterator[Any]:
-    client = await connected(servers, name=name, on_change=on_change)
+    client = await engine.open_connection(servers, name=name, on_change=on_change)
     try:
         yield client
     finally:
-        await disconnect(client)
+        await engine.disconnect(client)
 
 
 async def _push(servers: list[str], settings: FleetSettings, connections: list[Connection]) -> int:
     async with _engine(servers, "libmodbus-py push") as client:
-        pushed = await _answered(lambda: _pushed(client, settings, connections), ELECTION)
-    print(
-        f"{len(connections)} connections:"
-        f" {pushed.new} new, {pushed.changed} changed, {pushed.gone} gone"
-    )
+        counts = await _answered(lambda: _pushed(client, settings, connections), ELECTION)
+    new, changes, gone = counts
+    print(f"{len(connections)} connections: {new} new, {changes} changed, {gone} gone")
     return 0
 
 
@@ -196,7 +179,7 @@ async def _answered(ask: Callable[[], Coroutine[Any, Any, T]], limit: float = ma
     while True:
         try:
             return await ask()
-        except EngineGone as error:
+        except engine.EngineGone as error:
             if time.monotonic() > give_up:
                 raise
             if str(error) not in names:
@@ -205,7 +188,9 @@ async def _answered(ask: Callable[[], Coroutine[Any, Any, T]], limit: float = ma
         await asyncio.sleep(PAUSE)
 
 
-async def _pushed(client: Any, settings: FleetSettings, connections: list[Connection]) -> Pushed:
+async def _pushed(
+    client: Any, settings: FleetSettings, connections: list[Connection]
+) -> PushCounts:
     bucket = await open_bucket(client, BUCKET, create=True)
     return await contents.push(bucket, settings, connections)
 
@@ -216,11 +201,11 @@ async def _opened(
     """Return the bucket; if it does not exist, make it with the devices of the file."""
     try:
         bucket = await _answered(lambda: open_bucket(client, BUCKET))
-    except NothingThere:
+    except engine.NothingThere:
         await _answered(lambda: _pushed(client, settings, connections))
         logger.warning("the engine had no fleet; the devices of the file were written to it")
         bucket = await _answered(lambda: open_bucket(client, BUCKET))
-    view, current = await _answered(lambda: contents.fleet_seen(bucket))
+    view, current = await _answered(lambda: contents.read_fleet(bucket))
     if any(contents.changes(view, settings, connections)):
         logger.warning(
             "the fleet in the engine differs from the file and is polled; --push replaces it"
@@ -232,7 +217,7 @@ async def _opened(
 
 
 def _fleet(options: argparse.Namespace) -> int:
-    return waited_for(_status(parse_servers(options.engine), options.json))
+    return run_to_end(_status(engine.parse_servers(options.engine), options.json))
 
 
 async def _status(servers: list[str], as_json: bool) -> int:

@@ -1,6 +1,4 @@
-"""
-The command gateway: forward requests until a signal; SIGHUP reads the gateway file again.
-"""
+"""The command gateway: forward requests until a signal; SIGHUP reads the gateway file again."""
 
 from __future__ import annotations
 
@@ -28,8 +26,6 @@ from .running import add_audit, add_limits, starting
 if TYPE_CHECKING:
     from ...tools.page.table_source import Shown
 
-__all__ = ["add_command"]
-
 OPTIONS = ("own_units", "queue", "longest_wait", "writes_first")
 """Arguments of `Gateway` that a gateway file contains too."""
 
@@ -37,7 +33,6 @@ OF_DEVICES = tuple(name for name in CLIENT_OPTIONS if name != "unit")
 """Options of clients that the URLs of --to take."""
 
 ROUTE = "[UNITS[:DEVICE_UNITS]=]URL"
-
 
 EPILOG = f"""\
 examples:
@@ -49,7 +44,6 @@ examples:
 {arguments.SCHEMES_OF_URLS}
      The URL of a route can set the options of its requests, as in
      --to "1-10=tcp://192.0.2.10?timeout=0.5"; an option overrides all URLs."""
-
 
 ARGUMENTS = f"""
 [URL ...]
@@ -71,7 +65,6 @@ OF_WAITING = """
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description = (
         "Forward requests of clients to devices on other lines, and the answers back."
     )
@@ -112,13 +105,13 @@ def _gateway(options: argparse.Namespace) -> int:
             raise ValueError(f"{options.config}: listen is missing, and no URL is given")
         if file is not None:
             why = f"needs --to: {options.config} has its own routes"
-            arguments.refuse_given(options, ("units", *OF_DEVICES), why)
+            arguments.refuse_options(options, ("units", *OF_DEVICES), why)
         routes = [parse_route(text, options.units) for text in options.to or ()]
         urls, routes = _overridden(urls, routes, options)
         usual = file.options if file else {}
         gateway = Gateway(
             file.routes if file else routes,
-            **{**usual, **arguments.given(options, OPTIONS), **command.hooks},
+            **{**usual, **arguments.typed_options(options, OPTIONS), **command.hooks},
         )
         if file is not None:
             command.files.insert(0, partial(_read_again, gateway, str(options.config), file))

@@ -1,6 +1,4 @@
-"""
-Metrics for Prometheus and a live page, which commands serve over HTTP beside Modbus.
-"""
+"""Metrics for Prometheus and a live page, which commands serve over HTTP beside Modbus."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any, TextIO
 
-from ..arguments import refuse_given
+from ..arguments import refuse_options
 from ..output import complain, inform
 from ..parser import Group, Parser, declare
 
@@ -21,8 +19,6 @@ if TYPE_CHECKING:
     from ...tools.page.page import Page
     from ...tools.page.table_source import Shown
 
-__all__ = ["add_metrics", "add_page", "exposed", "shown", "tables_shown"]
-
 Address = tuple[str, int]
 
 TOKEN = "LIBMODBUS_PY_PAGE_TOKEN"
@@ -30,7 +26,6 @@ TOKEN = "LIBMODBUS_PY_PAGE_TOKEN"
 
 
 def add_metrics(command: Parser) -> None:
-    """Declare the option for metrics."""
     text = "serve metrics for Prometheus at this address, over HTTP"
     declare(command, f"--metrics HOST:PORT\n  {text}", metrics={"type": _address})
 
@@ -48,7 +43,6 @@ rare --page-token FILE
 
 
 def add_page(command: Parser | Group, what: str = "the devices") -> None:
-    """Declare the options for a page that shows `what`."""
     declare(command, OF_PAGE % what, page={"type": _address, "const": ("127.0.0.1", 8080)})
 
 
@@ -93,7 +87,7 @@ def shown(
     """
     address: Address | None = options.page
     if address is None:
-        refuse_given(options, ("page_token", "page_url"), "needs --page")
+        refuse_options(options, ("page_token", "page_url"), "needs --page")
         yield lambda: None
         return
     from ...ports.hosts import is_loopback

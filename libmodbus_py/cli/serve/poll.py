@@ -1,6 +1,4 @@
-"""
-The command poll: poll a fleet of devices until a signal; SIGHUP reads the fleet file again.
-"""
+"""The command poll: poll a fleet of devices until a signal; SIGHUP reads the fleet file again."""
 
 from __future__ import annotations
 
@@ -22,10 +20,10 @@ from ...server.running import Handler, frozen_garbage, signal_handlers
 from ...services.fleet.config import DeviceConfig
 from ...services.fleet.files import FleetFile, FleetFileError, load
 from ...services.fleet.fleet import Fleet
-from ...services.fleet.outputs.kinds import KINDS, made
+from ...services.fleet.outputs.kinds import KINDS, make_output
 from ...services.fleet.outputs.output import Output, check_exclusive
 from ...services.fleet.statistics import FleetStatistics
-from ...services.fleet.trial import overloads, trying
+from ...services.fleet.trial import overloads, trial_polls
 from ...services.tasks import WriterThread
 from ...system import allow_all_descriptors
 from .. import arguments, logs, tracing
@@ -39,15 +37,10 @@ if TYPE_CHECKING:
     from ...services.fleet.shown_fleet import PageOutput
     from ...tools.page.table_source import Shown
 
-__all__ = ["add_command"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-REDRAWN = 1.0
-"""Seconds between two states of the screen."""
-
-ON_TIME = 0.1
-"""Seconds that a poll may begin late and still count as on time."""
+REDRAWN = 1.0  # seconds between two states of the screen
+ON_TIME = 0.1  # seconds that a poll may begin late and still count as on time
 
 STANDARD_OUTPUT = "-"
 
@@ -69,7 +62,6 @@ examples:
 
 FILES = {name: form for name, form in KINDS.items() if form}
 
-
 MODES = """
 --once
     poll each device once, then exit
@@ -79,7 +71,6 @@ MODES = """
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description, command.epilog = DESCRIPTION, EPILOG
     declare(command, "FILE\n  fleet file, such as fleet.toml")
     declare(command.exclusive(), MODES)
@@ -140,7 +131,7 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
         return workers.poll(options, file, outputs, seen, show, hangup)
     fleet = Fleet(file.devices, outputs=outputs, journal=file.made_journal())
     with seen(fleet):
-        workers.waited_for(_run(fleet, options, file, hangup, show))
+        workers.run_to_end(_run(fleet, options, file, hangup, show))
     if not options.once:
         return 0
     counts = [line for line, is_left in _counts(fleet) if is_left]
@@ -152,19 +143,16 @@ def _start(options: argparse.Namespace, file: FleetFile, hangup: Hangup) -> int:
 def _outputs(file: FleetFile, options: argparse.Namespace) -> list[Output]:
     outputs = file.made_outputs()
     for kind in FILES:
-        outputs += (made(kind, {"path": path}) for path in getattr(options, kind))
+        outputs += (make_output(kind, {"path": path}) for path in getattr(options, kind))
     if not (outputs or options.metrics or options.page or options.engine or sys.stdout.isatty()):
-        outputs.append(made("json", {"path": STANDARD_OUTPUT}))
+        outputs.append(make_output("json", {"path": STANDARD_OUTPUT}))
     check_exclusive(outputs, sources=file.sources)
     return outputs
 
 
 @contextlib.contextmanager
 def _seen(
-    options: argparse.Namespace,
-    file: FleetFile,
-    page: PageOutput | None,
-    fleet: Fleet,
+    options: argparse.Namespace, file: FleetFile, page: PageOutput | None, fleet: Fleet
 ) -> Iterator[None]:
     """Serve the metrics and the page of a fleet while the block runs."""
 
@@ -312,7 +300,7 @@ def _counts(fleet: Fleet) -> Iterator[tuple[str, bool]]:
         yield f"{text}: {journal.trouble}".removesuffix(": "), bool(journal.dropped)
 
 
-# --- trying -------------------------------------------------------------------------------------
+# --- trials ------------------------------------------------------------------------------------
 
 ROW = "{:<24} {:<36} {:>4} {:>8} {:>9} {:>9}  {}"
 
@@ -320,7 +308,7 @@ ROW = "{:<24} {:<36} {:>4} {:>8} {:>9} {:>9}  {}"
 async def _check(devices: list[DeviceConfig]) -> int:
     print(ROW.format("device", "url", "unit", "requests", "took", "interval", "result"))
     failed = 0
-    async with contextlib.aclosing(trying(devices)) as results:
+    async with contextlib.aclosing(trial_polls(devices)) as results:
         async for each in results:
             device, took = each.device, f"{each.seconds * 1000:.0f} ms"
             place = device.name, str(device.endpoint), device.unit

@@ -28,7 +28,7 @@ from ...server.audit import Audit, AuditFile
 from ...server.limits import FULL_POLICIES, Limits
 from ...server.serving import Running, Serving
 from .. import logs
-from ..arguments import given
+from ..arguments import typed_options
 from ..output import complain, inform
 from ..parser import Parser, declare
 from ..tracing import print_frame
@@ -37,8 +37,6 @@ from .over_http import exposed, shown
 if TYPE_CHECKING:
     from ...server.server import Server
     from ...tools.page.table_source import Shown
-
-__all__ = ["Hangup", "add_audit", "add_limits", "announce", "notify_ready", "starting"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -67,7 +65,7 @@ class _ServingCommand:
         self._trail = trail
         self._options = options
         self._hangup = hangup
-        limits = given(options, [each.name for each in fields(Limits)])
+        limits = typed_options(options, [each.name for each in fields(Limits)])
         if limits.get("idle_timeout") == math.inf:
             limits["idle_timeout"] = None
         if limits:
@@ -161,10 +159,7 @@ def notify_ready() -> None:
         return
     address = "\0" + place[1:] if place.startswith("@") else place
     # A manager that is gone is not a reason to stop serving.
-    with (
-        contextlib.suppress(OSError),
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender,
-    ):
+    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
         sender.sendto(b"READY=1", address)
 
 
@@ -245,7 +240,6 @@ OF_AUDIT = """
 
 
 def add_limits(command: Parser) -> Any:
-    """Declare the options for limits, and return their group."""
     group = command.group("limits on clients")
     declare(
         group,
@@ -259,5 +253,4 @@ def add_limits(command: Parser) -> Any:
 
 
 def add_audit(command: Parser) -> None:
-    """Declare the options for an audit trail."""
     declare(command.group("audit trail"), OF_AUDIT)

@@ -25,8 +25,6 @@ from ..parser import Parser, declare
 from . import over_http
 from .running import add_audit, add_limits, starting
 
-__all__ = ["add_command"]
-
 EXAMPLE_URL = "tcp://127.0.0.1:1502"
 
 DESCRIPTION = """\
@@ -39,7 +37,6 @@ examples:
   libmodbus-py serve tcp://0.0.0.0:502 --device plant.toml --reload --page
   libmodbus-py serve --example meter
   libmodbus-py serve /dev/ttyUSB0 -b 9600 -p none --device plant.toml"""
-
 
 SOURCES = """
 --device FILE
@@ -74,7 +71,6 @@ rare --unknown-unit POLICY
 
 
 def add_command(command: Parser) -> None:
-    """Declare the arguments."""
     command.description = DESCRIPTION
     command.epilog = f"{EXAMPLES}\n\n{arguments.SCHEMES_OF_URLS}"
     text = f"where to listen, such as {EXAMPLE_URL}, the default for examples"
@@ -146,12 +142,7 @@ def _serve(options: argparse.Namespace) -> int:
             serve()
             return 0
         reloader = Reloader(
-            server,
-            path,
-            simulation,
-            is_watching=options.reload,
-            tell=command.tell,
-            hooks=hooks,
+            server, path, simulation, is_watching=options.reload, tell=command.tell, hooks=hooks
         )
         serve(begin=reloader.start, answer=reloader.ask)
     return 0
@@ -167,7 +158,7 @@ def _simulation(options: argparse.Namespace, path: str | None) -> device_file.Si
 
 
 def _list_examples() -> int:
-    devices = example_files.described()
+    devices = example_files.descriptions()
     width = max(map(len, devices))
     for name, description in devices.items():
         print(f"{name:{width}}  {description}")

@@ -1,6 +1,4 @@
-"""
-Key-value buckets and streams of JetStream: create, check, watch and conditionally write them.
-"""
+"""Key-value buckets and streams of JetStream: create, check, watch and conditionally write them."""
 
 from __future__ import annotations
 
@@ -8,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..tasks import finish
-from .connection import EngineError, explained
+from .connection import EngineError, engine_errors
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
@@ -16,16 +14,9 @@ if TYPE_CHECKING:
     from nats.js import JetStreamContext
     from nats.js.kv import KeyValue
 
-__all__ = ["Bucket", "Change", "Watch", "keep_stream", "open_bucket"]
-
-# Seconds after which the server forgets a consumer whose client is gone.
-FORGOTTEN = 30.0
-
-# Seconds before a request to the server times out.
-TIMEOUT = 2.0
-
-# The code with which a single server refuses several replicas.
-NOT_IN_A_CLUSTER = 10074
+FORGOTTEN = 30.0  # seconds after which the server forgets a consumer whose client is gone
+TIMEOUT = 2.0  # seconds before a request to the server times out
+NOT_IN_A_CLUSTER = 10074  # the code with which a single server refuses several replicas
 
 
 class Change(NamedTuple):
@@ -52,7 +43,7 @@ class Bucket:
         """
         import nats.js.errors as js
 
-        with explained(self.name):
+        with engine_errors(self.name):
             try:
                 if value is None:
                     await self._keys.delete(key, last)
@@ -67,9 +58,7 @@ class Bucket:
         return 0
 
     async def watch(
-        self,
-        on_change: Callable[[Change | None], None],
-        on_gap: Callable[[], None] = lambda: None,
+        self, on_change: Callable[[Change | None], None], on_gap: Callable[[], None] = lambda: None
     ) -> Watch:
         """
         Call `on_change` with the current value of each key, then with None, then with each change,
@@ -77,7 +66,7 @@ class Bucket:
         """
         watch = Watch(self.name, on_change, on_gap)
         try:
-            with explained(self.name):
+            with engine_errors(self.name):
                 await watch.begin(self._js)
         except BaseException:
             await watch.end()
@@ -152,7 +141,6 @@ class Watch:
             self._on_change(None)
 
     async def end(self) -> None:
-        """End the watch."""
         self.is_broken = True
         if self._subscription is not None:
             await finish(self._subscription.unsubscribe(), TIMEOUT)
@@ -169,7 +157,7 @@ async def open_bucket(client: Client, name: str, *, create: bool = False) -> Buc
     from nats.js import api
 
     js = client.jetstream(timeout=TIMEOUT)
-    with explained(name):
+    with engine_errors(name):
         await js.account_info()
         try:
             keys = await js.key_value(name)
@@ -205,7 +193,7 @@ async def keep_stream(client: Client, name: str, subjects: str, limits: dict[str
         storage=api.StorageType.FILE,
         **limits,
     )
-    with explained(name):
+    with engine_errors(name):
         try:
             former = (await js.stream_info(name)).config
         except js_errors.NotFoundError:

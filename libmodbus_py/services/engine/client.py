@@ -23,8 +23,6 @@ from nats.protocol.parser import PERMISSIONS_ERR, Parser
 from ...protocol.logs import HarmlessLogger
 from ...security.security import Renewed
 
-__all__ = ["SteadyClient"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Bytes of a line, and of a message: nats-server allows no more.

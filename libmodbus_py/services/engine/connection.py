@@ -27,13 +27,6 @@ from ..tasks import finish
 if TYPE_CHECKING:
     from nats.aio.client import Client
 
-# fmt: off
-__all__ = [
-    "EngineError", "EngineGone", "FileText", "NothingThere", "connected", "disconnect", "explained",
-    "parse_servers", "what",
-]
-# fmt: on
-
 # The oldest version of nats-server with the features that watches need.
 OLDEST = (2, 9)
 
@@ -109,7 +102,7 @@ def parse_servers(text: str) -> list[str]:
     return servers
 
 
-async def connected(
+async def open_connection(
     servers: list[str],
     *,
     name: str,
@@ -168,11 +161,10 @@ async def _connect(
         if not isinstance(error, Exception):
             raise
         reason = failures[0] if failures else error
-        raise EngineGone(f"{','.join(servers)}: {what(reason)}") from None
+        raise EngineGone(f"{','.join(servers)}: {explanation_of(reason)}") from None
 
 
 async def disconnect(client: Client) -> None:
-    """Close a connection within a second."""
     await finish(client.close(), 1.0)
 
 
@@ -204,7 +196,9 @@ def _trust(servers: list[str], environment: Mapping[str, str]) -> dict[str, Any]
                 context.load_cert_chain(cert, key or None)
         except OSError as error:
             files = ", ".join(filter(None, (ca, cert, key)))
-            raise ValueError(f"NATS_CA, NATS_CERT, NATS_KEY: {files}: {what(error)}") from None
+            raise ValueError(
+                f"NATS_CA, NATS_CERT, NATS_KEY: {files}: {explanation_of(error)}"
+            ) from None
         return context
 
     try:
@@ -239,7 +233,7 @@ class EngineGone(EngineError):
 
 
 @contextlib.contextmanager
-def explained(where: str) -> Iterator[None]:
+def engine_errors(where: str) -> Iterator[None]:
     """Raise an `EngineError` about a URL or bucket in place of the exceptions of nats-py."""
     import nats.errors as basic
     import nats.js.errors as js
@@ -254,10 +248,10 @@ def explained(where: str) -> Iterator[None]:
             isinstance(error, js.APIError) and error.err_code not in TRANSIENT
         )
         kind = EngineError if is_lasting else EngineGone
-        raise kind(f"{where}: {what(error)}") from None
+        raise kind(f"{where}: {explanation_of(error)}") from None
 
 
-def what(error: BaseException) -> str:
+def explanation_of(error: BaseException) -> str:
     """Return the explanation of an exception of nats-py."""
     import nats.errors as basic
     import nats.js.errors as js

@@ -1,6 +1,4 @@
-"""
-Writes to named points that are received over an output, and their outcomes, both in JSON.
-"""
+"""Writes to named points that are received over an output, and their outcomes, both in JSON."""
 
 from __future__ import annotations
 
@@ -16,8 +14,6 @@ from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import WrongValue
 from ...protocol.plain import JSON, each_once, time_text
 from .statistics import FleetStatistics
-
-__all__ = ["Commands", "command_of"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

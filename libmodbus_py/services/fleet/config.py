@@ -27,13 +27,6 @@ from ...protocol.mistakes import Mistake, WrongType, WrongValue, inside, item, n
 from ...protocol.plain import json_text
 from ...protocol.tables import WriteFunction, checked_write_function
 
-# fmt: off
-__all__ = [
-    "ENGINE", "LONGEST_LEASE", "SHORTEST_LEASE", "DeviceConfig", "OnLoss", "by_connection",
-    "checked", "devices_from_json", "devices_to_json", "label_name", "misfits",
-]
-# fmt: on
-
 LONGEST_NAME = 100
 
 OWN_LABELS = ("device", "name", "unit")
@@ -240,7 +233,7 @@ def by_connection(devices: Iterable[DeviceConfig]) -> dict[str, list[DeviceConfi
     return groups
 
 
-def misfits(devices: Iterable[DeviceConfig]) -> Iterator[tuple[int, Mistake]]:
+def conflicts(devices: Iterable[DeviceConfig]) -> Iterator[tuple[int, Mistake]]:
     """
     Yield the index and the mistake of each device that does not fit to those before it: the same
     name, or other options for the same host and port or serial port.
@@ -262,13 +255,13 @@ def misfits(devices: Iterable[DeviceConfig]) -> Iterator[tuple[int, Mistake]]:
             yield at, WrongValue.about("url", reason)
 
 
-def checked(devices: Iterable[DeviceConfig]) -> list[DeviceConfig]:
-    """Return the devices of one fleet as a list; raise the first of their `misfits`."""
+def checked_devices(devices: Iterable[DeviceConfig]) -> list[DeviceConfig]:
+    """Return the devices of one fleet as a list; raise the first of their `conflicts`."""
     if not isinstance(devices, Iterable):
         kind = type(devices).__name__
         raise WrongType("devices", f"must be a list of DeviceConfig, not {kind}")
     items = list(devices)
-    for at, mistake in misfits(items):
+    for at, mistake in conflicts(items):
         raise mistake.under(("devices", at))
     return items
 

@@ -36,12 +36,10 @@ from ...protocol.mistakes import (
 )
 from ...tools.simulator.example_files import map_file
 from ..other_servers import SecretFile
-from .config import ENGINE, DeviceConfig, misfits
+from .config import ENGINE, DeviceConfig, conflicts
 from .journal.journal import Journal
-from .outputs.kinds import KINDS, made, output_keys
-from .outputs.output import Output, file_at, shared, used
-
-__all__ = ["DEVICE", "FILE", "FleetFile", "FleetFileError", "keys_in", "load", "table_of"]
+from .outputs.kinds import KINDS, make_output, output_keys
+from .outputs.output import Output, file_at, shared_thing, used_thing
 
 # Keys whose values must not be written in the fleet file, which many can read.
 SECRET = ("password", "token")
@@ -91,7 +89,7 @@ class FleetFile:
 
     def made_outputs(self) -> list[Output]:
         """Return new outputs; each can be used by one fleet only."""
-        return [made(kind, keys) for kind, keys in self.outputs]
+        return [make_output(kind, keys) for kind, keys in self.outputs]
 
     def made_journal(self) -> Journal | None:
         """Return a new journal, which can be used by one fleet only; None if there is none."""
@@ -128,7 +126,6 @@ class _Reader:
         self._mistakes: list[Mistake] = []
 
     def parse(self, text: str) -> FleetFile:
-        """Return the contents of a text in TOML."""
         self._text = text
         content = FILE.read((), read_toml(text))
         self._defaults = content.get("defaults", {})
@@ -142,7 +139,7 @@ class _Reader:
                 self._mistakes.append(place(error))
                 if len(self._mistakes) == MOST_MISTAKES:
                     break
-        self._mistakes += (places[at](error) for at, error in misfits(self._devices))
+        self._mistakes += (places[at](error) for at, error in conflicts(self._devices))
         if self._mistakes:
             raise self._mistakes[0]
         if not self._devices:
@@ -237,17 +234,17 @@ class _Reader:
                     keys = {key: _filled(key, value) for key, value in self._secrets(raw).items()}
                     if isinstance(keys.get("path"), str) and keys["path"] != "-":
                         keys["path"] = str(self._folder / keys["path"])
-                    output = made(kind, keys)
+                    output = make_output(kind, keys)
                     output.describe_devices({device.name: device for device in self._devices})
                 outputs.append((kind, keys))
                 places.append(path)
                 trial.append(output)
-        if (both := shared(trial)) is not None:
+        if (both := shared_thing(trial)) is not None:
             first, second, what = both
             reason = f"uses {what}, as {path_text(places[first])} does"
             raise WrongValue.about(places[second], reason)
         for place, output in zip(places, trial, strict=True):
-            if (source := used(output, self._sources)) is not None:
+            if (source := used_thing(output, self._sources)) is not None:
                 raise WrongValue.about(place, f"uses {source}, which the fleet is read from")
         return outputs
 
@@ -363,10 +360,6 @@ def _columns(path: Path, value: object) -> dict[str, str]:
     return cast(dict[str, str], value)
 
 
-def _output_tables(path: Path, value: object) -> dict[str, Any]:
-    return Keys(Key(kind, _one_or_several) for kind in KINDS).read(path, value)  # type: ignore[no-any-return]
-
-
 def _one_or_several(path: Path, value: object) -> list[tuple[Path, dict[str, Any]]]:
     """Return the table ``[output.KIND]``, or the tables ``[[output.KIND]]``, with their paths."""
     keys = output_keys(str(path[-1]))
@@ -387,6 +380,8 @@ OF_LIST = Key("list", LIST.read, "what a list does not say of itself, as for loa
 
 TABLE = (DEVICE | Keys([COLUMNS, OF_LIST, POINTS])).optional()
 
+OUTPUTS = Keys(Key(kind, _one_or_several) for kind in KINDS)
+
 DEFAULTS = (DEVICE.but("name") | Keys([COLUMNS, OF_LIST])).optional()
 
 # fmt: off
@@ -398,7 +393,7 @@ FILE = Keys([
     Key("encoding", text, "the encoding of that file, UTF-8 unless it is given"),
     Key("defaults", DEFAULTS.read, "defaults of the keys of devices"),
     Key("device", tables, "a table for each device: [[device]]"),
-    Key("output", _output_tables,
+    Key("output", OUTPUTS.read,
         "a table for each output: [output.KIND], or several: [[output.KIND]]"),
     Key("engine", ENGINE.read, "options of several machines that share a fleet"),
 ])

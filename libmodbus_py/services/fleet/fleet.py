@@ -1,6 +1,4 @@
-"""
-The fleet: devices on many lines, polled when they are due; readings are passed to outputs.
-"""
+"""The fleet: devices on many lines, polled when they are due; readings are passed to outputs."""
 
 from __future__ import annotations
 
@@ -22,7 +20,7 @@ from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import inside, named_arguments
 from ..tasks import KeptTasks
 from .commands import Commands
-from .config import DeviceConfig, checked
+from .config import DeviceConfig, checked_devices
 from .files import load
 from .journal.journal import Journal
 from .outputs.output import Output
@@ -31,8 +29,6 @@ from .readings import MOST_KEPT, Buffer
 from .receivers import Receivers
 from .rewriting import Rewrites
 from .statistics import FleetStatistics
-
-__all__ = ["Fleet", "first_time", "next_time"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -90,7 +86,7 @@ class Fleet:
             journal can be used by one fleet only.
         may_ask: called with the `connection_key` of a device before the fleet connects to the
             device, and before each request is sent. While it returns False, nothing is sent, and
-            polls are counted as `held`. It must not block.
+            polls are counted as `vetoes`. It must not block.
 
     Attributes:
         statistics: counters of polls, readings and outputs.
@@ -111,7 +107,7 @@ class Fleet:
         journal: Journal | None = None,
         may_ask: MayAsk | None = None,
     ) -> None:
-        self._devices = {device.name: device for device in checked(devices)}
+        self._devices = {device.name: device for device in checked_devices(devices)}
         self._may_ask = None if may_ask is None else checked_callback("may_ask", may_ask)
         self.statistics: FleetStatistics = FleetStatistics()
         self.commands: Commands = Commands(self)
@@ -171,7 +167,7 @@ class Fleet:
         await self._start()
         try:
             self._end_if_all_polled()
-            await self._receivers.ended(self._is_over)
+            await self._receivers.wait_for_end(self._is_over)
         finally:
             await self._stop()
 
@@ -235,7 +231,7 @@ class Fleet:
         Raises:
             TypeError, ValueError: as for `Fleet`; the devices do not change then.
         """
-        after = {device.name: device for device in checked(devices)}
+        after = {device.name: device for device in checked_devices(devices)}
         before = self._devices
         if self._loop is None:
             self._devices = after
@@ -254,7 +250,9 @@ class Fleet:
             if poller.is_reported:
                 reported.add(name)
             if poller.config.connection_key not in passed_on:
-                self._receivers.put_readings(poller.withdrawn(now, still.names if still else ()))
+                self._receivers.put_readings(
+                    poller.offline_readings(now, still.names if still else ())
+                )
             self._end(poller)
         urls = {device.connection_key: device.endpoint.url for device in after.values()}
         ended = [key for key, line in self._lines.items() if line.url != urls.get(key)]
@@ -275,7 +273,7 @@ class Fleet:
         """
         now = time.time()
         for poller in self._pollers.values():
-            self._receivers.put_readings(poller.withdrawn(now))
+            self._receivers.put_readings(poller.offline_readings(now))
             self._count(poller.state, -1)
             poller.forget()
 

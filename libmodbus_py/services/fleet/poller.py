@@ -16,15 +16,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import math
-from collections.abc import (
-    Awaitable,
-    Callable,
-    Collection,
-    Generator,
-    Iterable,
-    Iterator,
-    Sequence,
-)
+from collections.abc import Awaitable, Callable, Collection, Generator, Iterable, Iterator, Sequence
 from enum import Enum
 from functools import partial
 from itertools import count, repeat
@@ -40,10 +32,8 @@ from ...protocol.errors import ModbusConnectionError, ModbusError
 from ...protocol.logs import HarmlessLogger
 from ..line import FairQueue, LineRequest, SharedLine, rest_after
 from .config import DeviceConfig, Reads
-from .readings import Changes, Reading, classified, is_down
+from .readings import Changes, Reading, classification, is_down
 from .statistics import FleetStatistics
-
-__all__ = ["DeviceState", "FleetLine", "MayAsk", "Poller", "offline"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -151,7 +141,7 @@ class Poller(LineRequest):
                 if reason := self._reasons.get(at, ""):
                     yield LastValue(name, units, None, reason)
                 elif value is not None:
-                    yield LastValue(name, units, classified(value)[0])
+                    yield LastValue(name, units, classification(value)[0])
 
     @property
     def is_reported(self) -> bool:
@@ -286,7 +276,7 @@ class Poller(LineRequest):
                 self._reasons.pop(at, None)
         device, units, labels, readings = self.name, self.reads.units, self.config.labels, []
         for at, number in zip(reported, count(first) if first else repeat(0), strict=False):
-            value, quality, reason = classified(values[at])
+            value, quality, reason = classification(values[at])
             if quality != "good":
                 self._reasons[at] = reason
             elif fell and at in fell:
@@ -296,7 +286,7 @@ class Poller(LineRequest):
             readings.append(tuple.__new__(Reading, fields))
         return readings
 
-    def withdrawn(self, time: float, still_read: Collection[str] = ()) -> list[Reading]:
+    def offline_readings(self, time: float, still_read: Collection[str] = ()) -> list[Reading]:
         """Return readings that take back those that were reported, without the points named."""
         return offline(self.config, time, still_read) if self.is_reported else []
 
@@ -402,7 +392,7 @@ class FleetLine(SharedLine[Poller]):
         # Requests that `may_ask` refused fail with EPERM.
         if self._is_gated and getattr(outcome, "errno", 0) == errno.EPERM:
             job.request = None
-            self._statistics.held += 1
+            self._statistics.vetoes += 1
             self._on_polled(job, None)
             return
         before = job.state

@@ -1,6 +1,4 @@
-"""
-Readings, the choice of those that are reported, and those that wait for an output.
-"""
+"""Readings, the choice of those that are reported, and those that wait for an output."""
 
 from __future__ import annotations
 
@@ -14,20 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 from ...maps.meaning import NoValue
 from ...protocol.checks import integer
-from ...protocol.errors import (
-    NO_UNIT,
-    ExceptionResponse,
-    FrameError,
-    InvalidResponse,
-    ModbusError,
-)
-
-# fmt: off
-__all__ = [
-    "MOST_KEPT", "NO_LABELS", "Buffer", "Changes", "Quality", "Reading", "classified", "is_down",
-]
-# fmt: on
-
+from ...protocol.errors import NO_UNIT, ExceptionResponse, FrameError, InvalidResponse, ModbusError
 
 NO_LABELS: Mapping[str, str] = MappingProxyType({})
 
@@ -89,7 +74,7 @@ def reason_of(error: Exception) -> str:
     return error.reason if isinstance(error, NoValue) else type(error).__name__
 
 
-def classified(value: Any) -> tuple[Any, Quality, str]:
+def classification(value: Any) -> tuple[Any, Quality, str]:
     """Return value, quality and reason of a reading, for a value or the error in its place."""
     if isinstance(value, float):
         return (value, "good", "") if math.isfinite(value) else (None, "bad", _lack(value))
@@ -120,10 +105,7 @@ class Changes:
     """
 
     def __init__(
-        self,
-        on_change: bool,
-        bands: Sequence[float | None],
-        again: Sequence[float] | None = None,
+        self, on_change: bool, bands: Sequence[float | None], again: Sequence[float] | None = None
     ) -> None:
         self._bands = [0.0 if band is None and on_change else band for band in bands]
         self._is_filtering = any(band is not None for band in self._bands)

@@ -23,8 +23,6 @@ from .outputs.pump import Pump
 from .readings import Buffer, Reading
 from .statistics import FleetStatistics
 
-__all__ = ["Receivers"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
@@ -98,7 +96,7 @@ class Receivers:
         for pump in self._pumps:
             pump.task.add_done_callback(_log_end)
 
-    async def ended(self, event: asyncio.Event) -> None:
+    async def wait_for_end(self, event: asyncio.Event) -> None:
         """Wait for an event, or for an output that fails permanently: raise its OutputError."""
         waiting = asyncio.create_task(event.wait())
         try:
@@ -134,7 +132,6 @@ def _log_end(task: asyncio.Task[None]) -> None:
 
 
 def _checked(outputs: object) -> list[Output]:
-    """Return outputs as a list; raise TypeError for what cannot be one."""
     if isinstance(outputs, str | bytes) or not isinstance(outputs, Iterable):
         raise WrongType("outputs", f"must be a list of outputs, not {type(outputs).__name__}")
     result = list(outputs)

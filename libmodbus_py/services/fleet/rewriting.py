@@ -18,8 +18,6 @@ from ...protocol.errors import ModbusError
 from ...protocol.logs import HarmlessLogger
 from ..tasks import KeptTasks
 
-__all__ = ["Rewrites"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 
@@ -60,7 +58,6 @@ class Rewrites:
         self._begin(values)
 
     def end(self) -> None:
-        """Repeat no value any more."""
         for name in list(self._repeated):
             self._end(name)
 

@@ -9,18 +9,9 @@ from itertools import islice
 from typing import Any, NamedTuple
 
 from ...protocol.plain import clock_text
+from ...tools.page import table_source
 from ...tools.page.log import Log
 from ...tools.page.samples import Series
-from ...tools.page.table_source import (
-    COLUMNS,
-    Column,
-    GroupRow,
-    Older,
-    PageRow,
-    ShownPoint,
-    Values,
-    problem_text,
-)
 from ...tools.page.text import cell_text, first_names, value_text
 from .config import DeviceConfig
 from .fleet import Fleet
@@ -28,8 +19,6 @@ from .outputs.output import Output
 from .poller import DeviceState, Poller
 from .readings import Reading
 from .statistics import JournalStatistics, OutputStatistics
-
-__all__ = ["PageOutput", "ShownFleet", "fleet_lines", "problems"]
 
 
 def problems(fleet: Fleet) -> list[str]:
@@ -65,7 +54,7 @@ class PageOutput(Output):
 
     def __init__(self) -> None:
         self.fleet: Fleet | None = None
-        self.values: Values = Values(self._device_row)
+        self.values: table_source.Values = table_source.Values(self._device_row)
         self._is_new = True
 
     def describe_devices(self, devices: Mapping[str, DeviceConfig]) -> None:
@@ -78,18 +67,18 @@ class PageOutput(Output):
             self.values.describe(_points(self.fleet.devices))
         self.values.put_readings(readings)
 
-    def _device_row(self, name: str) -> GroupRow:
+    def _device_row(self, name: str) -> table_source.GroupRow:
         assert self.fleet is not None
         return PollerRow(self.fleet.devices[name])
 
 
-def _points(devices: Mapping[str, Poller]) -> Iterator[ShownPoint]:
+def _points(devices: Mapping[str, Poller]) -> Iterator[table_source.ShownPoint]:
     for device in devices.values():
         config = device.config
         for name, units in zip(device.reads.names, device.reads.units, strict=True):
             is_stepped = config.on_change or name in config.dead_bands
             every = None if is_stepped else config.map[name].interval or config.interval
-            yield ShownPoint(device.name, name, units, every)
+            yield table_source.ShownPoint(device.name, name, units, every)
 
 
 class ShownFleet:
@@ -97,10 +86,10 @@ class ShownFleet:
 
     kind = "fleet"
     log: Log | None = None
-    columns: Sequence[Column] = COLUMNS
+    columns: Sequence[table_source.Column] = table_source.COLUMNS
 
     def __init__(
-        self, title: str, fleet: Fleet, output: PageOutput, older: Older | None = None
+        self, title: str, fleet: Fleet, output: PageOutput, older: table_source.Older | None = None
     ) -> None:
         self.title = title
         self.older = older
@@ -120,7 +109,7 @@ class ShownFleet:
         names = ("devices", "up", "down", "polls", "readings")
         return {name: getattr(statistics, name) for name in names}
 
-    def rows(self) -> Sequence[PageRow]:
+    def rows(self) -> Sequence[table_source.PageRow]:
         return [*destinations(self._fleet), *self._values.rows]
 
     def series(self, name: tuple[str, str], column: str) -> Series | None:
@@ -200,7 +189,7 @@ class PollerRow:
         place = f"{config.endpoint}, unit {poller.unit}"
         # A device that answers, but refuses something, is "partly" there.
         word = "partly" if poller.is_refused else poller.state.value
-        reason = "" if poller.error is None else problem_text(poller.error)
+        reason = "" if poller.error is None else table_source.problem_text(poller.error)
         points, every = f"{len(poller.reads.names)} points", f"every {config.interval:g} s"
         name = {"group": "", "own": cell_text(poller.name), "place": cell_text(place)}
         state = {"word": word, "reason": reason, "since": round(poller.since, 1)}
@@ -210,14 +199,9 @@ class PollerRow:
 
 # --- on a terminal -----------------------------------------------------------------------------
 
-MOST_LINES = 500
-"""More than a terminal shows."""
-
-WIDEST = 30
-"""Characters of a name."""
-
-MAX_TEXT_CHARACTERS = 60
-"""Of a value, so that its unit of measurement stays on the line."""
+MOST_LINES = 500  # more than a terminal shows
+WIDEST = 30  # characters of a name
+MAX_TEXT_CHARACTERS = 60  # of a value, so that its unit of measurement stays on the line
 
 
 def fleet_lines(fleet: Fleet, title: str) -> list[tuple[str, bool]]:

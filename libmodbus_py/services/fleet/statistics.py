@@ -1,6 +1,4 @@
-"""
-Counters of a fleet, of its outputs and of its journal.
-"""
+"""Counters of a fleet, of its outputs and of its journal."""
 
 from __future__ import annotations
 
@@ -9,8 +7,6 @@ from bisect import bisect_left
 from dataclasses import dataclass, field
 
 from .readings import Buffer
-
-__all__ = ["LATENESS_BOUNDS", "FleetStatistics", "JournalStatistics", "OutputStatistics"]
 
 LATENESS_BOUNDS: tuple[float, ...] = (*(0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 5.0),)
 """Upper bounds of the classes in which polls are counted by their lateness, in seconds."""
@@ -104,7 +100,7 @@ class FleetStatistics:
         failures: polls without an answer.
         refusals: polls in which a device refused a request or returned an invalid value.
         skipped: polls skipped because the previous poll of the device was still under way.
-        held: polls not sent because `may_ask` did not allow them.
+        vetoes: polls not sent because `may_ask` did not allow them.
         readings: readings passed to outputs.
         commands: writes carried out for outputs.
         refused_commands: writes refused or failed.
@@ -123,7 +119,7 @@ class FleetStatistics:
     failures: int = 0
     refusals: int = 0
     skipped: int = 0
-    held: int = 0
+    vetoes: int = 0
     readings: int = 0
     commands: int = 0
     refused_commands: int = 0

@@ -1,6 +1,4 @@
-"""
-Checks before a fleet runs: which devices answer, and which serial lines are overloaded.
-"""
+"""Checks before a fleet runs: which devices answer, and which serial lines are overloaded."""
 
 from __future__ import annotations
 
@@ -14,18 +12,13 @@ from ...protocol.errors import ModbusError
 from ...protocol.framing import Frame, make_framer
 from .config import DeviceConfig, by_connection
 from .poller import Poller
-from .readings import classified
+from .readings import classification
 
-__all__ = ["Tried", "overloads", "trying"]
-
-MOST_AT_ONCE = 64
-"""Connections that are tried at the same time."""
-
-SILENCE = 3.5
-"""Characters between two frames of RTU (serial line, 2.5.1.1)."""
+MOST_AT_ONCE = 64  # connections that are tried at the same time
+SILENCE = 3.5  # characters between two frames of RTU (serial line, 2.5.1.1)
 
 
-class Tried(NamedTuple):
+class TrialPoll(NamedTuple):
     """One poll of a device: its requests, its seconds, and why it or some points have no values."""
 
     device: DeviceConfig
@@ -74,9 +67,9 @@ def _characters(device: DeviceConfig) -> dict[float, float]:
     return counts
 
 
-async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]:
+async def trial_polls(devices: Sequence[DeviceConfig]) -> AsyncGenerator[TrialPoll, None]:
     """Poll each device once, those of a line one after the other; yield results as they come."""
-    results: asyncio.Queue[Tried | Exception] = asyncio.Queue()
+    results: asyncio.Queue[TrialPoll | Exception] = asyncio.Queue()
     free = asyncio.Semaphore(MOST_AT_ONCE)
     tasks = [
         asyncio.create_task(_try_line(group, free, results))
@@ -95,7 +88,9 @@ async def trying(devices: Sequence[DeviceConfig]) -> AsyncGenerator[Tried, None]
 
 
 async def _try_line(
-    devices: list[DeviceConfig], free: asyncio.Semaphore, results: asyncio.Queue[Tried | Exception]
+    devices: list[DeviceConfig],
+    free: asyncio.Semaphore,
+    results: asyncio.Queue[TrialPoll | Exception],
 ) -> None:
     async with free:
         client = AsyncClient(devices[0].endpoint.url)
@@ -108,7 +103,7 @@ async def _try_line(
             await client.close()
 
 
-async def _try(client: AsyncClient, device: DeviceConfig) -> Tried:
+async def _try(client: AsyncClient, device: DeviceConfig) -> TrialPoll:
     now = asyncio.get_running_loop().time
     start, poller = now(), Poller(device)
     unit = client.for_unit(device.unit, timeout=device.timeout)
@@ -119,16 +114,16 @@ async def _try(client: AsyncClient, device: DeviceConfig) -> Tried:
         except ModbusError as error:
             poller.take_outcome(error, now())
     problem = _problem_of(poller, poller.values())
-    return Tried(device, len(poller.reads.plan.requests), now() - start, problem)
+    return TrialPoll(device, len(poller.reads.plan.requests), now() - start, problem)
 
 
 def _problem_of(poller: Poller, values: Mapping[str, Any]) -> str:
     """Return why a device is down, or why a point has no good value, and how many have none."""
     if poller.misses:
         return str(poller.error)
-    bad = {name: value for name, value in values.items() if classified(value)[1] != "good"}
+    bad = {name: value for name, value in values.items() if classification(value)[1] != "good"}
     texts = [
-        str(value) if isinstance(value, Exception) else f"{name}: {classified(value)[2]}"
+        str(value) if isinstance(value, Exception) else f"{name}: {classification(value)[2]}"
         for name, value in bad.items()
     ]
     count = f"; points without a good value: {len(bad)} of {len(values)}"

@@ -28,8 +28,6 @@ from ...tools.files.rights import parts_of_tables, roles
 from .gateway import Gateway
 from .routes import GatewayOptions, Route, check_line, check_routes
 
-__all__ = ["FILE", "ROUTE", "GatewayFile", "load", "parse"]
-
 
 @dataclass(frozen=True)
 class GatewayFile:
@@ -42,7 +40,7 @@ class GatewayFile:
 
 def load(path: str | PathLike[str], former_routes: Iterable[Route] = ()) -> GatewayFile:
     """
-    Read a gateway file, or raise FileError. Serial ports of `known`, earlier routes, may be
+    Read a gateway file, or raise FileError. Serial ports of `former_routes` may be
     missing now, because they may come back.
     """
     return load_file(path, partial(parse, former_routes=former_routes), FileError)

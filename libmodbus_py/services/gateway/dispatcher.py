@@ -1,6 +1,4 @@
-"""
-The service of a gateway: sends each request to the line of its unit; responses come later.
-"""
+"""The service of a gateway: sends each request to the line of its unit; responses come later."""
 
 from __future__ import annotations
 
@@ -9,6 +7,7 @@ import math
 from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
+from ...device import authorization
 from ...device.access import Auditor, Caller, Executed, Who, changes_of, touched
 from ...device.authorization import (
     Allow,
@@ -17,33 +16,22 @@ from ...device.authorization import (
     Authorize,
     LimitedLog,
     UnauthorizedError,
-    what_is_asked,
 )
 from ...device.device import Device
 from ...ports.endpoint import Endpoint
 from ...ports.hosts import host_of_peer, is_loopback
-from ...protocol.errors import (
-    ExceptionResponse,
-    GatewayPathUnavailable,
-    GatewayTargetFailedToRespond,
-    IllegalFunction,
-    ServerDeviceBusy,
-    ServerDeviceFailure,
-)
+from ...protocol import errors
+from ...protocol.errors import ExceptionResponse
 from ...protocol.framing import Frame
 from ...protocol.logs import HarmlessLogger
 from ...server.framed import Framed, SessionSettings
 from ...server.limits import ServerStatistics, host_of
 from ...server.service import Channel, Later, MakeSession
-from .line import Forwarded, GatewayLine, RequestBytes, request_of
+from .line import ForwardedRequest, GatewayLine, RequestBytes, request_of
 from .routes import Route
 from .statistics import GatewayStatistics
 
-__all__ = ["Dispatcher", "ResolvedRoute"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
-
-# What follows the function in the answer to a request that is not allowed.
 
 RETURN_S = 1.0
 """The time after a broadcast in which it may come back through other gateways."""
@@ -90,7 +78,7 @@ class Dispatcher:
         settings = SessionSettings(endpoint, statistics, has_turns=has_turns)
         return lambda channel: ForwardingSession(self, settings, channel)
 
-    def has(self, unit: int) -> bool:
+    def has_unit(self, unit: int) -> bool:
         """Return True if a unit is the gateway itself, or has a route."""
         return unit in self.routes or unit in self._own_units
 
@@ -116,7 +104,7 @@ class Dispatcher:
         is_refused = False
         try:
             if auditor is not None and request.changes and not auditor.may_change():
-                response: bytes | None = _exception(pdu, ServerDeviceFailure.code)
+                response: bytes | None = _exception(pdu, errors.ServerDeviceFailure.code)
             elif way is None:
                 response = self._broadcast(session, frame, request)
             else:
@@ -136,29 +124,29 @@ class Dispatcher:
         self._check(session, unit, request, route.allow)
         now = self.now()
         age = route.cache if request.is_read else 0.0
-        if age and (answer := line.cached(device_unit, request, age, now)):
+        if age and (answer := line.cached_response(device_unit, request, age, now)):
             return answer
-        if len(session.asked) >= self._most_of_session:
+        if len(session.open_requests) >= self._most_of_session:
             line.statistics.full += 1
             return self._refuse_more(session, pdu)
-        forwarded = Forwarded(session, number, unit, device_unit, request, now, age)
-        session.asked[forwarded] = line
+        forwarded = ForwardedRequest(session, number, unit, device_unit, request, now, age)
+        session.open_requests[forwarded] = line
         code = line.put(forwarded, merge=route.merge and request.is_read)
         if not code:
             return None
-        session.asked.pop(forwarded, None)
-        if code == ServerDeviceBusy.code:
+        session.open_requests.pop(forwarded, None)
+        if code == errors.ServerDeviceBusy.code:
             return self._refuse_more(session, pdu)
         return _exception(pdu, code)
 
     def _refuse_more(self, session: ForwardingSession, pdu: bytes) -> bytes:
         self._log.warning("%s: exception 6: too many of its requests wait (queue)", session.peer)
-        return _exception(pdu, ServerDeviceBusy.code)
+        return _exception(pdu, errors.ServerDeviceBusy.code)
 
     def _refuse_route(self, session: ForwardingSession, pdu: bytes) -> bytes | None:
         """Refuse a unit without a route, except on a serial line, where the unit may be itself."""
         self.statistics.no_route += 1
-        return None if session.is_line else _exception(pdu, GatewayPathUnavailable.code)
+        return None if session.is_line else _exception(pdu, errors.GatewayPathUnavailable.code)
 
     def _check(
         self, session: ForwardingSession, unit: int, request: RequestBytes, allow: Allow | None
@@ -167,7 +155,7 @@ class Dispatcher:
         if self._guard is None and allow is None:
             return
         who: Who = unit, session.peer, session.role
-        pdu_request, accesses = request.known, touched(request.known, who)
+        pdu_request, accesses = request.pdu_request, touched(request.pdu_request, who)
         action = Asked(session.role, unit, session.peer, request.function, pdu_request, *accesses)
         try:
             if self._guard is not None:
@@ -184,13 +172,13 @@ class Dispatcher:
             if not self._has_failed:  # once: a client must not be able to fill the log
                 self._has_failed = True
                 logger.exception("authorize failed; answered with exception 4")
-            raise NotAllowed(ServerDeviceFailure.code) from None
+            raise NotAllowed(errors.ServerDeviceFailure.code) from None
         # A request that cannot be decoded may access anything.
         if allow is not None and (pdu_request is None or not allow.allows(action)):
             self.statistics.refused += 1
             message = "%s: the route forwards no %s (read_only, writable)"
-            self._log.warning(message, session.peer, what_is_asked(action))
-            raise NotAllowed(IllegalFunction.code)
+            self._log.warning(message, session.peer, authorization.what_is_asked(action))
+            raise NotAllowed(errors.IllegalFunction.code)
 
     def _broadcast(
         self, session: ForwardingSession, frame: Frame, request: RequestBytes
@@ -214,7 +202,7 @@ class Dispatcher:
             del former[next(iter(former))]
         before = former.get(request.pdu)
         if before is not None and not before.session.is_same_client(session):
-            return _exception(frame.pdu, ServerDeviceBusy.code)
+            return _exception(frame.pdu, errors.ServerDeviceBusy.code)
         former.pop(request.pdu, None)  # so that the latest one is the last one
         self.statistics.broadcasts += 1
         former[request.pdu] = Broadcast(session, frame, request, lines, self.now)
@@ -249,32 +237,32 @@ class Broadcast:
         self.session: ForwardingSession = session
         self.done_at: float = math.inf
         self._now = now
-        self._whole = Forwarded(session, frame.transaction, 0, 0, request, now())
-        self._parts = {Forwarded(self, 0, 0, 0, request, now()): line for line in lines}
+        self._whole = ForwardedRequest(session, frame.transaction, 0, 0, request, now())
+        self._parts = {ForwardedRequest(self, 0, 0, 0, request, now()): line for line in lines}
         self._left = len(lines)
         self._has_failed = False
 
     def begin(self) -> None:
-        self.session.asked[self._whole] = self
+        self.session.open_requests[self._whole] = self
         for part, line in self._parts.items():
             if line.put(part):
-                self.answered(part, b"\x80")
+                self.take_response(part, b"\x80")
 
-    def leave(self, forwarded: Forwarded) -> None:
+    def leave(self, forwarded: ForwardedRequest) -> None:
         """Take no response; and send no more, if the client waited for it to be sent."""
-        forwarded.asker = None
+        forwarded.requester = None
         if self.session.has_ids:
             for part, line in self._parts.items():
                 line.leave(part)
             self.done_at = self._now()
 
-    def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
+    def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
         self._left -= 1
         self._has_failed = self._has_failed or (response is not None and response[0] >= 0x80)
         if self._left:
             return
         self.done_at = self._now()
-        refusal = _exception(self._whole.request.pdu, GatewayTargetFailedToRespond.code)
+        refusal = _exception(self._whole.request.pdu, errors.GatewayTargetFailedToRespond.code)
         self._whole.answer(refusal if self._has_failed and self.session.has_ids else None)
 
 
@@ -294,7 +282,7 @@ class ForwardingSession(Framed):
 
     def __init__(self, dispatcher: Dispatcher, settings: SessionSettings, channel: Channel) -> None:
         endpoint = settings.endpoint
-        is_ours = dispatcher.has if endpoint.is_serial else lambda unit: True
+        is_ours = dispatcher.has_unit if endpoint.is_serial else lambda unit: True
         super().__init__(settings, channel, is_ours)
         self.peer: str = channel.address
         self.role: str | None = channel.role
@@ -303,11 +291,10 @@ class ForwardingSession(Framed):
         self.has_ids: bool = endpoint.has_transactions
         self.is_line: bool = endpoint.is_serial
         self._dispatcher = dispatcher
-        self.asked: dict[Forwarded, GatewayLine | Broadcast] = {}
-        self._unanswered = self.asked
+        self.open_requests: dict[ForwardedRequest, GatewayLine | Broadcast] = {}
+        self._unanswered = self.open_requests
 
     def caller(self, unit: int) -> Caller:
-        """Return the origin of a request to a unit."""
         return Caller(unit, self.peer, role=self.role, holder=self.channel.holder)
 
     def is_at(self, line: GatewayLine) -> bool:
@@ -328,36 +315,36 @@ class ForwardingSession(Framed):
         """Record a request and its response, if there is an audit trail."""
         if (auditor := self._dispatcher.auditor) is not None:
             caller = self.caller(unit)._replace(is_broadcast=unit == 0)
-            changes = changes_of(request.known, caller)
+            changes = changes_of(request.pdu_request, caller)
             auditor.note(Executed(caller, request.pdu, response, changes, is_change))
 
-    def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
-        self.asked.pop(forwarded, None)
+    def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
+        self.open_requests.pop(forwarded, None)
         request = forwarded.request
         if request.changes:
             self.record(forwarded.from_unit, request, response or b"")
         if response is None and self.has_ids and request.may_be_broadcast:
-            assert request.known is not None
-            response = request.known.encode_response(None)
+            assert request.pdu_request is not None
+            response = request.pdu_request.encode_response(None)
         if response is not None:
             answer = Frame(forwarded.from_unit, response, forwarded.number)
             self._send(answer, self.framer.encode(answer))
-        if not self.asked and self._settings.endpoint.is_datagram:
+        if not self.open_requests and self._settings.endpoint.is_datagram:
             self.channel.follow()
 
     def answer(self, request: Frame) -> Frame | None:
         if not self.has_ids:
-            self._withdraw(list(self.asked))
+            self._withdraw(list(self.open_requests))
         response = self._dispatcher.ask(self, request)
         return None if response is None else request._replace(pdu=response)
 
     def close(self) -> None:
         super().close()
-        self._withdraw(list(self.asked))
+        self._withdraw(list(self.open_requests))
 
-    def _withdraw(self, given_up: list[Forwarded]) -> None:
+    def _withdraw(self, given_up: list[ForwardedRequest]) -> None:
         for forwarded in given_up:
-            place = self.asked.pop(forwarded)
+            place = self.open_requests.pop(forwarded)
             if forwarded.request.changes:
                 self.record(forwarded.from_unit, forwarded.request, b"")
             place.leave(forwarded)

@@ -1,6 +1,4 @@
-"""
-The gateway: clients on any endpoints, devices on any lines.
-"""
+"""The gateway: clients on any endpoints, devices on any lines."""
 
 from __future__ import annotations
 
@@ -24,8 +22,6 @@ from .dispatcher import Dispatcher, ResolvedRoute
 from .line import GatewayLine
 from .routes import GatewayOptions, Route, check_line, check_routes
 from .statistics import GatewayStatistics, UnitStatistics, own_device
-
-__all__ = ["Gateway"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 

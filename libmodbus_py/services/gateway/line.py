@@ -22,51 +22,27 @@ from ...client.reconnecting import State
 from ...client.sender import Sender
 from ...ports.endpoint import Endpoint
 from ...ports.port import Outage
-from ...protocol import pdu
-from ...protocol.errors import (
-    ExceptionResponse,
-    FrameError,
-    GatewayTargetFailedToRespond,
-    IllegalDataValue,
-    IllegalFunction,
-    InvalidResponse,
-    ModbusConnectionError,
-    ModbusError,
-    ModbusTimeoutError,
-    ServerDeviceBusy,
-    ServerDeviceFailure,
-)
+from ...protocol import errors, pdu
+from ...protocol.errors import ExceptionResponse, ModbusError
 from ...protocol.logs import HarmlessLogger
 from ..line import FairQueue, LineRequest, SharedLine
 from .routes import GatewayOptions
 from .silent_units import SilentUnits, UnitState
 from .statistics import LineStatistics, UnitStatistics
 
-__all__ = ["Cache", "Forwarded", "GatewayLine", "RequestBytes", "request_of"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
-NO_ANSWER = GatewayTargetFailedToRespond.code
-BUSY = ServerDeviceBusy.code
+NO_ANSWER = errors.GatewayTargetFailedToRespond.code
+BUSY = errors.ServerDeviceBusy.code
 
-MAX_PAUSE_S = 2.0
-"""The longest pause between two attempts to open a port, unless its URL sets it."""
-
-MOST_WAITING = 4096
-"""The most requests that wait, of all clients."""
-
-MOST_CACHED = 4096
-"""The most responses that are kept; the oldest one is dropped for one more."""
+MAX_PAUSE_S = 2.0  # the longest pause between two attempts to open a port, unless its URL sets it
+MOST_WAITING = 4096  # the most requests that wait, of all clients
+MOST_CACHED = 4096  # the most responses that are kept; the oldest one is dropped for one more
 
 REMEMBERED = 512
 """Requests that are decoded once, because pollers send the same ones again and again."""
 
-READS = (
-    pdu.ReadCoils,
-    pdu.ReadDiscreteInputs,
-    pdu.ReadHoldingRegisters,
-    pdu.ReadInputRegisters,
-)
+READS = (pdu.ReadCoils, pdu.ReadDiscreteInputs, pdu.ReadHoldingRegisters, pdu.ReadInputRegisters)
 """Requests that change nothing, and may be answered from the cache."""
 
 
@@ -81,14 +57,14 @@ class RequestBytes(pdu.Request[bytes]):
 
     # fmt: off
     __slots__ = (
-        "changes", "expects_response", "function", "is_read", "known", "may_be_broadcast", "pdu",
-        "repeatable",
+        "changes", "expects_response", "function", "is_read", "may_be_broadcast", "pdu",
+        "pdu_request", "repeatable",
     )
     # fmt: on
 
     def __init__(self, data: bytes, request: pdu.Request[Any] | None) -> None:
         self.pdu: bytes = data
-        self.known: pdu.Request[Any] | None = request
+        self.pdu_request: pdu.Request[Any] | None = request
         self.function: int = data[0]  # type: ignore[misc]  # here it is data, not the class's own
         self.is_read: bool = isinstance(request, READS)
         is_write = request is not None and request.may_be_broadcast
@@ -101,17 +77,17 @@ class RequestBytes(pdu.Request[bytes]):
         return self.pdu
 
     def decode_response(self, pdu: bytes) -> bytes:
-        if self.known is not None:
-            self.known.decode_response(pdu)
+        if self.pdu_request is not None:
+            self.pdu_request.decode_response(pdu)
             if self.may_be_broadcast:  # a write, whose echo may have bytes behind it
-                return pdu[: type(self.known).response_length(pdu) or None]
+                return pdu[: type(self.pdu_request).response_length(pdu) or None]
         elif not pdu or pdu[0] != self.function:
             raise self._refusal(pdu)
         return pdu
 
     def __str__(self) -> str:
-        if self.known is not None:
-            return str(self.known)
+        if self.pdu_request is not None:
+            return str(self.pdu_request)
         return f"a request of {len(self.pdu)} bytes"
 
 
@@ -122,9 +98,9 @@ def request_of(data: bytes) -> RequestBytes:
     found on a serial line. All else is left to the device, which may know more than we do.
     """
     if not 1 <= data[0] <= 0x7F:
-        raise IllegalFunction(f"no function {data[0]}", function=data[0])
+        raise errors.IllegalFunction(f"no function {data[0]}", function=data[0])
     if pdu.request_length(data) not in (len(data), 0):
-        raise IllegalDataValue(f"a request of {len(data)} bytes", function=data[0])
+        raise errors.IllegalDataValue(f"a request of {len(data)} bytes", function=data[0])
     try:
         return RequestBytes(data, pdu.decode_request(data))
     except ExceptionResponse:
@@ -137,19 +113,19 @@ class Requester(Hashable, Protocol):
     @property
     def host(self) -> Hashable: ...
 
-    def answered(self, forwarded: Forwarded, response: bytes | None) -> None: ...
+    def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None: ...
 
 
-class Forwarded(LineRequest):
+class ForwardedRequest(LineRequest):
     """The request of a client, whose transaction id is `number`, to a unit of a line."""
 
-    __slots__ = ("age", "asker", "counters", "first", "from_unit", "number", "others")
+    __slots__ = ("age", "counters", "first", "from_unit", "number", "others", "requester")
 
     request: RequestBytes
 
     def __init__(
         self,
-        asker: Requester,
+        requester: Requester,
         number: int,
         from_unit: int,
         unit: int,
@@ -157,20 +133,22 @@ class Forwarded(LineRequest):
         since: float,
         age: float = 0.0,
     ) -> None:
-        super().__init__(unit, request, host=asker.host, client=asker)
+        super().__init__(unit, request, host=requester.host, client=requester)
         self.waits_since = since
-        self.asker: Requester | None = asker  # None after the client is gone or was answered
+        self.requester: Requester | None = requester  # None once it is gone or was answered
         self.number: int = number
         self.from_unit: int = from_unit  # as the client numbers it
         self.age: float = age  # of a cached response, in seconds; 0 for none
-        self.others: list[Forwarded] = []  # equal requests that get the same response
-        self.first: Forwarded | None = None  # the equal request that is sent in place of this one
+        self.others: list[ForwardedRequest] = []  # equal requests that get the same response
+        self.first: ForwardedRequest | None = (
+            None  # the equal request that is sent in place of this one
+        )
         self.counters: UnitStatistics  # once it was sent
 
     @property
     def is_wanted(self) -> bool:
         """True if a client waits for the response."""
-        return any(forwarded.asker is not None for forwarded in (self, *self.others))
+        return any(forwarded.requester is not None for forwarded in (self, *self.others))
 
     @property
     def is_sent(self) -> bool:
@@ -182,12 +160,12 @@ class Forwarded(LineRequest):
         """Pass the response to all that wait for it; return how many do not wait any more."""
         departures = 0
         for forwarded in (self, *self.others):
-            asker, forwarded.asker = forwarded.asker, None
+            requester, forwarded.requester = forwarded.requester, None
             forwarded.first = None  # breaks a reference cycle
-            if asker is None:
+            if requester is None:
                 departures += 1
             else:
-                asker.answered(forwarded, response)
+                requester.take_response(forwarded, response)
         return departures
 
 
@@ -197,7 +175,7 @@ class Cache:
     def __init__(self) -> None:
         self._answers: dict[tuple[int, bytes], tuple[float, bytes]] = {}
         # Unit -> the time of the last write; 0 for a write to all units.
-        self._written: dict[int, float] = {}
+        self._write_times: dict[int, float] = {}
 
     def get(self, unit: int, request: bytes, age: float, now: float) -> bytes | None:
         """Return a response that is at most `age` seconds old, or None."""
@@ -206,7 +184,7 @@ class Cache:
 
     def keep(self, unit: int, request: bytes, answer: bytes, asked_at: float) -> None:
         """Keep the response to a request that was sent at a time; it is no older."""
-        if asked_at <= max(self._written.get(number, -math.inf) for number in (0, unit)):
+        if asked_at <= max(self._write_times.get(number, -math.inf) for number in (0, unit)):
             return
         key = unit, request
         self._answers.pop(key, None)
@@ -216,12 +194,12 @@ class Cache:
 
     def forget(self, unit: int, now: float) -> None:
         """Drop the responses of a unit that may be written to; those of all units for unit 0."""
-        self._written[unit] = now
+        self._write_times[unit] = now
         for key in [key for key in self._answers if unit in (0, key[0])]:
             del self._answers[key]
 
 
-class GatewayLine(SharedLine[Forwarded]):
+class GatewayLine(SharedLine[ForwardedRequest]):
     """Sends the requests of clients over one connection."""
 
     def __init__(self, endpoint: Endpoint, options: GatewayOptions) -> None:
@@ -239,20 +217,22 @@ class GatewayLine(SharedLine[Forwarded]):
         self._silent = SilentUnits(self.client.timeout)
         self._cache = Cache()
         # Reads that others may join while they wait.
-        self._joinable: dict[tuple[int, bytes], Forwarded] = {}
+        self._joinable: dict[tuple[int, bytes], ForwardedRequest] = {}
         self._outage = Outage(logger, self.url)
         self._open_since = 0.0
 
     # --- requests -----------------------------------------------------------------------------
 
-    def cached(self, unit: int, request: RequestBytes, age: float, now: float) -> bytes | None:
+    def cached_response(
+        self, unit: int, request: RequestBytes, age: float, now: float
+    ) -> bytes | None:
         """Return a cached response that is no older than `age` seconds, or None."""
         answer = self._cache.get(unit, request.pdu, age, now)
         if answer is not None:
             self.statistics.unit(unit).cached += 1
         return answer
 
-    def put(self, forwarded: Forwarded, *, merge: bool = False) -> int:
+    def put(self, forwarded: ForwardedRequest, *, merge: bool = False) -> int:
         """Enqueue a request; return 0, or the code of the exception that answers it at once."""
         unit, request, now = forwarded.unit, forwarded.request, forwarded.waits_since
         if self.is_closed or (self._is_broadcast(forwarded) and not request.may_be_broadcast):
@@ -276,9 +256,9 @@ class GatewayLine(SharedLine[Forwarded]):
         self._count()
         return 0 if is_queued else BUSY
 
-    def leave(self, forwarded: Forwarded) -> None:
+    def leave(self, forwarded: ForwardedRequest) -> None:
         """Do not send the request of a client that is gone, unless others wait for it."""
-        forwarded.asker = None
+        forwarded.requester = None
         forwarded = forwarded.first or forwarded
         if not forwarded.is_wanted and self.drop(forwarded):
             self._forget_joinable(forwarded)
@@ -301,10 +281,10 @@ class GatewayLine(SharedLine[Forwarded]):
     def _count(self) -> None:
         self.statistics.waiting, self.statistics.in_flight = self.waiting, len(self.in_flight)
 
-    def _is_broadcast(self, forwarded: Forwarded) -> bool:
+    def _is_broadcast(self, forwarded: ForwardedRequest) -> bool:
         return forwarded.unit == 0 and self._has_broadcast
 
-    def _join(self, forwarded: Forwarded) -> bool:
+    def _join(self, forwarded: ForwardedRequest) -> bool:
         """Join an equal read that waits, if there is one; else later ones may join this one."""
         first = self._joinable.setdefault((forwarded.unit, forwarded.request.pdu), forwarded)
         if first is forwarded:
@@ -315,7 +295,7 @@ class GatewayLine(SharedLine[Forwarded]):
         self.statistics.unit(forwarded.unit).merged += 1
         return True
 
-    def _forget_joinable(self, forwarded: Forwarded) -> None:
+    def _forget_joinable(self, forwarded: ForwardedRequest) -> None:
         """Let no later read join a request that does not wait any more."""
         if self._joinable.get((forwarded.unit, forwarded.request.pdu)) is forwarded:
             del self._joinable[forwarded.unit, forwarded.request.pdu]
@@ -326,7 +306,7 @@ class GatewayLine(SharedLine[Forwarded]):
         for key in [key for key in self._joinable if unit in (0, key[0])]:
             del self._joinable[key]
 
-    def _send(self, job: Forwarded, now: float) -> None:
+    def _send(self, job: ForwardedRequest, now: float) -> None:
         self._forget_joinable(job)
         job.counters = self.statistics.unit(job.unit)
         job.counters.requests += 1
@@ -334,7 +314,7 @@ class GatewayLine(SharedLine[Forwarded]):
 
     # --- responses ----------------------------------------------------------------------------
 
-    def conclude(self, job: Forwarded, outcome: Any, now: float) -> None:
+    def conclude(self, job: ForwardedRequest, outcome: Any, now: float) -> None:
         function = job.request.function
         if not job.request.is_read:
             self._note_write(job.unit, now)
@@ -355,18 +335,18 @@ class GatewayLine(SharedLine[Forwarded]):
             if self._count_failure(job, outcome, now) or job.is_trial:
                 self._note_silence(job, now)
             is_ours = not isinstance(outcome, ModbusError)
-            self._refuse(job, ServerDeviceFailure.code if is_ours else NO_ANSWER)
+            self._refuse(job, errors.ServerDeviceFailure.code if is_ours else NO_ANSWER)
 
-    def give_up(self, job: Forwarded, now: float) -> None:
+    def give_up(self, job: ForwardedRequest, now: float) -> None:
         job.counters.given_up += 1
         self._note_silence(job, now)
         self._refuse(job, NO_ANSWER)
 
-    def expire(self, job: Forwarded, now: float) -> None:
+    def expire(self, job: ForwardedRequest, now: float) -> None:
         self.statistics.full += 1
         self._refuse(job, BUSY)
 
-    def _note_answer(self, forwarded: Forwarded, now: float) -> None:
+    def _note_answer(self, forwarded: ForwardedRequest, now: float) -> None:
         unit = forwarded.counters
         unit.answers += 1
         unit.seconds += now - forwarded.asked_at
@@ -375,21 +355,21 @@ class GatewayLine(SharedLine[Forwarded]):
             unit.is_silent = False
             logger.info("%s: unit %d answers%s again", self.url, forwarded.unit, what)
 
-    def _count_failure(self, forwarded: Forwarded, error: BaseException, now: float) -> bool:
+    def _count_failure(self, forwarded: ForwardedRequest, error: BaseException, now: float) -> bool:
         """Count a failure; return True if the unit was silent for most of its timeout."""
-        if isinstance(error, ModbusTimeoutError):
+        if isinstance(error, errors.ModbusTimeoutError):
             forwarded.counters.timeouts += 1
             # The connection may have taken the first part of it.
             return now - max(forwarded.asked_at, self._open_since) >= self.client.timeout / 2
-        if isinstance(error, FrameError | InvalidResponse):
+        if isinstance(error, errors.FrameError | errors.InvalidResponse):
             forwarded.counters.invalid += 1
-        elif isinstance(error, ModbusConnectionError):
+        elif isinstance(error, errors.ModbusConnectionError):
             forwarded.counters.lost += 1
         else:
             logger.error("%s: %s failed", self.url, forwarded.request, exc_info=error)
         return False
 
-    def _note_silence(self, silent: Forwarded, now: float) -> None:
+    def _note_silence(self, silent: ForwardedRequest, now: float) -> None:
         """Let what gave no answer rest, and refuse the requests that wait for it."""
         unit, function = silent.unit, silent.request.function
         if self._is_broadcast(silent):
@@ -409,11 +389,11 @@ class GatewayLine(SharedLine[Forwarded]):
                 self.statistics.unit(unit).resting += 1
                 self._refuse(forwarded, NO_ANSWER)
 
-    def _refuse(self, forwarded: Forwarded, code: int) -> None:
+    def _refuse(self, forwarded: ForwardedRequest, code: int) -> None:
         self._forget_joinable(forwarded)
         self._answer(forwarded, bytes([forwarded.request.function | 0x80, code]))
 
-    def _answer(self, forwarded: Forwarded, response: bytes | None) -> None:
+    def _answer(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
         self.statistics.unwanted += forwarded.answer(response)
 
     # --- the connection -----------------------------------------------------------------------

@@ -1,6 +1,4 @@
-"""
-Routes: the line of each unit, and the requests that are allowed; options for all lines.
-"""
+"""Routes: the line of each unit, and the requests that are allowed; options for all lines."""
 
 from __future__ import annotations
 
@@ -18,8 +16,6 @@ from ...ports.port import make_port
 from ...protocol.checks import integer, seconds
 from ...protocol.mistakes import Path, WrongType, WrongValue, inside, named_arguments, placed
 from ...protocol.plain import units_of as units_in
-
-__all__ = ["GatewayOptions", "Route", "check_line", "check_routes", "parse_route"]
 
 COUNTERS = tuple(f"8/{number}" for number in range(11, 19))
 

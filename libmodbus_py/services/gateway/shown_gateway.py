@@ -1,6 +1,4 @@
-"""
-A gateway as a page shows it: its lines, the units behind them, its clients, and a log.
-"""
+"""A gateway as a page shows it: its lines, the units behind them, its clients, and a log."""
 
 from __future__ import annotations
 
@@ -17,8 +15,6 @@ from ...tools.page.text import cell_text, first_names
 from ...tools.page.units import ShownServer
 from .gateway import Gateway
 from .statistics import LineStatistics, UnitStatistics
-
-__all__ = ["ShownGateway"]
 
 MOST_ASKING = 2000
 """Clients, units and functions that are counted; the first is dropped for one more."""
@@ -179,26 +175,25 @@ class Clients:
 
     def __init__(self) -> None:
         # Host, unit and function -> requests, exceptions, and the time of the last request.
-        self._asking: dict[tuple[str, int, int], tuple[int, int, float]] = {}
+        self._client_counts: dict[tuple[str, int, int], tuple[int, int, float]] = {}
 
     def note(self, traced: Traced) -> None:
         """Count a request or a response."""
         if traced.unit is None or traced.function is None:
             return
         key = host_of_peer(traced.peer or ""), traced.unit, traced.function & 0x7F
-        entry = self._asking.get(key)
+        entry = self._client_counts.get(key)
         if traced.direction == "received":
-            if entry is None and len(self._asking) >= MOST_ASKING:
-                self._asking.pop(next(iter(self._asking)), None)
+            if entry is None and len(self._client_counts) >= MOST_ASKING:
+                self._client_counts.pop(next(iter(self._client_counts)), None)
             requests, exceptions, _ = entry or (0, 0, 0.0)
-            self._asking[key] = requests + 1, exceptions, traced.time
+            self._client_counts[key] = requests + 1, exceptions, traced.time
         elif entry is not None and traced.function & 0x80:
             requests, exceptions, time = entry
-            self._asking[key] = requests, exceptions + 1, time
+            self._client_counts[key] = requests, exceptions + 1, time
 
     def rows(self) -> list[GatewayRow]:
-        """Return the clients in the order of their addresses, units and functions."""
-        return [_client_row(*item) for item in sorted(self._asking.copy().items())]
+        return [_client_row(*item) for item in sorted(self._client_counts.copy().items())]
 
 
 def _client_row(key: tuple[str, int, int], counts: tuple[int, int, float]) -> GatewayRow:

@@ -16,8 +16,6 @@ from enum import Enum
 
 from ..line import rest_after
 
-__all__ = ["SilentUnits", "UnitState"]
-
 LONGEST_REST_S = 15.0
 """The longest rest between two trials, unless the first one is longer."""
 
@@ -51,14 +49,14 @@ class SilentUnits:
         # Of a whole unit, whose function is None here, or of one function of a unit.
         self._rests: dict[tuple[int, int | None], Rest] = {}
         # The units, and functions of them, whose last request was answered: nothing of these rests.
-        self._answering: set[tuple[int, int]] = set()
+        self._answered_functions: set[tuple[int, int]] = set()
 
     def rests(self, unit: int) -> bool:
         """Return True if the whole unit is silent."""
         return (unit, None) in self._rests
 
     def state(self, unit: int, function: int, now: float) -> UnitState:
-        if (unit, function) in self._answering:
+        if (unit, function) in self._answered_functions:
             return UnitState.GOOD
         rest = self._rest(unit, function)
         if rest is None:
@@ -80,9 +78,9 @@ class SilentUnits:
 
     def note_answer(self, unit: int, function: int) -> bool:
         """Note an answer; return True if the unit or the function was silent before."""
-        if (unit, function) in self._answering:
+        if (unit, function) in self._answered_functions:
             return False
-        self._answering.add((unit, function))
+        self._answered_functions.add((unit, function))
         if not self.rests(unit):
             return self._rests.pop((unit, function), None) is not None
         # What was silent together with the unit may answer again together with it.
@@ -91,8 +89,8 @@ class SilentUnits:
 
     def note_silence(self, unit: int, function: int, now: float) -> bool:
         """Note that no answer came in time; return True if what rests now did not rest before."""
-        self._answering.discard((unit, function))
-        is_whole = all(other != unit for other, _ in self._answering)
+        self._answered_functions.discard((unit, function))
+        is_whole = all(other != unit for other, _ in self._answered_functions)
         rest = self._rests.setdefault((unit, None if is_whole else function), Rest(function))
         if now < rest.end_for(rest.function) < math.inf:
             return False  # it was sent before the rest began

@@ -21,8 +21,6 @@ from ...device.device import Device
 from ...device.mapping import Mapping
 from ...server.limits import ServerStatistics
 
-__all__ = ["GatewayStatistics", "LineStatistics", "UnitStatistics", "own_device"]
-
 LINES, MOST_LINES = 100, 40
 UNITS, MOST_UNITS = 1000, 256
 
@@ -172,7 +170,6 @@ def own_device(
     start = now()
 
     def blocks(access: Access) -> Iterator[tuple[int, Sequence[int]]]:
-        """Yield the numbers in a range, and the address at which they begin."""
         if access.address < LINES:
             requests, *others = numbers_of_gateway(statistics)
             head = [VERSION, len(statistics.lines), int(now() - start), clients.connections]
@@ -192,8 +189,5 @@ def own_device(
                 mapping.input_registers[at : at + len(words)] = words
 
     return Device(
-        mapping,
-        before_read=refresh,
-        identification={"ProductCode": "Gateway"},
-        authorize=authorize,
+        mapping, before_read=refresh, identification={"ProductCode": "Gateway"}, authorize=authorize
     )

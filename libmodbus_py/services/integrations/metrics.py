@@ -19,19 +19,8 @@ from ...server.limits import ServerStatistics
 from ..fleet.config import label_name
 from ..fleet.poller import DeviceState, Poller
 from ..fleet.readings import reason_of
-from ..fleet.statistics import (
-    LATENESS_BOUNDS,
-    FleetStatistics,
-    JournalStatistics,
-    OutputStatistics,
-)
+from ..fleet.statistics import LATENESS_BOUNDS, FleetStatistics, JournalStatistics, OutputStatistics
 from ..gateway.statistics import GatewayStatistics, LineStatistics, UnitStatistics
-
-# fmt: off
-__all__ = [
-    "FAMILIES", "OF_DEVICES", "READERS", "Family", "Labels", "Sample", "values_of_devices",
-]
-# fmt: on
 
 Labels = tuple[tuple[str, str], ...]
 
@@ -67,6 +56,9 @@ def _attributes(prefix: str, *rows: Row) -> dict[str, Family]:
     """Return metrics by the attributes that they are read from, and that they are named after."""
     return {name: Family(f"{prefix}_{name}", kind, text) for name, kind, text in rows}
 
+
+VETOES = Family("modbus_fleet_held", COUNTER, "Polls not sent because may_ask did not allow them.")
+"""Not named after its attribute, because dashboards know it by this name."""
 
 OF_ATTRIBUTES: dict[type, dict[str, Family]] = {
     Statistics: {
@@ -152,11 +144,11 @@ OF_ATTRIBUTES: dict[type, dict[str, Family]] = {
         ("failures", COUNTER, "Polls without an answer."),
         ("refusals", COUNTER, "Polls in which a device refused a request."),
         ("skipped", COUNTER, "Polls skipped: the previous one of the device was under way."),
-        ("held", COUNTER, "Polls not sent because may_ask did not allow them."),
         ("readings", COUNTER, "Readings passed to outputs."),
         ("commands", COUNTER, "Writes carried out for outputs."),
         ("refused_commands", COUNTER, "Writes refused or failed."),
-    ),
+    )
+    | {"vetoes": VETOES},
     OutputStatistics: _attributes(
         "modbus_fleet_output",
         ("is_failing", GAUGE, "1 if the output cannot be opened or written to."),

@@ -1,6 +1,4 @@
-"""
-The statistics of clients, servers, gateways and fleets as metrics of Prometheus.
-"""
+"""The statistics of clients, servers, gateways and fleets as metrics of Prometheus."""
 
 from __future__ import annotations
 
@@ -26,8 +24,6 @@ try:
     from prometheus_client.registry import Collector as _Collector
 except ImportError as error:
     raise ImportError(what_is_missing("the exporter", "metrics")) from error
-
-__all__ = ["Collector", "collect", "exposing"]
 
 LIMIT_S = 10.0
 """Seconds for the request of a client, and for taking the answer: Prometheus waits as long."""
@@ -254,7 +250,6 @@ class _PacedRegistry:
         self._server = server
 
     def restricted_registry(self, names: Iterable[str]) -> _PacedRegistry:
-        """Return the metrics with some names, which the client asks for."""
         registry = cast(CollectorRegistry, self._registry)
         return _PacedRegistry(registry.restricted_registry(names), self._server)
 

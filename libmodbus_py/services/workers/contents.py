@@ -17,7 +17,7 @@ from ..engine.connection import EngineError, EngineGone
 from ..fleet.config import (
     DeviceConfig,
     by_connection,
-    checked,
+    checked_devices,
     devices_from_json,
     devices_to_json,
 )
@@ -27,24 +27,10 @@ from .worker import Put
 if TYPE_CHECKING:
     from ..engine.buckets import Change
 
-# fmt: off
-__all__ = [
-    "Pushed", "changes", "connections_of", "devices_of", "fleet_seen", "fleet_status", "is_polled",
-    "push", "seen_now", "tables",
-]
-# fmt: on
-
-# The most attempts while other programs change the bucket at the same time.
-MOST_TRIES = 5
-
-# The most writes that are sent at once.
-AT_ONCE = 64
-
-# Seconds within which the whole bucket must arrive.
-TIMEOUT_S = 10.0
-
-# The largest timeout of a device, as a fraction of a lease.
-LONGEST_ANSWER = 0.3
+MOST_TRIES = 5  # the most attempts while other programs change the bucket at the same time
+AT_ONCE = 64  # the most writes that are sent at once
+TIMEOUT_S = 10.0  # seconds within which the whole bucket must arrive
+LONGEST_ANSWER = 0.3  # the largest timeout of a device, as a fraction of a lease
 
 # The time between the two reads of the bucket for a status, as a fraction of a lease. Each live
 # worker renews its lease twice in this time.
@@ -54,12 +40,12 @@ LOOK = 0.25
 NUMBERS = ("connections", "devices", "up", "down", "polls")
 
 
-class Pushed(NamedTuple):
+class PushCounts(NamedTuple):
     """The numbers of connections that were added, changed and deleted."""
 
-    new: int
-    changed: int
-    gone: int
+    additions: int
+    changes: int
+    deletions: int
 
 
 def connections_of(devices: Iterable[DeviceConfig], lease: float) -> list[Connection]:
@@ -91,7 +77,7 @@ def devices_of(connection: Connection) -> list[DeviceConfig]:
         devices = devices_from_json(connection.devices)
         if any(device.connection_key != connection.key for device in devices):
             raise ValueError("a device belongs to another connection")
-        return checked(devices)
+        return checked_devices(devices)
     except Exception as error:
         text = f"{connection.key}: its devices in the bucket are invalid: {error}"
         raise ValueError(text) from None
@@ -102,39 +88,41 @@ def changes(
 ) -> Iterator[Put]:
     """Yield the writes that make the bucket match: first additions and changes, then deletions."""
     if view.settings != settings:
-        yield Put(SETTINGS, settings.encode(), view.seen_at(SETTINGS).revision)
+        yield Put(SETTINGS, settings.encode(), view.last_change(SETTINGS).revision)
     # Compared as encoded: the order of keys has no meaning.
     target = {connection.bucket_key: connection.encode() for connection in connections}
     values = {connection.bucket_key: connection.encode() for connection in view.all_connections}
     for key, value in target.items():
         if values.get(key) != value:
-            yield Put(key, value, view.seen_at(key).revision)
+            yield Put(key, value, view.last_change(key).revision)
     for key in values.keys() - target.keys():
-        yield Put(key, None, view.seen_at(key).revision)
+        yield Put(key, None, view.last_change(key).revision)
 
 
-async def push(bucket: Bucket, settings: FleetSettings, connections: list[Connection]) -> Pushed:
+async def push(
+    bucket: Bucket, settings: FleetSettings, connections: list[Connection]
+) -> PushCounts:
     """Make the bucket match a fleet file, unless other programs change it at the same time."""
-    new = updated = deletions = 0
+    additions = updates = deletions = 0
     for _ in range(MOST_TRIES):
-        view = await seen_now(bucket)
+        view = await read_bucket(bucket)
         puts = list(changes(view, settings, connections))
         if not puts:
-            return Pushed(new, updated, deletions)
+            return PushCounts(additions, updates, deletions)
         # Revisions do not show which keys are new: deleted keys have revisions, too.
         keys = {SETTINGS, *(connection.bucket_key for connection in view.all_connections)}
-        deleted = [put for put in puts if put.value is None]
-        updates = [put for put in puts if put.value is not None]
-        deletions += len(deleted)
-        new += sum(put.key not in keys for put in updates)
-        updated += sum(put.key in keys and put.key != SETTINGS for put in updates)
-        for several in (updates, deleted):
+        writes = [put for put in puts if put.value is not None]
+        removals = [put for put in puts if put.value is None]
+        additions += sum(put.key not in keys for put in writes)
+        updates += sum(put.key in keys and put.key != SETTINGS for put in writes)
+        deletions += len(removals)
+        for several in (writes, removals):
             for at in range(0, len(several), AT_ONCE):
                 await asyncio.gather(*(bucket.put(*put) for put in several[at : at + AT_ONCE]))
     raise EngineError(f"{bucket.name}: other programs change the bucket at the same time")
 
 
-async def seen_now(bucket: Bucket) -> BucketView:
+async def read_bucket(bucket: Bucket) -> BucketView:
     """Return the current contents of a bucket; they must arrive within 10 s."""
     view = BucketView()
     is_whole = asyncio.Event()
@@ -158,9 +146,9 @@ async def seen_now(bucket: Bucket) -> BucketView:
     return view
 
 
-async def fleet_seen(bucket: Bucket) -> tuple[BucketView, FleetSettings]:
-    """Return what `seen_now` does, and the settings; raise EngineError if there is no fleet."""
-    view = await seen_now(bucket)
+async def read_fleet(bucket: Bucket) -> tuple[BucketView, FleetSettings]:
+    """Return what `read_bucket` does, and the settings; raise EngineError if there is no fleet."""
+    view = await read_bucket(bucket)
     if view.settings is None:
         why = view.unreadable.get(SETTINGS, "there is no fleet yet; put it there with --push")
         raise EngineError(f"{bucket.name}: {why}")
@@ -172,13 +160,12 @@ async def fleet_seen(bucket: Bucket) -> tuple[BucketView, FleetSettings]:
 
 async def fleet_status(bucket: Bucket) -> dict[str, Any]:
     """Return the status of a fleet. The bucket is read twice, a quarter of a lease apart."""
-    before, settings = await fleet_seen(bucket)
+    before, settings = await read_fleet(bucket)
     await asyncio.sleep(settings.lease * LOOK)
-    return _document(before, await seen_now(bucket))
+    return _document(before, await read_bucket(bucket))
 
 
 def is_polled(status: dict[str, Any]) -> bool:
-    """Return True if a worker polls each part of the fleet."""
     zones = status["zones"].values()
     return all(zone["served_slots"] == zone["slots"] and not zone["unreadable"] for zone in zones)
 
@@ -188,7 +175,7 @@ def _document(before: BucketView, view: BucketView) -> dict[str, Any]:
     workers: list[dict[str, Any]] = []
     for id, member in sorted(view.members.items()):
         key = member.bucket_key
-        is_new = before.seen_at(key).revision < view.seen_at(key).revision
+        is_new = before.last_change(key).revision < view.last_change(key).revision
         numbers = {name: _number(member.report.get(name)) for name in NUMBERS}
         state = member.state if member.state == "ended" or is_new else "silent"
         zones = [zone for zone in member.zones if zone]
@@ -236,7 +223,6 @@ ZONES = "{:<28} {:>7} {:>11} {:>5} {:>6}  {}"
 
 
 def tables(status: dict[str, Any]) -> str:
-    """Format a status as tables."""
     heads = ("connections", "devices", "up", "down", "polls/s", "zones")
     lines = [WORKERS.format("worker", "state", "slots", *heads)]
     for row in status["workers"]:

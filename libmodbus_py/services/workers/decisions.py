@@ -49,8 +49,6 @@ from typing import Any
 from .records import Connection, Holding, Member, Slot
 from .worker import Decision, Put, Worker
 
-__all__ = ["decide", "share", "step"]
-
 # The fraction of a lease that other workers wait, counted from when they saw the renewal.
 OTHERS_PART = 1.05
 
@@ -63,7 +61,7 @@ AGAIN = 0.2
 
 # The fraction of a lease after which a worker that does not see its own values reads the bucket
 # again: not yet if NATS takes 0.3 of a lease, and early enough to keep the lease.
-BLIND = 0.5
+UNSEEN = 0.5
 
 # The time after which the bucket is read again, in leases: no change reports that a key was purged.
 READ_AGAIN = 60
@@ -78,14 +76,14 @@ REMEMBERED_S = 60.0
 def step(worker: Worker, now: float, report: Mapping[str, Any] | None = None) -> Decision:
     """Decide, and let the worker remember the decision, which the caller carries out."""
     decision = decide(worker, now, report)
-    worker.decided(decision, now)
+    worker.note_decision(decision, now)
     return decision
 
 
 def decide(worker: Worker, now: float, report: Mapping[str, Any] | None = None) -> Decision:
     """Return what a worker does now; `report` contains numbers for `fleet status`."""
     settings = worker.view.settings
-    if settings is None or worker.is_reading or worker.left:
+    if settings is None or worker.is_reading or worker.has_left:
         return Decision(worker.active)
     return _Deciding(worker, now, settings.lease).decision(report or {})
 
@@ -103,7 +101,7 @@ class _Deciding:
         self.longest_wait = worker.view.longest_lease * OTHERS_PART
         self.puts: list[Put] = []
         self.due = math.inf
-        self.is_in_vain = False
+        self.has_repeated = False
         # The other workers that may hold slots; and those whose slots are not shared now.
         self.others = [
             member
@@ -132,7 +130,7 @@ class _Deciding:
         unserved = self.unserved() if worker.is_first(self.now) else []
         # Last, because it acknowledges all changes up to the revision of the view.
         self.renew_lease(report)
-        return Decision(active, self.puts, self.due, self.is_blind(), unserved)
+        return Decision(active, self.puts, self.due, self.must_read_again(), unserved)
 
     def put_key(self, key: str, value: bytes | None) -> None:
         """Write a key, unless the same was written recently and the key has not changed."""
@@ -140,16 +138,15 @@ class _Deciding:
         if self.worker.has_written(key):
             if not self.has_passed(self.worker.attempts[key][1] + pause):
                 return
-            self.is_in_vain = True
-        self.puts.append(Put(key, value, self.view.seen_at(key).revision))
+            self.has_repeated = True
+        self.puts.append(Put(key, value, self.view.last_change(key).revision))
         self.has_passed(self.now + pause)
 
     # Workers
 
     def record_ends(self) -> None:
-        """Record the end of workers whose leases have expired."""
         for member in self.others:
-            at = max(self.worker.hears_since, self.view.seen_at(member.bucket_key).at)
+            at = max(self.worker.hears_since, self.view.last_change(member.bucket_key).at)
             if self.has_passed(at + member.lease * OTHERS_PART):
                 self.put_key(member.bucket_key, replace(member, state="ended").encode())
 
@@ -157,7 +154,7 @@ class _Deciding:
         """Delete workers that ended long ago, and hold no slots with connections."""
         holders = {self.view.holders.get(slot) for slot in self.used_slots}
         for member in self.view.members.values():
-            at = self.view.seen_at(member.bucket_key).at
+            at = self.view.last_change(member.bucket_key).at
             is_gone = member.state == "ended" and member.id not in holders
             if is_gone and self.has_passed(at + REMEMBERED_S):
                 self.put_key(member.bucket_key, None)
@@ -171,14 +168,16 @@ class _Deciding:
             state = "ended" if worker.is_leaving else "here"
             beat = worker.beat + 1
             record = Member(self.me, state, worker.zones, self.lease, beat, view.revision, report)
-            self.puts.append(Put(worker.key, record.encode(), view.seen_at(worker.key).revision))
+            self.puts.append(
+                Put(worker.key, record.encode(), view.last_change(worker.key).revision)
+            )
             self.has_passed(self.now + pause)
 
-    def is_blind(self) -> bool:
-        """Return True if changes may be missing: own values are not seen, or writes are in vain."""
-        heard_at = max(self.view.seen_at(self.worker.key).at, self.view.since)
-        at = min(heard_at + self.lease * BLIND, self.view.since + self.lease * READ_AGAIN)
-        return self.has_passed(at) or self.is_in_vain
+    def must_read_again(self) -> bool:
+        """Return True if changes may be missing: own values unseen, or a repeated write."""
+        heard_at = max(self.view.last_change(self.worker.key).at, self.view.since)
+        at = min(heard_at + self.lease * UNSEEN, self.view.since + self.lease * READ_AGAIN)
+        return self.has_passed(at) or self.has_repeated
 
     # Slots
 
@@ -209,7 +208,7 @@ class _Deciding:
         """Return the time since when a slot has had no worker, unless an unknown one holds it."""
         view = self.view
         holder = f"worker.{view.holders.get(slot)}"
-        return max(view.since, view.seen_at(slot.key).at, view.seen_at(holder).at)
+        return max(view.since, view.last_change(slot.key).at, view.last_change(holder).at)
 
     # Connections
 
@@ -239,7 +238,6 @@ class _Deciding:
         }
 
     def unserved(self) -> list[Connection]:
-        """Return the connections that no worker has polled for long."""
         view = self.view
         wait = UNSERVED * view.longest_lease
         free = {
@@ -252,7 +250,7 @@ class _Deciding:
             for connection in (view.connections if free else ())
             if connection.slot in free
             and self.has_passed(
-                max(free[connection.slot], view.seen_at(connection.bucket_key).at) + wait
+                max(free[connection.slot], view.last_change(connection.bucket_key).at) + wait
             )
         ]
 

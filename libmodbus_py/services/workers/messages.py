@@ -12,7 +12,7 @@ For an MQTT client of the NATS server the subjects are topics, with / in place o
 
 The worker that polls the device carries a command out, while its lease is valid. Commands to
 devices that do not exist, or whose slots have no worker, are refused by the worker with the lowest
-id. Commands to the devices of a worker that has just died are not answered: it may have carried
+id. Commands to the devices of a worker that has just ended are not answered: it may have carried
 them out.
 """
 
@@ -26,7 +26,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from ..engine.buckets import TIMEOUT, keep_stream
-from ..engine.connection import EngineError, explained, what
+from ..engine.connection import EngineError, engine_errors, explanation_of
 from ..fleet.commands import Commands
 from ..fleet.outputs.forms import poll_messages
 from ..fleet.outputs.output import Output
@@ -38,8 +38,6 @@ from .worker import Worker
 if TYPE_CHECKING:
     from nats.aio.client import Client
     from nats.aio.msg import Msg
-
-__all__ = ["CommandService", "Stream", "refusal"]
 
 STREAM = "modbus-readings"
 
@@ -77,7 +75,7 @@ class Stream(Output):
     async def write_readings(self, readings: Sequence[Reading]) -> None:
         messages = list(_messages(readings, self._client.max_payload))
         try:
-            with explained(STREAM):
+            with engine_errors(STREAM):
                 async with asyncio.timeout(TIMEOUT):
                     acknowledged = [
                         # Because of its id, the server drops a message that is sent again.
@@ -144,7 +142,7 @@ class CommandService:
                 try:
                     subscription = await self._client.subscribe(f"{WRITE}.*.*", cb=self._receive)
                 except Exception as error:
-                    self._log(f"commands: {what(error)}")
+                    self._log(f"commands: {explanation_of(error)}")
                     await asyncio.sleep(PAUSE_S)
             await asyncio.Event().wait()
         finally:

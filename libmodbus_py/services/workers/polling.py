@@ -1,6 +1,4 @@
-"""
-Runs a worker: carries out its decisions with a clock, a bucket and a fleet.
-"""
+"""Runs a worker: carries out its decisions with a clock, a bucket and a fleet."""
 
 from __future__ import annotations
 
@@ -29,8 +27,6 @@ from .worker import OWN_PART, Put, Worker
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
-
-__all__ = ["Polling"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -156,12 +152,12 @@ class Polling:
         """Take a change: the first one of a watch begins a snapshot, None ends it."""
         if not self._has_begun:
             self._has_begun = True
-            self.worker.begins()
+            self.worker.begin_snapshot()
         if change is None:
             self._is_whole = True
-            self.worker.is_synced(self.now())
+            self.worker.end_snapshot(self.now())
         else:
-            self.worker.saw(change, self.now())
+            self.worker.add_change(change, self.now())
         if self.worker.view.settings is not None:
             self._service.switch(self.worker.view.settings.commands)
         self._woken.set()
@@ -176,7 +172,7 @@ class Polling:
 
     async def _keep_deciding(self) -> None:
         now = self.now()
-        while not self.worker.left and now < self._leave_by:
+        while not self.worker.has_left and now < self._leave_by:
             decision = step(self.worker, now, self._report())
             # First, because other workers may poll a connection as soon as its slot is written.
             self._poll(decision.active)
@@ -184,7 +180,7 @@ class Polling:
                 self._writes.begin(self._write(put))
             self._log_lease()
             self._report_unserved(decision.unserved)
-            if decision.is_blind and self._is_whole:
+            if decision.must_read_again and self._is_whole:
                 self._doubted.set()
             now = await self._until_due()
 
@@ -269,7 +265,7 @@ class Polling:
     def _log_lease(self) -> None:
         """Log whether the lease is valid, when that changes, and what cannot be read."""
         until, settings, now = self.worker.lease_until, self.worker.view.settings, self.now()
-        if (now < until) != self._was_valid and self.worker.joined:
+        if (now < until) != self._was_valid and self.worker.has_joined:
             self._was_valid = not self._was_valid
             if self._was_valid:
                 logger.warning("%s: the lease is valid again", self._name)

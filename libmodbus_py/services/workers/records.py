@@ -28,13 +28,6 @@ from ...protocol.plain import SORTED_JSON, json_text
 from ..engine.buckets import Change
 from ..fleet.config import ENGINE, LONGEST_LEASE, SHORTEST_LEASE, OnLoss
 
-# fmt: off
-__all__ = [
-    "BUCKET", "HEARD_PART", "SETTINGS", "BucketView", "Connection", "FleetSettings", "Holding",
-    "Member", "RecordError", "Slot", "decode", "digest_of", "in_key", "zone_of",
-]
-# fmt: on
-
 BUCKET = "modbus-fleet"
 
 SETTINGS = "settings"
@@ -154,7 +147,6 @@ Record = FleetSettings | Connection | Member | Holding
 
 
 def digest_of(connection: str) -> str:
-    """Return the digest that represents a connection in keys."""
     return hashlib.sha256(connection.encode()).hexdigest()[:32]
 
 
@@ -236,14 +228,14 @@ HEARD_PART = 0.5
 """The fraction of a lease for which a worker that has renewed it counts as heard."""
 
 
-class Seen(NamedTuple):
+class LastChange(NamedTuple):
     """The last change of a key: its revision, and the time at which it was first seen."""
 
     revision: int
     at: float
 
 
-NEVER = Seen(0, float("-inf"))
+NEVER = LastChange(0, float("-inf"))
 
 
 class BucketView:
@@ -268,7 +260,7 @@ class BucketView:
         self.settings: FleetSettings | None = None
         self.members: dict[str, Member] = {}
         self.holders: dict[Slot, str] = {}
-        self.seen: dict[str, Seen] = {}
+        self.last_changes: dict[str, LastChange] = {}
         self.vanished: dict[str, float] = {}
         self.uncertain: dict[str, int] = {}
         self.unreadable: dict[str, str] = {}
@@ -282,9 +274,9 @@ class BucketView:
 
     def add(self, change: Change, at: float) -> bool:
         """Apply a change that was seen at this time; return False if it was applied before."""
-        if change.revision <= self.seen_at(change.key).revision:
+        if change.revision <= self.last_change(change.key).revision:
             return False
-        self.seen[change.key] = Seen(change.revision, at)
+        self.last_changes[change.key] = LastChange(change.revision, at)
         self.revision = max(self.revision, change.revision)
         holder = self._forget(change, at)
         if change.value is not None:
@@ -297,14 +289,14 @@ class BucketView:
         # Otherwise it is another bucket, or one that lost changes: equal revisions mean nothing.
         is_same = self.revision >= before.revision
         self.longest_lease = max(self.longest_lease, before.longest_lease)
-        for key, revision in before.seen.items():
-            mine = self.seen.get(key)
+        for key, revision in before.last_changes.items():
+            mine = self.last_changes.get(key)
             if mine is None:
                 # Deleted at an unknown time.
-                self.seen[key] = Seen(0, at)
+                self.last_changes[key] = LastChange(0, at)
                 self._touch(key, self.revision)
             elif is_same and mine.revision == revision.revision:
-                self.seen[key] = revision
+                self.last_changes[key] = revision
                 if before.uncertain.get(key) is None:
                     self.uncertain.pop(key, None)
         for name, member in before.members.items():
@@ -314,7 +306,7 @@ class BucketView:
 
     def heard_until(self, member: Member) -> float:
         """Return the time at which a worker is not heard any more unless it renews its lease."""
-        return self.seen_at(member.bucket_key).at + member.lease * HEARD_PART
+        return self.last_change(member.bucket_key).at + member.lease * HEARD_PART
 
     def is_heard(self, member: Member, now: float) -> bool:
         """Return True if a worker has renewed its lease recently, and has not ended."""
@@ -330,14 +322,14 @@ class BucketView:
         """The connections; of one that is in two zones, only the newer record."""
         if self._connections is None:
             by_age = sorted(
-                self.all_connections, key=lambda connection: self.seen[connection.bucket_key]
+                self.all_connections,
+                key=lambda connection: self.last_changes[connection.bucket_key],
             )
             self._connections = {connection.key: connection for connection in by_age}
         return self._connections.values()
 
     @property
     def used_slots(self) -> set[Slot]:
-        """The slots that contain connections."""
         return {connection.slot for connection in self.all_connections}
 
     def touched_at(self, connection: Connection) -> int:
@@ -349,8 +341,8 @@ class BucketView:
         """Return the holder of a slot; None if the holder is not a known worker."""
         return self.members.get(self.holders.get(slot, ""))
 
-    def seen_at(self, key: str) -> Seen:
-        return self.seen.get(key, NEVER)
+    def last_change(self, key: str) -> LastChange:
+        return self.last_changes.get(key, NEVER)
 
     def _forget(self, change: Change, at: float) -> str:
         """Forget the value of a key. Return the previous holder if the key is a slot's, else ""."""

@@ -12,8 +12,6 @@ from typing import NamedTuple
 from ..engine.buckets import Change
 from .records import HEARD_PART, BucketView, Connection, Slot
 
-__all__ = ["OWN_PART", "Decision", "Put", "Worker"]
-
 OWN_PART = 0.9
 """The fraction of a lease that its holder uses, counted from just before it sent the renewal."""
 
@@ -33,14 +31,14 @@ class Decision(NamedTuple):
     Attributes:
         active: polling of others must have stopped before anything is written.
         due: the time of the next decision, unless something changes.
-        is_blind: True if changes may be missing, so that the bucket should be read again.
+        must_read_again: True if changes of the bucket may be missing.
         unserved: connections that no worker has polled for long. Only one worker finds any.
     """
 
     active: Mapping[str, Connection]
     puts: Sequence[Put] = ()
     due: float = math.inf
-    is_blind: bool = False
+    must_read_again: bool = False
     unserved: Sequence[Connection] = ()
 
 
@@ -55,11 +53,11 @@ class Worker:
     Attributes:
         active: the connections that it polls since the last decision, by their keys.
         attempts: its writes to other keys than its own: the revision before, and the time.
-        joined: True once a value of this worker was seen in the bucket.
+        has_joined: True once a value of this worker was seen in the bucket.
         beat, sent_at: the number and the time of its last value.
         hears_since: since when it has seen its own values without a gap: the silence of other
             workers counts only from then.
-        left: True once it has ended after `leave`.
+        has_left: True once it has ended after `leave`.
         due: the time of the next decision; minus infinity after something changed.
     """
 
@@ -68,7 +66,7 @@ class Worker:
         self.zones: tuple[str, ...] = tuple(sorted(zones))
         self.hears_since: float = -math.inf
         self.is_leaving: bool = False
-        self.left: bool = False
+        self.has_left: bool = False
         self._new_id = new_id
         self._snapshot: BucketView | None = None
         self._heard_at = -math.inf
@@ -79,7 +77,7 @@ class Worker:
         self.id: str = self._new_id()
         self.key: str = f"worker.{self.id}"
         self.lease_until: float = -math.inf
-        self.joined: bool = False
+        self.has_joined: bool = False
         self.beat: int = 0
         self.sent_at: float = -math.inf
         # By number of each value that was not seen yet: until when it extends the lease.
@@ -90,12 +88,11 @@ class Worker:
 
     # Input
 
-    def begins(self) -> None:
+    def begin_snapshot(self) -> None:
         """Begin a snapshot; the changes that follow are the whole contents of the bucket."""
         self._snapshot = BucketView()
 
-    def saw(self, change: Change, now: float) -> None:
-        """Apply a change of the bucket."""
+    def add_change(self, change: Change, now: float) -> None:
         if self._snapshot is not None:
             self._snapshot.add(change, now)
         elif self.view.add(change, now):
@@ -106,7 +103,7 @@ class Worker:
                 self._heard_at = now
             self.due = -math.inf
 
-    def is_synced(self, now: float) -> None:
+    def end_snapshot(self, now: float) -> None:
         """End the snapshot; later changes are new ones."""
         if self._snapshot is None:
             return
@@ -122,7 +119,7 @@ class Worker:
         self._follow_own_record()
         self.due = -math.inf
 
-    def decided(self, decision: Decision, now: float) -> None:
+    def note_decision(self, decision: Decision, now: float) -> None:
         """Remember a decision that is carried out now."""
         self.active, self.due = decision.active, decision.due
         for put in decision.puts:
@@ -144,10 +141,10 @@ class Worker:
     def _follow_own_record(self) -> None:
         me = self.view.members.get(self.id)
         if me is not None and me.state != "ended":
-            self.joined = True
+            self.has_joined = True
             self.lease_until = max(self.lease_until, self._leases.get(me.beat, -math.inf))
-        elif me is not None or self.joined:
-            self.left = self.is_leaving
+        elif me is not None or self.has_joined:
+            self.has_left = self.is_leaving
             self._join()
 
     # State
@@ -171,14 +168,14 @@ class Worker:
 
     def is_first(self, now: float) -> bool:
         """Return True if this worker has the lowest id of those that have renewed their leases."""
-        living = (
+        candidates = (
             member.id for member in self.view.members.values() if self.view.is_heard(member, now)
         )
-        return min(living, default="") == self.id
+        return min(candidates, default="") == self.id
 
     def has_written(self, key: str) -> bool:
         """Return True if this worker has written a key that has not changed since."""
-        return key in self.attempts and self.attempts[key][0] == self.view.seen_at(key).revision
+        return key in self.attempts and self.attempts[key][0] == self.view.last_change(key).revision
 
     def is_mine(self, slot: Slot) -> bool:
         """Return True if this worker holds a slot, and has not begun to hand it over."""

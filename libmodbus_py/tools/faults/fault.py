@@ -7,18 +7,16 @@ The server lets the fault that is due happen (`server.faults`).
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from ...device.access import Touched, touched_by
-from ...protocol.checks import integer, number, seconds
+from ...files import schema
+from ...protocol.checks import number, seconds
 from ...protocol.framing import AsciiFramer, Frame, Framer, RtuFramer
-from ...protocol.mistakes import WrongType, WrongValue, named_arguments
+from ...protocol.mistakes import Path, WrongType, WrongValue, named_arguments
 from ...protocol.tables import TABLE_SIZE, TABLES, Table
 from ...server.faults import Fragment
-
-__all__ = ["KINDS", "OPTIONAL", "PLACES", "Fault"]
 
 KINDS: dict[str, str | None] = {
     "delay": "seconds",
@@ -49,42 +47,30 @@ LONGEST = 512
 """More bytes than any frame has."""
 
 
-def _data(name: str, value: object) -> None:
+def _data(path: Path, value: object) -> None:
     if not isinstance(value, bytes):
-        raise WrongType(name, f"must be bytes, not {type(value).__name__}")
+        raise WrongType(path, f"must be bytes, not {type(value).__name__}")
     if len(value) > LONGEST:
-        raise WrongValue(name, f"must have 0..{LONGEST} bytes, not {len(value)}")
+        raise WrongValue(path, f"must have 0..{LONGEST} bytes, not {len(value)}")
 
 
-def _one_of(choices: Iterable[str]) -> Callable[[str, object], None]:
-    def check(name: str, value: object) -> None:
-        if not isinstance(value, str) or value not in choices:
-            raise WrongValue(name, f"must be one of {', '.join(choices)}, not {value!r}")
-
-    return check
-
-
-def _whole(low: int, high: int) -> Callable[[str, object], object]:
-    return lambda name, value: integer(name, value, low, high)
-
-
-SETTINGS: dict[str, Callable[[str, object], object]] = {
+SETTINGS: dict[str, schema.Check] = {
     "seconds": seconds,
-    "code": _whole(1, 0xFF),
-    "length": _whole(0, LONGEST),
+    "code": schema.whole(1, 0xFF),
+    "length": schema.whole(0, LONGEST),
     "data": _data,
-    "place": _one_of(PLACES),
+    "place": schema.one_of(*PLACES),
 }
 """Setting that only some kinds have -> its check."""
 
-WHICH: dict[str, Callable[[str, object], object]] = {
-    "function": _whole(1, 0x7F),
-    "table": _one_of(TABLES),
-    "address": _whole(0, TABLE_SIZE - 1),
-    "count": _whole(1, TABLE_SIZE),
-    "every": _whole(1, 1_000_000_000),
-    "probability": lambda name, value: number(name, value, 0, 1),
-    "seed": _whole(0, (1 << 64) - 1),
+WHICH: dict[str, schema.Check] = {
+    "function": schema.whole(1, 0x7F),
+    "table": schema.one_of(*TABLES),
+    "address": schema.whole(0, TABLE_SIZE - 1),
+    "count": schema.whole(1, TABLE_SIZE),
+    "every": schema.whole(1, 1_000_000_000),
+    "probability": lambda path, value: number(path, value, 0, 1),
+    "seed": schema.whole(0, (1 << 64) - 1),
 }
 """Attribute that selects requests -> its check."""
 
@@ -155,7 +141,7 @@ class Fault:
     place: Place | None = None
 
     def __post_init__(self) -> None:
-        _one_of(KINDS)("kind", self.kind)
+        schema.one_of(*KINDS)(("kind",), self.kind)
         needed = KINDS[self.kind]
         keys = WHICH.keys() | {needed, *OPTIONAL.get(self.kind, ())}
         for name, check in (SETTINGS | WHICH).items():
@@ -165,7 +151,7 @@ class Fault:
             elif name not in keys:
                 raise WrongValue(name, f"does not apply to {self.kind}")
             else:
-                check(name, value)
+                check((name,), value)
         if self.kind == "garbage" and (self.data is None) == (self.length is None):
             raise WrongValue("data", "or length is missing, and garbage needs one of them")
         if self.count is not None and self.address is None:

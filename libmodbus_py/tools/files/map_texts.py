@@ -1,6 +1,4 @@
-"""
-Register maps as text: in the forms that files have, and as a Python class.
-"""
+"""Register maps as text: in the forms that files have, and as a Python class."""
 
 from __future__ import annotations
 
@@ -19,8 +17,6 @@ from ...maps.list_cells import PADDINGS
 from ...maps.point import Point, attribute_names, spelled
 from ...maps.register_map import RegisterMap
 from ...protocol.words import IntegerType
-
-__all__ = ["MARK", "class_name", "class_text", "csv_text", "toml_text"]
 
 WHOLE = frozenset(get_args(IntegerType))
 """Types whose values are integers, if they are not scaled."""
@@ -230,7 +226,6 @@ def _property(point: Point, attribute: str) -> str:
 
 
 def _kind(point: Point) -> str:
-    """Return the type of the value of a point."""
     kind = _kind_of_one(point)
     return f"list[{kind}]" if point.count > 1 else kind
 

@@ -19,8 +19,6 @@ from ...files.schema import REQUIRED, Key, Keys, anything, keys_of, table
 from ...files.texts import shown_key
 from ...protocol.mistakes import Path, inside, item
 
-__all__ = ["parts_of_tables", "roles"]
-
 
 def roles(path: Path, value: object) -> Rules:
     """

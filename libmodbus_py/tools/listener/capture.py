@@ -24,7 +24,6 @@ from .packets import (
     INTERFACE,
     PACKET,
     SECTION,
-    CaptureError,
     Packet,
     PacketReader,
     pairs,
@@ -32,8 +31,6 @@ from .packets import (
 from .separator import Candidate, Damage
 from .streams import LINKS, MODBUS_PORT
 from .transaction import Heard
-
-__all__ = ["CaptureError", "CaptureReader", "CaptureWriter"]
 
 # The type of link of exported PDUs: LINKTYPE_WIRESHARK_UPPER_PDU.
 UPPER_PDU = 252
@@ -156,12 +153,12 @@ class CaptureWriter:
 class CaptureReader:
     """
     Reads a file of `CaptureWriter`, even if Wireshark has saved it again, or the Modbus/TCP in a
-    capture of a network. `recorded` yields what each packet says, and the number of its connection.
+    capture of a network. `events` yields what each packet says, and the number of its connection.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._packets = PacketReader(path)
-        self.recorded: Iterator[tuple[int, Candidate | Damage] | Packet] = self._read()
+        self.events: Iterator[tuple[int, Candidate | Damage] | Packet] = self._read()
 
     def close(self) -> None:
         """Close the file; any number of times."""

@@ -1,6 +1,4 @@
-"""
-listen(url): the transactions on a line, for a ``for`` loop or an ``async for`` loop.
-"""
+"""listen(url): the transactions on a line, for a ``for`` loop or an ``async for`` loop."""
 
 from __future__ import annotations
 
@@ -27,8 +25,6 @@ from .separator import LineFraming, Separator
 from .sources import SerialSource, Tap, TimedBytes
 from .streams import TcpStreams
 from .transaction import Heard, Summary, Transaction
-
-__all__ = ["CAPTURES", "Listener", "listen"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -173,7 +169,9 @@ class Listener:
                 if not self._read_on(self._source):
                     break
             elif self._outage.is_on:
-                yield from self._reopening(self._source)
+                yield Ready(self._poller.fileno(), READ, time.monotonic() + REOPEN_AFTER)
+                if not self._is_closed and self._outage.try_to_end(self._source.open):
+                    self._poller.register(self._source.descriptor, READ)
             else:
                 yield from self._hearing(self._source)
         return self._ready.popleft() if self._ready and not self._is_closed else None
@@ -200,11 +198,6 @@ class Listener:
         for piece in pieces:
             self._feed(piece)
 
-    def _reopening(self, source: Source) -> Steps[None]:
-        yield Ready(self._poller.fileno(), READ, time.monotonic() + REOPEN_AFTER)
-        if not self._is_closed and self._outage.try_to_end(source.open):
-            self._poller.register(source.descriptor, READ)
-
     def _feed(self, piece: TimedBytes) -> None:
         if piece.data:
             separator = self._separator(piece.link)
@@ -215,7 +208,7 @@ class Listener:
 
     def _read_on(self, reader: CaptureReader) -> bool:
         """Read a frame; at the end of the capture, return True if there are transactions left."""
-        for event in reader.recorded:
+        for event in reader.events:
             if isinstance(event, Packet):
                 self._add(self._streams.take(event))
             else:
@@ -269,10 +262,7 @@ class Clock:
 
 @named_parameters
 def listen(
-    url: str,
-    *,
-    between: str | None = None,
-    capture: str | os.PathLike[str] | None = None,
+    url: str, *, between: str | None = None, capture: str | os.PathLike[str] | None = None
 ) -> Listener:
     """
     Listen to the traffic between other devices on a line.

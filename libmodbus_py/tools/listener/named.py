@@ -21,8 +21,6 @@ from ...protocol.mistakes import named_parameters
 from ...protocol.tables import TABLES
 from .transaction import Transaction
 
-__all__ = ["LearnedMap", "MapDecoder", "NamedValue"]
-
 HEARD = ("answered", "late", "broadcast")
 """The kinds of transactions whose cells have values, if there is no error."""
 
@@ -95,13 +93,13 @@ class MapDecoder:
     @named_parameters
     def __init__(self, map: AnyMap) -> None:
         self.map: RegisterMap = map_of(map)
-        self._ending: dict[tuple[str, int], list[Point]] = {}
-        self._used: set[tuple[str, int]] = set()
+        self._points_at_end: dict[tuple[str, int], list[Point]] = {}
+        self._point_cells: set[tuple[str, int]] = set()
         for point in self.map.values():
-            self._ending.setdefault((point.table, point.cells[-1]), []).append(point)
-            self._used.update((point.table, address) for address in point.cells)
+            self._points_at_end.setdefault((point.table, point.cells[-1]), []).append(point)
+            self._point_cells.update((point.table, address) for address in point.cells)
         # Unit, table and address -> the value that was heard last.
-        self._known: dict[tuple[int, str, int], Any] = {}
+        self._last_values: dict[tuple[int, str, int], Any] = {}
 
     def decode(self, transaction: Transaction) -> list[NamedValue]:
         """Return the values that a transaction completes, those that it writes first."""
@@ -109,10 +107,10 @@ class MapDecoder:
         for cells in _cells_of(transaction, self._masked(unit, transaction.request)):
             pairs = list(zip(cells.addresses, cells.values, strict=False))
             for address, value in pairs:
-                if (cells.table, address) in self._used:
-                    self._known[unit, cells.table, address] = value
+                if (cells.table, address) in self._point_cells:
+                    self._last_values[unit, cells.table, address] = value
             for address, _ in pairs:
-                for point in self._ending.get((cells.table, address), ()):
+                for point in self._points_at_end.get((cells.table, address), ()):
                     judged = self._judged(unit, point)
                     if judged is None or not (cells.is_written or point.is_readable):
                         continue
@@ -124,11 +122,11 @@ class MapDecoder:
         """Return the register that a masked write changes; None if it is not known."""
         if not isinstance(request, pdu.MaskWriteRegister):
             return None
-        before = self._known.get((unit, "holding_registers", request.address))
+        before = self._last_values.get((unit, "holding_registers", request.address))
         return None if before is None else Mapping(holding_registers={request.address: [before]})
 
     def _judged(self, unit: int, point: Point) -> Judged | None:
-        cells = [self._known.get((unit, point.table, address)) for address in point.cells]
+        cells = [self._last_values.get((unit, point.table, address)) for address in point.cells]
         if None in cells:
             return None
         source = None if point.scale_from is None else self.map[point.scale_from]
@@ -169,7 +167,6 @@ class LearnedMap:
         self._cells: dict[tuple[int, str, int], _Cell] = {}
 
     def add_transaction(self, transaction: Transaction) -> None:
-        """Add the cells of a transaction."""
         for table, addresses, values, is_written in _cells_of(transaction):
             if table not in TABLES:
                 continue

@@ -13,8 +13,6 @@ from typing import BinaryIO, NamedTuple
 
 from ...system import open_file
 
-__all__ = ["CaptureError", "Packet", "PacketReader", "pairs"]
-
 # Kinds of blocks of pcapng, the mark of the order of bytes, and options of interfaces.
 SECTION, INTERFACE, SIMPLE, PACKET = 0x0A0D0D0A, 1, 3, 6
 BYTE_ORDER = 0x1A2B3C4D

@@ -26,26 +26,19 @@ from ...protocol.pdu import RawRequest, Request
 from .transaction import (
     Ending,
     Transaction,
-    answered,
-    damage_alone,
+    damage_transaction,
     decoded,
-    misused,
-    unasked,
+    ending_of,
+    misuse_transaction,
+    unasked_response,
 )
-
-__all__ = ["TIMEOUT", "Exchange", "OpenRequest", "Pairing", "TracePairing"]
 
 # Seconds after which a request counts as unanswered, even if no other request was sent.
 TIMEOUT = 5.0
 
-# A response belongs to no request that was sent more seconds before it.
-LATEST = 60.0
-
-# The most open requests, and the most requests with late responses, that are remembered.
-MOST = 256
-
-# The most connections of a trace that are followed at once.
-MOST_CONNECTIONS = 1000
+LATEST = 60.0  # a response belongs to no request sent more seconds before it
+MOST = 256  # the most open requests, and the most requests with late responses, that are remembered
+MOST_CONNECTIONS = 1000  # the most connections of a trace that are followed at once
 
 
 class Spoiled(NamedTuple):
@@ -75,7 +68,7 @@ class OpenRequest:
 
     def outcome(self, frame: Frame) -> Ending:
         """Decode a response to this request; it is "unasked" if it belongs to another one."""
-        return answered(self.request, frame.pdu) if self.is_for(frame) else Ending("unasked")
+        return ending_of(self.request, frame.pdu) if self.is_for(frame) else Ending("unasked")
 
     def fits(self, frame: Frame) -> bool:
         """Return True for a valid response to this request."""
@@ -100,7 +93,7 @@ class Pairing:
         """The last open request; on a line there is only one, because clients wait."""
         return self._open[-1] if self._open else None
 
-    def given_up(self, unit: int) -> OpenRequest | None:
+    def unanswered_request(self, unit: int) -> OpenRequest | None:
         """Return the last request to a unit of a line whose response may still arrive."""
         return self._late.get((unit, 0))
 
@@ -136,7 +129,7 @@ class Pairing:
             text = f"sent as unit {frame.unit}, function {frame.pdu[0] & 0x7F}{which}"
             wrong = Ending("invalid", None, InvalidResponse(text, received=frame.pdu))
             due = self.due if self._is_server else None
-            self._set_aside(ended, unasked(began, frame), due, wrong)
+            self._set_aside(ended, unasked_response(began, frame), due, wrong)
             return None
         for earlier in self._open[: self._open.index(request)]:
             if earlier.frame.transaction == frame.transaction:  # a later one was answered
@@ -151,18 +144,18 @@ class Pairing:
 
     def damage(self, began: float, ended: float, data: bytes) -> None:
         """Record bytes that form no frame, which arrived instead of a response or with one."""
-        self._set_aside(ended, damage_alone(began, data), self.due)
+        self._set_aside(ended, damage_transaction(began, data), self.due)
 
     def misuse(self, began: float, ended: float, frame: Frame) -> None:
         """Take a frame whose function code is not allowed, instead of a response or alone."""
         due = self.due
         is_of_unit = due is not None and due.frame.unit == frame.unit
-        self._set_aside(ended, misused(began, frame), due if is_of_unit else None)
+        self._set_aside(ended, misuse_transaction(began, frame), due if is_of_unit else None)
 
     def withdraw(self, request: OpenRequest) -> None:
         """Turn an open request into a response that belongs to no request."""
         self._open.remove(request)
-        self.done.append(unasked(request.began, request.frame))
+        self.done.append(unasked_response(request.began, request.frame))
 
     def tick(self, at: float) -> None:
         """End the requests that have been open for too long at this time, all at infinity."""
@@ -213,18 +206,11 @@ class Pairing:
             self._end(request, request.spoiled.outcome, request.spoiled.ended)
 
     def _end(self, request: OpenRequest, outcome: Ending, ended: float | None = None) -> None:
+        duration = None if ended is None else max(ended - request.ended, 0.0)
+        unit, pdu, _ = request.frame
+        head = request.began, outcome.kind, unit, pdu[0], request.request
         self.done.append(
-            Transaction(
-                request.began,
-                outcome.kind,
-                request.frame.unit,
-                request.frame.pdu[0],
-                request.request,
-                outcome.response,
-                outcome.error,
-                None if ended is None else max(ended - request.ended, 0.0),
-                request.repeats,
-            )
+            Transaction(*head, outcome.response, outcome.error, duration, request.repeats)
         )
 
 
@@ -264,9 +250,9 @@ class TracePairing:
             else:
                 pairing.answer(at, at, frame)
         elif frame is None:
-            pairing.done.append(damage_alone(at, traced.adu))
+            pairing.done.append(damage_transaction(at, traced.adu))
         elif not 0 < pdu[0] < 0x80:  # application protocol, 4.1
-            pairing.done.append(misused(at, frame))
+            pairing.done.append(misuse_transaction(at, frame))
         else:
             pairing.ask(at, at, frame)
         self._collect(traced.peer, pairing)

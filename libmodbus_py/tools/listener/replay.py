@@ -14,19 +14,13 @@ from ...client.blocking import Client
 from ...device.access import Caller
 from ...device.device import Device
 from ...device.mapping import Mapping
-from ...protocol.errors import (
-    ExceptionResponse,
-    ModbusConnectionError,
-    ModbusError,
-    ServerDeviceFailure,
-)
+from ...protocol import errors
+from ...protocol.errors import ExceptionResponse, ModbusConnectionError, ModbusError
 from ...protocol.logs import HarmlessLogger
 from ...protocol.mistakes import WrongValue
 from ...protocol.pdu import Request
 from .listener import CAPTURES, listen
 from .transaction import Transaction
-
-__all__ = ["differences", "replayed_devices"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -59,7 +53,7 @@ class ReplayedDevice(Device):
         if is_first:
             text = "unit %d: request %s is not in the capture; this is logged once"
             logger.warning(text, self._unit, pdu.hex(" "))
-        return bytes([pdu[0] | 0x80, ServerDeviceFailure.code])
+        return bytes([pdu[0] | 0x80, errors.ServerDeviceFailure.code])
 
 
 def replayed_devices(path: str | os.PathLike[str]) -> dict[int, Device]:

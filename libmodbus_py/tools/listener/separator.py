@@ -33,8 +33,6 @@ from ...protocol.scan import ALLOWANCE
 from .pairing import OpenRequest, Pairing
 from .transaction import Heard, OnHeard, Part, Transaction, decoded
 
-__all__ = ["Candidate", "Damage", "Direction", "LineFraming", "Separator"]
-
 LineFraming = Literal["rtu", "ascii"]
 
 Direction = Literal["client", "server"]
@@ -208,10 +206,7 @@ class Separator:
     """
 
     def __init__(
-        self,
-        framing: LineFraming,
-        on_heard: OnHeard = lambda event: None,
-        pause: float = 0.0,
+        self, framing: LineFraming, on_heard: OnHeard = lambda event: None, pause: float = 0.0
     ) -> None:
         if framing not in ("rtu", "ascii"):
             raise ValueError(f'framing must be "rtu" or "ascii", not {framing!r}')
@@ -302,7 +297,9 @@ class Separator:
         if isinstance(item, Damage):
             self._report(Heard(began, ended, "damage", None, item.data))
             self._pairing.damage(*item)
-        elif not _has_function(item):
+            return
+        code = item.frame.pdu[0]
+        if not code & 0x7F or (code > 0x80 and not item.may_answer):  # application protocol, 4.1
             part: Part = "response" if item.may_answer else "request"
             self._report(Heard(began, ended, part, item.frame))
             self._pairing.misuse(began, ended, item.frame)
@@ -348,7 +345,7 @@ class Separator:
 
     def _is_late_echo(self, candidate: Candidate) -> bool:
         """Return True for the response to an earlier request while another one is awaited."""
-        request, late = self._pairing.due, self._pairing.given_up(candidate.frame.unit)
+        request, late = self._pairing.due, self._pairing.unanswered_request(candidate.frame.unit)
         if request is None or request.spoiled or late is None or not late.fits(candidate.frame):
             return False
         return candidate.began - request.ended <= self._times.limit(candidate.frame.unit)
@@ -371,9 +368,3 @@ class Separator:
         self._is_certain = not candidate.may_answer
         self._pairing.ask(began, candidate.ended, candidate.frame)
         self._release()
-
-
-def _has_function(candidate: Candidate) -> bool:
-    """Return True if the function code is valid (application protocol, 4.1)."""
-    code = candidate.frame.pdu[0]
-    return 0 < code < 0x80 or (code > 0x80 and candidate.may_answer)

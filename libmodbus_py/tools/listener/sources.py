@@ -27,8 +27,6 @@ from ...protocol.logs import HarmlessLogger
 from ..timed_server import TimedServer
 from .separator import Direction
 
-__all__ = ["SerialSource", "Tap", "TimedBytes"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Seconds before connecting to the device times out.
@@ -37,14 +35,9 @@ CONNECT_TIMEOUT = 10.0
 # Seconds without a byte after which a connection ends, as at a server (`Limits.idle_timeout`).
 IDLE = 3600.0
 
-# The same when one side has closed its direction, or takes no bytes.
-LEAVING = 60.0
-
-# Seconds of silence after which the system probes a side, as for clients.
-KEEPALIVE = 30.0
-
-# Bytes that are read at once.
-READ_SIZE = 65_536
+LEAVING = 60.0  # the same when one side has closed its direction, or takes no bytes
+KEEPALIVE = 30.0  # seconds of silence after which the system probes a side, as for clients
+READ_SIZE = 65_536  # bytes that are read at once
 
 # The most bytes that are kept for the listener; further bytes are passed on without being kept.
 MAX_UNSEEN = 1 << 20

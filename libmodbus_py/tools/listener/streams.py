@@ -16,24 +16,13 @@ from typing import NamedTuple
 from ...protocol.framing import Frame
 from .packets import Packet
 from .pairing import Pairing
-from .transaction import Heard, Part, Transaction, misused
+from .transaction import Heard, Part, Transaction, misuse_transaction
 
-__all__ = ["LINKS", "MODBUS_PORT", "TcpStreams"]
-
-# The number of TCP among the protocols of IP.
-TCP = 6
-
-MODBUS_PORT = 502
-"""The port by which Wireshark knows Modbus, and which a server has usually."""
-
-# Flags of segments.
-FIN_SYN, SYN, RST, ACK = 0x03, 0x02, 0x04, 0x10
-
-# Headers of IPv6 before that of TCP: hop by hop, routing, destination.
-EXTENSIONS = (0, 43, 60)
-
-# EtherTypes: IPv4, IPv6, tags of VLANs.
-IPV4, IPV6, VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8)
+TCP = 6  # the number of TCP among the protocols of IP
+MODBUS_PORT = 502  # the port by which Wireshark knows Modbus, and which a server has usually
+FIN_SYN, SYN, RST, ACK = 0x03, 0x02, 0x04, 0x10  # flags of segments
+EXTENSIONS = (0, 43, 60)  # headers of IPv6 before that of TCP: hop by hop, routing, destination
+IPV4, IPV6, VLANS = 0x0800, 0x86DD, (0x8100, 0x88A8)  # EtherTypes: IPv4, IPv6, tags of VLANs
 
 # Segments behind a gap after which it is taken to be lost, because nothing may fill it.
 MAX_WAITING = 32
@@ -67,7 +56,6 @@ LINKS: dict[int, Callable[[bytes], bytes]] = {
     276: lambda data: _if_ip(int.from_bytes(data[:2]), data[20:]),  # LINUX_SLL2
 }
 """Link type -> function that returns the packet of IP in a packet, or nothing."""
-
 
 Address = tuple[bytes, int]
 """An address of IP, and a port."""
@@ -192,7 +180,7 @@ class TcpConnection:
             elif 0 < frame.pdu[0] < 0x80:
                 self._pairing.ask(at, at, frame)
             else:
-                self._pairing.done.append(misused(at, frame))
+                self._pairing.done.append(misuse_transaction(at, frame))
         return self._ended()
 
     def _ended(self) -> list[Transaction]:
@@ -207,7 +195,7 @@ class Direction:
     def __init__(self) -> None:
         self.acknowledged: int | None = None  # by the other end
         self._next: int | None = None
-        self._waiting: dict[int, tuple[float, bytes]] = {}  # segments behind a gap, by number
+        self._segments: dict[int, tuple[float, bytes]] = {}  # segments behind a gap, by number
         self._data = b""
 
     def take(self, segment: Segment, at: float) -> Iterator[tuple[float, Frame]]:
@@ -218,21 +206,21 @@ class Direction:
         if self._next is None:
             self._next = number
         if segment.data:
-            self._waiting.setdefault(number & 0xFFFFFFFF, (at, segment.data))
+            self._segments.setdefault(number & 0xFFFFFFFF, (at, segment.data))
             yield from self._in_order()
-            while self._waiting and self._is_lost():
+            while self._segments and self._is_lost():
                 yield from self._over_a_gap()
 
     def rest(self) -> Iterator[tuple[float, Frame]]:
         """Yield the frames behind gaps that nothing has filled."""
-        while self._waiting:
+        while self._segments:
             yield from self._over_a_gap()
 
     def _is_lost(self) -> bool:
         """Return True if the capture lacks what is before the segments that wait."""
-        if len(self._waiting) > MAX_WAITING:
+        if len(self._segments) > MAX_WAITING:
             return True
-        first, end = min(map(self._behind, self._waiting)), self.acknowledged
+        first, end = min(map(self._behind, self._segments)), self.acknowledged
         return end is not None and self._behind(end) >= first
 
     def _behind(self, number: int) -> int:
@@ -241,8 +229,8 @@ class Direction:
         return (number - self._next + 0x80000000 & 0xFFFFFFFF) - 0x80000000
 
     def _in_order(self) -> Iterator[tuple[float, Frame]]:
-        while self._waiting and self._behind(number := min(self._waiting, key=self._behind)) <= 0:
-            at, data = self._waiting.pop(number)
+        while self._segments and self._behind(number := min(self._segments, key=self._behind)) <= 0:
+            at, data = self._segments.pop(number)
             data = data[-self._behind(number) :]
             if data:
                 assert self._next is not None
@@ -250,7 +238,7 @@ class Direction:
                 yield from self._frames(at, data)
 
     def _over_a_gap(self) -> Iterator[tuple[float, Frame]]:
-        self._next = min(self._waiting, key=self._behind)
+        self._next = min(self._segments, key=self._behind)
         self._data = b""
         yield from self._in_order()
 

@@ -1,6 +1,4 @@
-"""
-The result of listening: a request, its response, and how it ended; and counts of these.
-"""
+"""The result of listening: a request, its response, and how it ended; and counts of these."""
 
 from __future__ import annotations
 
@@ -12,13 +10,6 @@ from typing import Any, Literal, NamedTuple
 from ...protocol.errors import ExceptionResponse, FrameError, InvalidResponse, ModbusError
 from ...protocol.framing import Frame
 from ...protocol.pdu import RawRequest, Request, decode_request
-
-# fmt: off
-__all__ = [
-    "Ending", "Heard", "Kind", "OnHeard", "Part", "Summary", "Transaction", "answered",
-    "damage_alone", "decoded", "misused", "unasked",
-]
-# fmt: on
 
 Kind = Literal[
     "answered",  # the response fits the request
@@ -122,7 +113,7 @@ def decoded(pdu: bytes) -> Request[Any] | None:
         return RawRequest.decode(pdu) if is_unknown else None
 
 
-def answered(request: Request[Any], pdu: bytes) -> Ending:
+def ending_of(request: Request[Any], pdu: bytes) -> Ending:
     """Decode the response to a request as a client does."""
     try:
         return Ending("answered", request.decode_response(pdu))
@@ -133,21 +124,21 @@ def answered(request: Request[Any], pdu: bytes) -> Ending:
         return Ending("invalid", None, error)
 
 
-def damage_alone(began: float, data: bytes) -> Transaction:
+def damage_transaction(began: float, data: bytes) -> Transaction:
     """Return the transaction for bytes that are not a frame and belong to no request."""
     size = len(data)
     why = f"{size} bytes that are not a frame" if size > 1 else "a byte that is not a frame"
     return Transaction(began, "damaged", error=FrameError(why, received=data))
 
 
-def misused(began: float, frame: Frame) -> Transaction:
+def misuse_transaction(began: float, frame: Frame) -> Transaction:
     """Return the transaction for a frame whose function code is not allowed."""
     code = frame.pdu[0]
     error = InvalidResponse(f"a frame with function code {code:02X}h", received=frame.pdu)
     return Transaction(began, "invalid", frame.unit, error=error)
 
 
-def unasked(began: float, frame: Frame) -> Transaction:
+def unasked_response(began: float, frame: Frame) -> Transaction:
     """Return the transaction for a response that belongs to no request."""
     unit, pdu, _ = frame
     function, response, error = pdu[0] & 0x7F, None, None
@@ -172,7 +163,6 @@ class AnswerTimes:
         return self.total / self.count if self.count else 0.0
 
     def add_time(self, seconds: float) -> None:
-        """Count one more."""
         self.shortest = min(self.shortest, seconds) if self.count else seconds
         self.longest = max(self.longest, seconds)
         self.total += seconds

@@ -1,6 +1,4 @@
-"""
-The log of a page: transactions as rows of text, and which client wrote which addresses last.
-"""
+"""The log of a page: transactions as rows of text, and which client wrote which addresses last."""
 
 from __future__ import annotations
 
@@ -24,8 +22,6 @@ from ..listener.pairing import Exchange, TracePairing
 from .streams import Tables
 from .text import cell_text, in_words
 from .units import ShownServer, ShownUnit
-
-__all__ = ["Log", "LogRow", "named_cells", "request_name", "request_words"]
 
 # The most ADUs that wait to be shown, and the most rows that are remembered.
 MOST_ADUS = 2000
@@ -74,7 +70,7 @@ class Log:
     """Collects the trace of a server, in the server's loop, and returns rows, in any thread."""
 
     def __init__(self, server_of: Callable[[], ShownServer]) -> None:
-        self._shown = server_of
+        self._server_of = server_of
         self._adus: deque[Traced] = deque(maxlen=MOST_ADUS)
         self._pairing = TracePairing()
         self._rows: deque[LogRow] = deque(maxlen=MOST_ROWS)
@@ -83,7 +79,7 @@ class Log:
         # Writes are paired at once, because pages that are opened later show them, too.
         self._writes = TracePairing()
         # Unit, table, first address and end -> the row of the last write.
-        self._written: dict[tuple[int | None, str, int, int], dict[str, Any]] = {}
+        self._write_rows: dict[tuple[int | None, str, int, int], dict[str, Any]] = {}
         self._write_numbers = count(1)
 
     def note(self, traced: Traced) -> None:
@@ -96,28 +92,30 @@ class Log:
         is_line = framing_of(traced.endpoint) in ("rtu", "ascii")
         for peer, exchange in exchanges:
             if exchange.kind in DONE and exchange.request is not None and exchange.unit is not None:
-                server = self._shown()
+                server = self._server_of()
                 for number in server.units_of(exchange.unit, is_line=is_line):
                     mapping = server.units[number].device.mapping
                     for access in touched(exchange.request, mapping=mapping).writes:
                         stop = access.address + access.count
-                        self.wrote(number, access.table, range(access.address, stop), peer or "")
+                        self.note_write(
+                            number, access.table, range(access.address, stop), peer or ""
+                        )
 
-    def wrote(self, unit: int | None, table: str, cells: range, who: str) -> None:
+    def note_write(self, unit: int | None, table: str, cells: range, who: str) -> None:
         """Remember that a client, or the page itself, wrote these addresses."""
         key = unit, table, cells.start, cells.stop
         names = ("number", "unit", "table", "start", "stop", "time", "who")
-        self._written.pop(key, None)  # the latest is the last
-        while len(self._written) >= MOST_RANGES:
-            self._written.pop(next(iter(self._written)), None)
+        self._write_rows.pop(key, None)  # the latest is the last
+        while len(self._write_rows) >= MOST_RANGES:
+            self._write_rows.pop(next(iter(self._write_rows)), None)
         row = (next(self._write_numbers), *key, time.time(), who)
-        self._written[key] = dict(zip(names, row, strict=True))
+        self._write_rows[key] = dict(zip(names, row, strict=True))
 
     def tables(self) -> Tables:
         """Return the remembered rows and writes for a page, by their numbers."""
         return {
             "log": {row.number: row._asdict() for row in self.rows()},
-            "written": {row["number"]: row for row in self._written.copy().values()},
+            "written": {row["number"]: row for row in self._write_rows.copy().values()},
         }
 
     def rows(self) -> list[LogRow]:
@@ -146,22 +144,14 @@ class Log:
         (peer, transaction), names = exchange, ""
         request, unit = transaction.request, transaction.unit
         if request is not None and unit is not None and transaction.kind in DONE:
-            server = self._shown()
+            server = self._server_of()
             for number in server.units_of(unit, is_line=False)[:1]:
                 names = named_cells(server.units[number], request, transaction.response)
-        return LogRow(
-            next(self._row_numbers),
-            transaction.time,
-            peer or "",
-            transaction.unit,
-            transaction.function,
-            "" if transaction.request is None else request_words(transaction.request),
-            cell_text(transaction.outcome(_listed)),
-            transaction.kind,
-            transaction.duration,
-            names,
-            transaction.function in WRITES,
-        )
+        number, function = next(self._row_numbers), transaction.function
+        words = "" if request is None else request_words(request)
+        whose = number, transaction.time, peer or "", unit, function, words
+        end = cell_text(transaction.outcome(_listed)), transaction.kind, transaction.duration
+        return LogRow(*whose, *end, names, function in WRITES)
 
 
 def _is_wanted(row: LogRow, writes: bool, errors: bool) -> bool:

@@ -30,8 +30,6 @@ from ..timed_server import TimedServer
 from .server_source import ServerSource
 from .streams import Action, PageSource, Refused, Streams
 
-__all__ = ["Page", "live_page", "table_page"]
-
 # 22 characters have 128 bits, if they are chosen at random.
 TOKEN = re.compile("[A-Za-z0-9_-]{22,200}")
 
@@ -71,7 +69,7 @@ class _PageGuard:
         origins = None, f"http://{host}", self._outer_origin
         if (is_change and origin is None) or origin not in origins:
             raise Refused(403, f"the Origin header is not the address of this page; {PROXY}")
-        tokens = [token, *self._kept(headers)]
+        tokens = [token, *self._cookies(headers)]
         if not any(hmac.compare_digest(text.encode(), self.token.encode()) for text in tokens):
             raise Refused(403, "the token is missing or wrong: open the URL that was printed")
 
@@ -89,7 +87,7 @@ class _PageGuard:
         except ValueError:
             return False
 
-    def _kept(self, headers: Message) -> Iterator[str]:
+    def _cookies(self, headers: Message) -> Iterator[str]:
         """Yield the values of the page's cookie; `http.cookies` stops at one with JSON."""
         for header in headers.get_all("Cookie", []):
             for cookie in header.split(";"):
@@ -234,7 +232,7 @@ class Handler(BaseHTTPRequestHandler):
         self._send("application/json", json_text(result).encode(), status)
 
     def _stream(self) -> None:
-        with self.server.streams.opened(self.connection) as messages:
+        with self.server.streams.open_stream(self.connection) as messages:
             self.server.keep(self.connection)
             self.send_response(200)
             self.send_header("Content-Type", "text/event-stream; charset=utf-8")

@@ -16,8 +16,6 @@ from collections.abc import Callable, Iterable
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-__all__ = ["Counts", "RowHistory", "Samples", "Series", "charted", "samples_of_each", "with_gaps"]
-
 # Samples of one value: with one a second, those of ten minutes; and however many values there are.
 MOST_SAMPLES = 600
 FEWEST = 60
@@ -121,7 +119,7 @@ class Series(NamedTuple):
     units: str
 
 
-def charted(pairs: Pairs, now: float, units: str, every: float | None) -> dict[str, Any]:
+def chart_of(pairs: Pairs, now: float, units: str, every: float | None) -> dict[str, Any]:
     """Return the samples up to now as JSON for a chart; `every` as for `Samples`."""
     past = [(at, value) for at, value in pairs if at <= now]
     return {
@@ -180,7 +178,7 @@ class RowHistory:
         self._counts = counts
         self._clock = clock
         self._lock = threading.Lock()
-        self._known: dict[Name, tuple[Counts, dict[str, Samples]]] = {}
+        self._rows: dict[Name, tuple[Counts, dict[str, Samples]]] = {}
         self._at = 0.0
 
     def sample(self) -> None:
@@ -192,7 +190,7 @@ class RowHistory:
             seconds, self._at = now - self._at, now
             rows = dict(self._counts())
             most = samples_of_each(len(rows) * len(UNITS))
-            self._known = {
+            self._rows = {
                 name: self._row(name, counts, now, seconds, most) for name, counts in rows.items()
             }
         finally:
@@ -201,9 +199,9 @@ class RowHistory:
     def _row(
         self, name: Name, counts: Counts, now: float, seconds: float, most: int
     ) -> tuple[Counts, dict[str, Samples]]:
-        if name not in self._known:
+        if name not in self._rows:
             return counts, {column: Samples(SAMPLED, most) for column in UNITS}
-        before, series = self._known[name]
+        before, series = self._rows[name]
         if seconds > 0:
             for column, figure in _figures(before, counts, seconds).items():
                 series[column].resize(most)
@@ -217,7 +215,7 @@ class RowHistory:
 
     def series(self, name: Name, column: str) -> Series | None:
         """Return the numbers of a row; None if there is no such row or column."""
-        former = self._known.get(name)
+        former = self._rows.get(name)
         if former is None or column not in former[1]:
             return None
         return Series(former[1][column], UNITS[column])

@@ -20,11 +20,9 @@ from ...server.server import Server
 from ..faults.fault import KINDS, OPTIONAL, Fault
 from ..simulator.simulated import SimulatedDevice
 from .log import Log
-from .samples import charted
+from .samples import chart_of
 from .streams import Action, Download, Tables
 from .units import SAMPLED, ShownUnit, cell_rows, point_rows, shown_of
-
-__all__ = ["ServerSource", "set_point"]
 
 # Characters of a value that is typed, and faults of a server to which pages can add others.
 MOST_TEXT = 2000
@@ -79,7 +77,6 @@ def _set_cells(unit: ShownUnit, query: Given, text: str) -> Point:
 
 
 def _check_set(unit: ShownUnit, point: Point, cells: list[Any]) -> None:
-    """Check that a point still has the cells that were set."""
     unit.refresh(point.table, point.cells)
     if cells_after(point, unit.device.mapping) != cells:
         raise ValueError("the device computes this value itself")
@@ -119,8 +116,8 @@ class ServerSource:
 
     def __init__(self, server: Server) -> None:
         self._server = server
-        self._shown = shown_of(server)
-        self.log: Log = Log(lambda: self._shown)
+        self._shown_server = shown_of(server)
+        self.log: Log = Log(lambda: self._shown_server)
         self.downloads: Mapping[str, Download] = {"/log.csv": self.log.download}
         self.actions: Mapping[str, Action] = {
             "/value": self._set,
@@ -132,13 +129,11 @@ class ServerSource:
         }
 
     def _units(self) -> dict[int | None, ShownUnit]:
-        """Return the units that the server has now."""
-        if self._server.devices is not self._shown.given:
-            self._shown = shown_of(self._server)
-        return self._shown.units
+        if self._server.devices is not self._shown_server.devices:
+            self._shown_server = shown_of(self._server)
+        return self._shown_server.units
 
     def _unit(self, query: Given) -> ShownUnit:
-        """Return the unit that a request names."""
         units, number = self._units(), query["unit"]
         unit = units.get(number) if isinstance(number, int | None) else None
         if unit is None:
@@ -167,10 +162,10 @@ class ServerSource:
             _table(what)
         return self._unit(query).number, what, first, stop
 
-    def viewed(self, view: View) -> Tables:
+    def tables_of(self, view: View) -> Tables:
         """Return a table whose name is that of the unit and of the table that are shown."""
         number, what, first, stop = view
-        unit = self._shown.units.get(number)
+        unit = self._shown_server.units.get(number)
         if unit is None:
             return {}
         if what == "points":
@@ -190,7 +185,7 @@ class ServerSource:
             raise ValueError("this value no longer exists")
         now = time.time()
         since = now - number("seconds", query["seconds"], 1, MOST_SECONDS)
-        return charted(samples.pairs(since), now, units[0], SAMPLED)
+        return chart_of(samples.pairs(since), now, units[0], SAMPLED)
 
     def _set(self, query: Given) -> None:
         unit, text = self._unit(query), query["text"]
@@ -203,7 +198,7 @@ class ServerSource:
             set_point(unit, point, text)
         else:
             point = _set_cells(unit, query, text)
-        self.log.wrote(unit.number, point.table, point.cells, "this page")
+        self.log.note_write(unit.number, point.table, point.cells, "this page")
 
     def _read(self, query: Given) -> object:
         table = _table(query["table"])

@@ -27,8 +27,6 @@ from ...protocol.logs import HarmlessLogger
 from ...protocol.plain import COMPACT_JSON
 from ...system import Flag
 
-__all__ = ["Action", "Download", "PageSource", "Refused", "Streams", "Tables", "difference"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Pages that may be open at once: each takes a thread.
@@ -68,7 +66,7 @@ class PageSource(Protocol):
 
     def common(self) -> Tables: ...
 
-    def viewed(self, view: Any) -> Tables: ...
+    def tables_of(self, view: Any) -> Tables: ...
 
 
 def difference(before: Tables, after: Tables) -> dict[str, Any]:
@@ -111,7 +109,7 @@ class Streams:
         self._has_failed = False
 
     @contextlib.contextmanager
-    def opened(self, connection: socket.socket) -> Iterator[Iterator[str]]:
+    def open_stream(self, connection: socket.socket) -> Iterator[Iterator[str]]:
         """Return the messages to one more page, which end when the browser closes it."""
         with self._lock:
             if len(self._pages) >= MOST_STREAMS:
@@ -162,10 +160,10 @@ class Streams:
         try:
             with self._lock:
                 common = self.source.common()
-                viewed = {} if page.view is None else self.source.viewed(page.view)
+                tables_of = {} if page.view is None else self.source.tables_of(page.view)
         except Exception:
             if not self._has_failed:  # once, not ten times a second
                 self._has_failed = True
                 logger.exception("the page cannot be updated; this is logged once")
             return former
-        return {"page": {"script": self.source.script, **page.head}, **common, **viewed}
+        return {"page": {"script": self.source.script, **page.head}, **common, **tables_of}

@@ -12,16 +12,9 @@ from typing import Any, Literal, NamedTuple, Protocol
 
 from ...protocol.checks import integer, number
 from .log import Log
-from .samples import Pairs, Samples, Series, charted, samples_of_each, with_gaps
+from .samples import Pairs, Samples, Series, chart_of, samples_of_each, with_gaps
 from .streams import Action, Download, Tables
 from .text import cell_text, in_words, value_text
-
-# fmt: off
-__all__ = [
-    "COLUMNS", "Column", "GroupRow", "Older", "PageRow", "Shown", "ShownPoint", "TableSource",
-    "Values", "problem_text",
-]
-# fmt: on
 
 # Rows of one view, of which a window shows fewer; characters of a search; the greatest index.
 MOST_VISIBLE = 200
@@ -88,13 +81,13 @@ class TableSource:
     script = "table.js"
 
     def __init__(self, source: Shown) -> None:
-        self._shown = source
+        self._source = source
         self.actions: Mapping[str, Action] = {"/history": self._history}
         log = source.log
         self.downloads: Mapping[str, Download] = {} if log is None else {"/log.csv": log.download}
 
     def common(self) -> Tables:
-        source, log = self._shown, self._shown.log
+        source, log = self._source, self._source.log
         text, is_problem = source.status()
         head = {
             "kind": source.kind,
@@ -113,9 +106,9 @@ class TableSource:
             raise ValueError(f"find must be a string of at most {MOST_FOUND} characters")
         return pattern.lower(), query["problems"] is True, first, min(stop, first + MOST_VISIBLE)
 
-    def viewed(self, view: View) -> Tables:
+    def tables_of(self, view: View) -> Tables:
         pattern, only, first, stop = view
-        rows, words = self._shown.rows(), pattern.split()
+        rows, words = self._source.rows(), pattern.split()
         if only:
             rows = [row for row in rows if row.is_problem]
         if words:
@@ -128,22 +121,22 @@ class TableSource:
         texts = [*name, column] if isinstance(name, list) else []
         if len(texts) != 3 or not all(isinstance(text, str) for text in texts):
             raise ValueError("row must be a list of two strings, and column a string")
-        series = self._shown.series((name[0], name[1]), column)
+        series = self._source.series((name[0], name[1]), column)
         if series is None:
             raise ValueError("this value no longer exists")
         now = time.time()
         since = now - number("seconds", query["seconds"], 1, MOST_SECONDS)
         every = series.samples.every
         pairs = self._with_older(series.samples.pairs(since), name, since, now, every)
-        return charted(pairs, now, cell_text(series.units), every)
+        return chart_of(pairs, now, cell_text(series.units), every)
 
     def _with_older(
         self, recent: Pairs, name: Sequence[str], since: float, now: float, every: float | None
     ) -> Pairs:
         until = recent[0][0] if recent else now
-        if self._shown.older is None or until - since < SHORTEST:
+        if self._source.older is None or until - since < SHORTEST:
             return recent
-        older = self._shown.older(name[0], name[1], since, until, MOST_OLDER)
+        older = self._source.older(name[0], name[1], since, until, MOST_OLDER)
         # Of each of `MOST_OLDER` / 3 spans of time, a journal returns three samples at most.
         apart = None if every is None else max(every, 2 * 3 / MOST_OLDER * (until - since))
         return with_gaps([*(sample for sample in older if sample[0] < until), *recent], apart)

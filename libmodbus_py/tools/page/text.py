@@ -1,6 +1,4 @@
-"""
-Values and names as the text of a cell.
-"""
+"""Values and names as the text of a cell."""
 
 from __future__ import annotations
 
@@ -12,19 +10,10 @@ from typing import Any
 from ...maps.point import Point
 from ...protocol.plain import text_of
 
-__all__ = ["cell_text", "first_names", "in_words", "point_text", "value_text"]
-
-# Characters of a cell.
-MOST_TEXT = 200
-
-# Names of what has a problem.
-MOST_NAMES = 3
-
-# Items of a list that a cell shows.
-MOST_VALUES = 20
-
-# Characters of a number that is shown to the last digit.
-LONGEST = 12
+MOST_TEXT = 200  # characters of a cell
+MOST_NAMES = 3  # names of what has a problem
+MOST_VALUES = 20  # items of a list that a cell shows
+LONGEST = 12  # characters of a number that is shown to the last digit
 
 
 def cell_text(text: object) -> str:

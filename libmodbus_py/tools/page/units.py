@@ -24,8 +24,6 @@ from ..simulator.simulated import SimulatedDevice
 from .samples import Samples, samples_of_each
 from .text import point_text
 
-__all__ = ["SAMPLED", "ShownServer", "ShownUnit", "cell_rows", "point_rows", "shown_of"]
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Seconds between two attempts to compute refused cells. A device may refuse because it is busy; if
@@ -51,7 +49,7 @@ class ShownUnit:
         self.device: Device = device
         self.points: tuple[Point, ...] = tuple(device.points.values())
         self.samples: dict[str, Samples] = {}
-        self._computed: dict[tuple[str, range], list[range]] = {}
+        self._runs: dict[tuple[str, range], list[range]] = {}
         self._until = 0.0
         self._has_failed = False
 
@@ -67,10 +65,10 @@ class ShownUnit:
         """
         if (now := time.monotonic()) >= self._until:
             self._until = now + RETRY
-            self._computed.clear()
+            self._runs.clear()
         key = table, addresses
-        runs = self._computed.get(key, [addresses])
-        self._computed[key] = [cell for run in runs for cell in self._refreshed(table, run)]
+        runs = self._runs.get(key, [addresses])
+        self._runs[key] = [cell for run in runs for cell in self._refreshed(table, run)]
 
     def _refreshed(self, table: str, run: range) -> list[range]:
         """Return the parts of a range that were computed."""
@@ -100,7 +98,6 @@ class ShownUnit:
 
     @cached_property
     def index(self) -> PointIndex:
-        """The points by their addresses."""
         return PointIndex(map(RuledCells.of, self.points))
 
     @cached_property
@@ -132,7 +129,7 @@ def _point_row(point: Point) -> dict[str, Any]:
 class ShownServer(NamedTuple):
     """The devices that a server was given, and its units with them."""
 
-    given: Device | Mapping[int, Device]
+    devices: Device | Mapping[int, Device]
     units: dict[int | None, ShownUnit]
 
     def units_of(self, number: int, *, is_line: bool) -> list[int | None]:
@@ -148,7 +145,6 @@ class ShownServer(NamedTuple):
 
 
 def shown_of(server: Server) -> ShownServer:
-    """Return the devices that a server has now."""
     served = server.devices
     devices = {None: served} if isinstance(served, Device) else dict(sorted(served.items()))
     units = {number: ShownUnit(number, device) for number, device in devices.items()}

@@ -21,27 +21,13 @@ from ...ports.endpoint import Endpoint
 from ...ports.options import SERIAL_DEFAULTS, parity_of
 from ...ports.trace import Traced
 from ...ports.waiting import Waker
-from ...protocol import pdu
+from ...protocol import errors, pdu
 from ...protocol.checks import checked_callback, integer, seconds
-from ...protocol.errors import (
-    NO_UNIT,
-    ExceptionResponse,
-    InvalidResponse,
-    ModbusConnectionError,
-    ModbusError,
-)
+from ...protocol.errors import NO_UNIT, ExceptionResponse, ModbusConnectionError, ModbusError
 from ...protocol.pdu import DeviceIdentification
 from ...protocol.pdu.interface import identify
 from ...security.security import Security
 from ..listener.pairing import TracePairing
-
-# fmt: off
-__all__ = [
-    "BAUDRATES", "FIRST_UNITS", "LONGEST_SIZE", "MOST_PAGES", "ON_LINES", "ON_NETWORKS", "PARITIES",
-    "PROBE_SIZE", "USUAL", "USUAL_UNITS", "Answer", "Place", "Prober", "Walker",
-    "checked_progress", "listed", "places",
-]
-# fmt: on
 
 Item = TypeVar("Item")
 
@@ -145,8 +131,8 @@ def places(
     kinds = [options["parity"]] if "parity" in options else PARITIES
     settings = [
         (integer("baudrate", rate, 1, 4_000_000), parity)
-        for rate in listed("baudrates", baudrates, rates)
-        for parity in dict.fromkeys(map(parity_of, listed("parities", parities, kinds)))
+        for rate in distinct("baudrates", baudrates, rates)
+        for parity in dict.fromkeys(map(parity_of, distinct("parities", parities, kinds)))
     ]
     if baudrates is None and parities is None:
         settings.sort(key=lambda setting: USUAL.index(setting) if setting in USUAL else len(USUAL))
@@ -158,7 +144,7 @@ def places(
     return result
 
 
-def listed(name: str, items: Iterable[Item] | None, usual: Iterable[Item]) -> list[Item]:
+def distinct(name: str, items: Iterable[Item] | None, usual: Iterable[Item]) -> list[Item]:
     """Return each value once, in the order given."""
     source = usual if items is None else items
     if not isinstance(source, Iterable):
@@ -265,7 +251,7 @@ class Prober:
                 request = steps.send(page)
         except StopIteration as stop:
             identification = stop.value
-        except InvalidResponse:
+        except errors.InvalidResponse:
             pass
         return identification
 

@@ -1,6 +1,4 @@
-"""
-A scan: all units at all settings, one after the other.
-"""
+"""A scan: all units at all settings, one after the other."""
 
 from __future__ import annotations
 
@@ -10,29 +8,15 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
-from ...ports.endpoint import Endpoint, parse
+from ...ports.endpoint import parse
 from ...protocol import pdu
 from ...protocol.checks import integer
 from ...protocol.errors import NO_UNIT, ModbusConnectionError, ModbusError
 from ...protocol.mistakes import named_parameters
 from ...protocol.pdu import DeviceIdentification, ServerId
 from ...security.security import Security
-from .probe import (
-    FIRST_UNITS,
-    LONGEST_SIZE,
-    MOST_PAGES,
-    PROBE_SIZE,
-    USUAL_UNITS,
-    Answer,
-    Place,
-    Prober,
-    Walker,
-    checked_progress,
-    listed,
-    places,
-)
-
-__all__ = ["Found", "Progress", "Scan", "scan"]
+from . import probe
+from .probe import Answer, Place, Prober, Walker
 
 UNITS = range(1, 248)
 
@@ -44,7 +28,7 @@ RESERVED = (249, 252, 250, 251, 253)
 
 # Timeouts after a probe: for function 17, after which the line must be silent for as long, and for
 # function 43/14.
-MORE_ASKED = 2 + MOST_PAGES
+MORE_ASKED = 2 + probe.MOST_PAGES
 
 
 class Progress(NamedTuple):
@@ -127,7 +111,10 @@ class Scan(Walker[Found]):
         longest = [sum(_longest(place, len(units)) for place in asked_at) for units in rounds]
         self.longest: float = sum(longest)
         self.longest_first: float = longest[0]
-        self.longest_found: float = max(map(_longest_found, asked_at))
+        # Two units that cannot exist are asked, too.
+        self.longest_found: float = max(
+            MORE_ASKED * place.wait(probe.LONGEST_SIZE) + 2 * _each(place) for place in asked_at
+        )
         scans = [_PlaceScan(place, self.units) for place in asked_at]
         plan = _Rounds(scans, rounds, on_progress, self.total, self.longest)
         self.tried: dict[str, list[int]] = plan.tried
@@ -180,7 +167,7 @@ class _PlaceScan:
         self.is_left: bool = False  # nothing is left to ask here
         self.refused: ModbusConnectionError | None = None  # the port cannot have this setting
         self._units = units
-        self._nothing: dict[int, ModbusError] = {}
+        self._unit_errors: dict[int, ModbusError] = {}
         self._latest = 0.0
         self._others = 0
         # The units that are answered like those that cannot exist, and the answers of these.
@@ -189,7 +176,6 @@ class _PlaceScan:
 
     @property
     def has_found(self) -> bool:
-        """True if a unit has answered here."""
         return bool(self._others or self._alike)
 
     def steps(
@@ -215,7 +201,7 @@ class _PlaceScan:
     def _probe(self, prober: Prober, unit: int) -> Generator[Found, None, None]:
         answer = prober.probe(unit)
         if isinstance(answer, ModbusError):
-            self._nothing[unit] = answer
+            self._unit_errors[unit] = answer
         elif answer.exception in self._answers_of_none(prober):
             self._alike.append((unit, answer))
             self.is_left = answer.exception is None
@@ -225,7 +211,7 @@ class _PlaceScan:
         for late, answer in prober.late():
             self._latest = max(self._latest, answer.took)
             if late in self._units:
-                self._nothing.pop(late, None)
+                self._unit_errors.pop(late, None)
                 self._others += 1
                 yield replace(self._found_unit(prober, late, answer), is_late=True)
 
@@ -250,10 +236,9 @@ class _PlaceScan:
         )
 
     def notes(self) -> Iterator[str]:
-        """Yield other observations, one line each."""
         if self.refused is not None:
             yield str(self.refused)
-        errors = list(self._nothing.values())
+        errors = list(self._unit_errors.values())
         if gateway := sum(isinstance(error, NO_UNIT) for error in errors):
             yield (
                 f"a gateway reports {gateway} units as absent (exception 10 or 11);"
@@ -284,18 +269,13 @@ class _PlaceScan:
 def _each(place: Place) -> float:
     """Return the seconds that the probe of an absent unit takes."""
     spacing = float(place.endpoint.client_options.get("request_spacing", 0.0))
-    return max(place.wait(PROBE_SIZE) + max(0.002, place.endpoint.pause), spacing)
+    return max(place.wait(probe.PROBE_SIZE) + max(0.002, place.endpoint.pause), spacing)
 
 
 def _longest(place: Place, units: int) -> float:
     """Return the seconds for connecting and for units of which none answers."""
     delay = float(place.endpoint.client_options.get("connect_delay", 0.0))
     return units * _each(place) + place.timeout + delay
-
-
-def _longest_found(place: Place) -> float:
-    """Return the seconds that a unit which answers adds: two that cannot exist are asked, too."""
-    return MORE_ASKED * place.wait(LONGEST_SIZE) + 2 * _each(place)
 
 
 @named_parameters
@@ -343,25 +323,21 @@ def scan(
         TypeError, ValueError: an argument is wrong; the message names it and its range.
     """
     endpoint = parse(url)
-    asked_at = places(endpoint, baudrates, parities, timeout, security)
-    on_progress = checked_progress(on_progress)
+    asked_at = probe.places(endpoint, baudrates, parities, timeout, security)
+    on_progress = probe.checked_progress(on_progress)
     for place in asked_at:
         place.context().close()  # which checks the rest of the URL
-    usual = _usual_units(endpoint)
+    unit = endpoint.client_options.get("unit")
+    usual = [*UNITS, *[DIRECT] * endpoint.has_transactions] if unit is None else [unit]
     lowest = int(not endpoint.has_transactions)  # without them 0 is a broadcast
-    numbers = [integer("units", unit, lowest, 255) for unit in listed("units", units, usual)]
+    numbers = [
+        integer("units", unit, lowest, 255) for unit in probe.distinct("units", units, usual)
+    ]
     rounds = [numbers]
-    if units is None and len(asked_at) > 1 and len(usual) > len(USUAL_UNITS):
+    if units is None and len(asked_at) > 1 and len(usual) > len(probe.USUAL_UNITS):
         rounds = [
-            [*FIRST_UNITS],
-            [unit for unit in USUAL_UNITS if unit not in FIRST_UNITS],
-            [unit for unit in usual if unit not in USUAL_UNITS],
+            [*probe.FIRST_UNITS],
+            [unit for unit in probe.USUAL_UNITS if unit not in probe.FIRST_UNITS],
+            [unit for unit in usual if unit not in probe.USUAL_UNITS],
         ]
     return Scan(asked_at, rounds, on_progress)
-
-
-def _usual_units(endpoint: Endpoint) -> list[int]:
-    unit = endpoint.client_options.get("unit")
-    if unit is not None:
-        return [unit]
-    return [*UNITS, DIRECT] if endpoint.has_transactions else [*UNITS]

@@ -17,22 +17,13 @@ from typing import Any, NamedTuple
 
 from ...ports.endpoint import parse
 from ...ports.options import SERIAL_DEFAULTS
+from ...protocol import errors
 from ...protocol.checks import integer
-from ...protocol.errors import (
-    NO_UNIT,
-    Acknowledge,
-    ExceptionResponse,
-    IllegalFunction,
-    ModbusConnectionError,
-    ModbusError,
-    ServerDeviceBusy,
-)
+from ...protocol.errors import NO_UNIT, ModbusConnectionError, ModbusError
 from ...protocol.mistakes import named_parameters
 from ...protocol.tables import TABLE_SIZE, TABLES
 from ...security.security import Security
 from .probe import LONGEST_SIZE, Place, Prober, Walker, checked_progress, places
-
-__all__ = ["MOST_REQUESTS", "Cells", "Extent", "Search", "Searching", "halving", "search"]
 
 UNKNOWN, THERE, MISSING = 0, 1, 2
 
@@ -72,7 +63,6 @@ class Cells:
 
     @property
     def ranges(self) -> list[range]:
-        """The ranges that exist."""
         return list(self._runs(THERE))
 
     @property
@@ -298,9 +288,9 @@ class _Tables:
             self.prober.waker.sleep(pause)
             try:
                 return [int(value) for value in self._read(request)]
-            except (Acknowledge, ServerDeviceBusy):
+            except (errors.Acknowledge, errors.ServerDeviceBusy):
                 continue
-            except IllegalFunction:
+            except errors.IllegalFunction:
                 raise _EndedError(NO_FUNCTION) from None
             except NO_UNIT:
                 raise _EndedError(GONE) from None
@@ -314,7 +304,7 @@ class _Tables:
         """Repeat a read that was lost or damaged; after many of them, probe the unit."""
         try:
             values = self.prober.read(self.unit, request)
-        except (ExceptionResponse, ModbusConnectionError):
+        except (errors.ExceptionResponse, ModbusConnectionError):
             self.silent = 0
             raise
         except ModbusError:

@@ -44,14 +44,7 @@ from .movements import Movements
 from .points import CONTENTS, DEFAULTS, Maps, points_of
 from .simulated import SimulatedDevice, Simulation
 
-__all__ = [
-    "DeviceFileError",
-    "SimulatedDevice",
-    "Simulation",
-    "load",
-    "mapped_simulation",
-    "parse",
-]
+__all__ = ["DeviceFileError", "SimulatedDevice", "Simulation", "load", "mapped_simulation", "parse"]
 
 Clock = Callable[[], float]
 
@@ -149,11 +142,7 @@ FILE = Keys(
         Key("unit", tables, "a table for each unit", REQUIRED),
         Key("fault", _each(FAULT), "a table for each fault of all units"),
         Key("roles", roles, "what each role may read and write: [roles.NAME]"),
-        Key(
-            "defaults",
-            DEFAULTS.read,
-            "keys of points of all units without their own",
-        ),
+        Key("defaults", DEFAULTS.read, "keys of points of all units without their own"),
     ]
 )
 
@@ -259,7 +248,6 @@ def _simulation(content: dict[str, Any], maps: Maps, clock: Clock) -> Simulation
 def _device(
     path: Path, unit: dict[str, Any], definition: tuple[object, ...], maps: Maps, clock: Clock
 ) -> SimulatedDevice:
-    """Return the device of a unit, whose keys are checked."""
     points = points_of(path, unit, maps)
     in_tables = [point for point in points if not point.file]
     spans = {table: [point.span for point in points if point.table == table] for table in TABLES}

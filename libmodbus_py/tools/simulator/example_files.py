@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import os
 
-__all__ = ["DEVICES", "described", "map_file", "maps", "path_of"]
-
 # CSV files in the folder that are not register maps.
 LISTS = ("fleet",)
 
@@ -16,7 +14,7 @@ LISTS = ("fleet",)
 DEVICES = ("iem3155", "meter", "plant", "sdm630", "victron_gx")
 
 
-def described() -> dict[str, str]:
+def descriptions() -> dict[str, str]:
     """Return the name of each example with the description in its first line."""
     return {name: _first_line(f"{name}.toml") for name in DEVICES}
 

@@ -20,8 +20,6 @@ from ...protocol.checks import checked_callback
 from ...protocol.mistakes import close_to
 from ...system import open_file
 
-__all__ = ["HooksFile"]
-
 NAMES = ("before_write", "after_write", "before_read")
 
 # The name of the module that a file becomes.
@@ -36,7 +34,6 @@ class HooksFile:
         self._hooks = load_hooks(path)
 
     def use(self, devices: Device | Mapping[int, Device]) -> None:
-        """Replace the hooks of devices."""
         for device in [devices] if isinstance(devices, Device) else devices.values():
             device.change_hooks(**self._hooks)
 
@@ -101,7 +98,6 @@ def _place(path: str, function: Any) -> FilePlace:
 
 
 def _line(error: BaseException, path: str) -> int | None:
-    """Return the line of a file at which it failed."""
     if isinstance(error, SyntaxError) and error.filename == path:
         return error.lineno
     lines = [trace.lineno for trace in extract_tb(error.__traceback__) if trace.filename == path]

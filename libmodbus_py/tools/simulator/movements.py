@@ -23,8 +23,6 @@ from ...protocol.errors import ServerDeviceFailure
 from ...protocol.mistakes import Path, WrongValue, inside
 from ...protocol.tables import TABLES
 
-__all__ = ["BEHAVIOURS", "Movements", "SimulatedPoint"]
-
 Compute = Callable[[int, float], Any]
 """Function that returns the value with this index in a point, at seconds since the start."""
 
@@ -58,7 +56,6 @@ class SimulatedPoint:
         return self.point.cells
 
     def slice_of(self, index: int) -> slice:
-        """Return the addresses of one value."""
         first = self.span.start + index * self.point.read.size
         return slice(first, first + self.point.read.size)
 
@@ -99,13 +96,12 @@ class Movements:
                     compute = BEHAVIOURS[kind](point, self, **settings)
                     self._moving[point.table, point.span] = point, compute
 
-    def go_on_from(self, before: Movements) -> None:
+    def take_state_of(self, before: Movements) -> None:
         """Continue with the start, the seed and the held values of those before."""
         self._start, self.seed = before._start, before.seed
         self._holds = before._holds & self._moving.keys()
 
     def find(self, table: str, address: int) -> SimulatedPoint | None:
-        """Return the point that has an address."""
         points = self._points[table]
         at = bisect_right(points, address, key=lambda point: point.span.start)
         return next((point for point in points[at - 1 :: -1] if at and address in point.span), None)

@@ -25,8 +25,6 @@ from ...protocol.values import value_type
 from .example_files import map_file
 from .movements import BEHAVIOURS, SimulatedPoint
 
-__all__ = ["CONTENTS", "DEFAULTS", "Maps", "points_of"]
-
 MOVES = Keys(
     Key(name, keys_of(make).but("point", "others").read) for name, make in BEHAVIOURS.items()
 )
@@ -106,7 +104,6 @@ class Maps:
 
 
 def points_of(path: Path, unit: Mapping[str, Any], maps: Maps) -> list[SimulatedPoint]:
-    """Return the points of a unit, and the records of its files."""
     contents = list(_mapped_points(path, unit, maps))
     points = {content.point.name: content.point for content in contents}
     paths: dict[str, Path] = {}
@@ -203,7 +200,6 @@ def _bits_in(path: Path, table: Mapping[str, object], numbers: range) -> list[bo
 
 
 def _mapped_points(path: Path, unit: Mapping[str, Any], maps: Maps) -> Iterator[SimulatedPoint]:
-    """Yield the points of all maps of a unit."""
     points: dict[str, Point] = {}
     for where, name in unit.get("map", ()):
         for point in maps.get(where, name, unit).values():

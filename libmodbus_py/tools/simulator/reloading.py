@@ -20,8 +20,6 @@ from .device_file import load
 from .hooks_file import HooksFile
 from .simulated import Simulation
 
-__all__ = ["Reloader"]
-
 LOOK_EVERY_S = 0.5
 """Two checks of the files in a row must see the same, because writing a file takes a while."""
 
@@ -96,7 +94,7 @@ class Reloader:
         with inside(self._path):
             self._server.check_devices(simulation.devices)
         before = self._simulation
-        self._simulation = simulation.going_on_from(before)
+        self._simulation = simulation.with_state_of(before)
         if self._hooks is not None:
             self._hooks.use(self._simulation.devices)
         self._server.replace(self._simulation.devices, faults=self._simulation.faults)

@@ -1,6 +1,4 @@
-"""
-Simulated devices: they have named points, and can take over the values of former devices.
-"""
+"""Simulated devices: they have named points, and can take over the values of former devices."""
 
 from __future__ import annotations
 
@@ -20,8 +18,6 @@ from ...protocol.mistakes import WrongValue, placed
 from ...protocol.tables import TABLES
 from ..faults.fault import Fault
 from .movements import Movements, SimulatedPoint
-
-__all__ = ["SimulatedDevice", "Simulation"]
 
 
 class SimulatedDevice(Device):
@@ -149,9 +145,9 @@ class SimulatedDevice(Device):
         """Return True if the file describes both devices alike."""
         return self._definition == other._definition
 
-    def go_on_from(self, before: SimulatedDevice) -> None:
+    def take_state_of(self, before: SimulatedDevice) -> None:
         """Take over values that clients wrote into ranges and queues alike in both files."""
-        self._movements.go_on_from(before._movements)
+        self._movements.take_state_of(before._movements)
         self.diagnostic_register: int = before.diagnostic_register
         identities = {point.identity for point in before._contents}
         with before.mapping, self.mapping:
@@ -193,7 +189,7 @@ class Simulation:
         by_unit = {unit: device for unit, device in self.by_unit.items() if unit is not None}
         return self.by_unit.get(None, by_unit)
 
-    def going_on_from(self, before: Simulation) -> Simulation:
+    def with_state_of(self, before: Simulation) -> Simulation:
         """
         Return a simulation that keeps the devices of another one where the files describe a unit
         alike.
@@ -207,5 +203,5 @@ class Simulation:
             if devices[unit].is_as(before.by_unit[unit]):
                 devices[unit] = before.by_unit[unit]
             else:
-                devices[unit].go_on_from(before.by_unit[unit])
+                devices[unit].take_state_of(before.by_unit[unit])
         return replace(self, by_unit=devices)

@@ -79,7 +79,6 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
 
 
 def _report(server: RecordingServer) -> str:
-    """Return the transactions of a server as lines."""
     lines = [_line(transaction) for transaction in server.transactions]
     if not lines:
         return f"{server.url} none"

@@ -1,6 +1,4 @@
-"""
-Servers for tests: they serve in the background, and record their transactions.
-"""
+"""Servers for tests: they serve in the background, and record their transactions."""
 
 from __future__ import annotations
 
@@ -24,11 +22,8 @@ from ...server.units import UnknownUnit
 from ..listener.pairing import TracePairing
 from ..listener.transaction import Transaction
 
-__all__ = ["RecordingServer", "ServerMaker"]
-
 MOST = 20_000
 """ADUs of one server that are kept: more than a test needs, and a limit for long runs."""
-
 
 USUAL_URL = "tcp://127.0.0.1:0"
 
@@ -66,8 +61,8 @@ class RecordingServer:
         **options: Unpack[ServerOptions],
     ) -> None:
         # Paired only when `transactions` is called, so that this does not slow down the server.
-        self._passed: deque[Traced] = deque(maxlen=MOST)
-        server = Server(devices, faults=faults, trace=self._passed.append, **options)
+        self._traces: deque[Traced] = deque(maxlen=MOST)
+        server = Server(devices, faults=faults, trace=self._traces.append, **options)
         self.device: Device | None = devices if isinstance(devices, Device) else None
         if isinstance(devices, Mapping) and len(devices) == 1:
             (self.device,) = devices.values()
@@ -101,7 +96,7 @@ class RecordingServer:
     def transactions(self) -> list[Transaction]:
         """The last 10 000 or so transactions, in the order in which they began."""
         pairing = TracePairing(timeout=math.inf)
-        for traced in self._passed.copy():
+        for traced in self._traces.copy():
             pairing.take(traced)
         pairing.end()
         return sorted((row.transaction for row in pairing.done), key=attrgetter("time"))

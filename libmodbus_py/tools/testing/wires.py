@@ -15,8 +15,6 @@ import socket
 import threading
 from typing import Literal, NamedTuple, Self
 
-__all__ = ["SerialWire", "TcpWire", "open_line", "read_what_is_there", "write_all"]
-
 # Bytes are dropped if the line takes none for this many seconds, as without flow control.
 TIMEOUT = 1.0
 
@@ -65,7 +63,7 @@ class _Wire:
         self._selector = selectors.DefaultSelector()
         self._wake, self._sleep = socket.socketpair()
         self._selector.register(self._sleep, selectors.EVENT_READ, None)
-        self._unplugged = threading.Event()
+        self._unplug_end = threading.Event()
         self._thread = threading.Thread(target=self._carry, name="wire", daemon=True)
 
     def __enter__(self) -> Self:
@@ -90,7 +88,7 @@ class _Wire:
     def unplug(self) -> None:
         """Close both ends, as when a cable is pulled; return when this is done."""
         self._wake.send(b"u")
-        self._unplugged.wait()
+        self._unplug_end.wait()
 
     def _close_ends(self) -> None:
         raise NotImplementedError
@@ -105,7 +103,7 @@ class _Wire:
                         if entry.data is not None:
                             self._selector.unregister(entry.fileobj)
                     self._close_ends()
-                    self._unplugged.set()
+                    self._unplug_end.set()
                     break  # the other descriptors are closed now
                 else:
                     return

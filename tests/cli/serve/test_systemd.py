@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from libmodbus_py import Client
-from libmodbus_py.cli.commands import parsed
+from libmodbus_py.cli.commands import parse_arguments
 from libmodbus_py.cli.serve.running import notify_ready
 from libmodbus_py.tools.testing.recording import ServerMaker
 from tests.cli.serving import FLEET_OF_ONE
@@ -89,7 +89,7 @@ def test_the_command_of_a_unit_is_one_of_ours(unit: Path) -> None:
     assert program.endswith("/libmodbus-py")
     name = unit.stem.removeprefix("libmodbus-py-")
     assert arguments[0] == {"worker": "poll"}.get(name, name)
-    command = parsed(arguments)
+    command = parse_arguments(arguments)
     assert command.run is not None
     assert getattr(command, "state", "${STATE_DIRECTORY}/state.json") == (
         "${STATE_DIRECTORY}/state.json"

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from fuzz.nats_servers import NatsServers
-from libmodbus_py.services.engine.connection import EngineError, connected, disconnect
+from libmodbus_py.services.engine.connection import EngineError, disconnect, open_connection
 from tests.services.fleet.fleets import LONGEST, until
 from tests.support import certificates
 from tests.support.certificates import authority, save
@@ -71,7 +71,7 @@ async def serving(
 
 @asynccontextmanager
 async def connection(url: str, **environment: str) -> AsyncIterator[Any]:
-    client = await connected([url], name="test", environment=environment)
+    client = await open_connection([url], name="test", environment=environment)
     try:
         yield client
     finally:
@@ -205,7 +205,7 @@ def credentials(server: Server) -> list[bool]:
 async def test_a_server_without_tls_is_sent_nothing() -> None:
     async with serving(lambda number: (INFO, None)) as (server, port):
         with pytest.raises(EngineError, match="does not support TLS; nothing was sent"):
-            await connected([f"tls://127.0.0.1:{port}"], name="t", environment=LOGIN)
+            await open_connection([f"tls://127.0.0.1:{port}"], name="t", environment=LOGIN)
         assert server.heard
         assert not any(server.heard)
 

@@ -22,7 +22,7 @@ from libmodbus_py.services.engine.connection import (
     TIMES,
     EngineError,
     EngineGone,
-    connected,
+    open_connection,
     parse_servers,
 )
 from tests.support.certificates import authority, make, save
@@ -67,7 +67,7 @@ def client(monkeypatch: pytest.MonkeyPatch) -> type[Client]:
 
 
 def connect(*, servers: list[str] = SERVERS, **environment: str) -> Client:
-    made: Any = asyncio.run(connected(servers, name="worker a", environment=environment))
+    made: Any = asyncio.run(open_connection(servers, name="worker a", environment=environment))
     assert isinstance(made, Client)
     assert not made.is_closed
     return made
@@ -126,7 +126,7 @@ async def test_a_connection_that_is_lost_is_sought_for_ever_and_each_change_told
     client: type[Client],
 ) -> None:
     told: list[None] = []
-    made: Any = await connected(
+    made: Any = await open_connection(
         SERVERS, name="a", on_change=lambda: told.append(None), environment={}
     )
     assert made.options["max_reconnect_attempts"] == -1
@@ -229,7 +229,7 @@ async def fails(said: bytes, closes: bool, patience: float) -> str:
     async with saying(said, closes=closes) as url:
         try:
             async with asyncio.timeout(patience):
-                await connected([url], name="test")
+                await open_connection([url], name="test")
         except TimeoutError:
             return "" if patience < 1 else "nobody gave up"
         except EngineError as error:

@@ -247,7 +247,7 @@ async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading
         devices = [meter("one", one.url), meter("two", two.url)]
         keys = [each.connection_key for each in devices]
         async with polling(*devices, may_ask=lambda key: key in allowed) as (fleet, readings):
-            await until(lambda: fleet.statistics.held >= 4)
+            await until(lambda: fleet.statistics.vetoes >= 4)
             assert one.connections == two.connections == readings == []
             allowed.add(keys[0])
             await until(lambda: len(readings) > 6)
@@ -255,8 +255,8 @@ async def test_a_device_that_may_not_be_asked_is_not_polled_and_gives_no_reading
             assert two.connections == []
             allowed.clear()
             await asyncio.sleep(0.05)
-            count, held = len(one.requests), fleet.statistics.held
-            await until(lambda: fleet.statistics.held >= held + 6)
+            count, held = len(one.requests), fleet.statistics.vetoes
+            await until(lambda: fleet.statistics.vetoes >= held + 6)
             assert len(one.requests) == count
             # It is not the device that is down: nobody asked it.
             assert fleet.statistics.down == 0

@@ -27,7 +27,7 @@ async def test_each_device_is_polled_at_its_interval() -> None:
         assert set(gaps(plant.times(1))) <= {0.999, 1.0, 1.001}
         statistics = plant.fleet.statistics
         assert (statistics.devices, statistics.up, statistics.down) == (2, 2, 0)
-        assert (statistics.skipped, statistics.failures, statistics.held) == (0, 0, 0)
+        assert (statistics.skipped, statistics.failures, statistics.vetoes) == (0, 0, 0)
         assert statistics.polls == statistics.readings
         # One may be on its way.
         assert len(plant.asked) - statistics.polls in (0, 1)
@@ -294,7 +294,7 @@ async def test_a_fleet_that_may_ask_nothing_ends_its_one_round_at_once() -> None
     plant = Plant()
     fleet = Fleet([plant.device(1), plant.device(2)], may_ask=lambda key: False)
     await asyncio.wait_for(fleet.run(once=True), 10)
-    assert (fleet.statistics.held, fleet.statistics.polls) == (2, 0)
+    assert (fleet.statistics.vetoes, fleet.statistics.polls) == (2, 0)
     assert plant.asked == []
 
 

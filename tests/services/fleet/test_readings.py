@@ -21,7 +21,7 @@ from libmodbus_py import (
 from libmodbus_py.fleet import DeviceConfig, Reading
 from libmodbus_py.services.fleet.outputs.forms import as_csv, as_json, object_text, poll_messages
 from libmodbus_py.services.fleet.poller import Poller
-from libmodbus_py.services.fleet.readings import Changes, classified, is_down
+from libmodbus_py.services.fleet.readings import Changes, classification, is_down
 from tests.support.cases import each_case
 
 NAN = math.nan
@@ -131,7 +131,7 @@ def test_readings_as_text() -> None:
         Reading(0.0, "a,b", "voltage", 230.5, "V", "good"),
         Reading(0.0, "ä", "flags", [True, False], "", "good"),
         Reading(0.0, "c", "rest", None, "", "down", "ModbusTimeoutError"),
-        Reading(0.0, "c", "nan", *classified(NAN)[:1], "", *classified(NAN)[1:]),
+        Reading(0.0, "c", "nan", *classification(NAN)[:1], "", *classification(NAN)[1:]),
         Reading(0.0, "c", "bits", {"door": True, "mode": 5}, "", "good"),
         Reading(0.0, "c", "at", datetime(2026, 7, 1, 12, tzinfo=UTC), "", "good"),
     ]
@@ -263,4 +263,4 @@ def test_a_total_that_falls_is_told_when_it_was_read_again() -> None:
     ],
 )
 def test_each_null_of_a_list_has_a_reason(items: list[Any], reading: tuple[Any, str, str]) -> None:
-    assert classified(items) == reading
+    assert classification(items) == reading

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from libmodbus_py import Device, Mapping, Server
-from libmodbus_py.cli.commands import parsed
+from libmodbus_py.cli.commands import parse_arguments
 from tests.services.fleet.fleets import LONGEST, until
 from tests.services.fleet.outputs.influxdb import Database
 from tests.support.commands import Started, ended
@@ -280,6 +280,6 @@ def test_the_container_starts_a_command_that_there_is() -> None:
     (command,) = re.findall(r"command: (\[.*\])", text)
     name, *arguments = json.loads(command)
     assert name == "libmodbus-py"
-    assert parsed(arguments).file == "/fleet/fleet.toml"
+    assert parse_arguments(arguments).file == "/fleet/fleet.toml"
     (file,) = re.findall(r"build: {context: ., dockerfile: (\S+)}", text)
     assert "influx" in (ROOT / file).read_text()

@@ -25,13 +25,13 @@ def test_phases_are_spread_evenly() -> None:
 # Simulated seconds: of a device's polls unless given, and between two looks at what is so.
 INTERVAL, LOOK = 1.0, 0.001
 
-COUNTED = {"up", "down", "polls", "failures", "refusals", "skipped", "held", "readings"}
+COUNTED = {"up", "down", "polls", "failures", "refusals", "skipped", "vetoes", "readings"}
 
 CASES: dict[str, tuple[dict[str, Any], dict[str, int]]] = {
     "it answers": ({}, {"up": 1, "polls": 4, "readings": 4}),
     "two requests each": ({"points": MAP}, {"up": 1, "polls": 4, "readings": 8}),
     "it refuses": ({"refusing": {1}}, {"up": 1, "polls": 4, "refusals": 4, "readings": 1}),
-    "it may not be asked": ({"may_ask": lambda _: False}, {"held": 4}),
+    "it may not be asked": ({"may_ask": lambda _: False}, {"vetoes": 4}),
     "its answers take too long": (
         {"delay": 0.45},
         {"up": 1, "polls": 1, "skipped": 2, "readings": 1},
@@ -55,13 +55,13 @@ async def test_each_poll_counts_once(name: str) -> None:
     device = plant.device(1, given.get("points", ONE), interval=interval)
     async with plant.polls(device, may_ask=given.get("may_ask")):
         # The first poll is at a time of its own within the interval.
-        while not (plant.asked or plant.fleet.statistics.held):
+        while not (plant.asked or plant.fleet.statistics.vetoes):
             await asyncio.sleep(LOOK)
         await asyncio.sleep(3.4 * interval)
         statistics = plant.fleet.statistics
         assert statistics.devices == 1
         assert counted(statistics) == expected
-        begun = statistics.held or sum(address == 0 for _, _, address in plant.asked)
+        begun = statistics.vetoes or sum(address == 0 for _, _, address in plant.asked)
         assert sum(statistics.lateness) == begun
 
 

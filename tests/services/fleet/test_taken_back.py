@@ -91,8 +91,8 @@ async def test_values_that_were_taken_back_are_reported_again_though_they_did_no
             fleet.take_back()
             fleet.take_back()
             assert fleet.statistics.up == 0
-            held = fleet.statistics.held
-            await until(lambda: fleet.statistics.held > held + 3)
+            held = fleet.statistics.vetoes
+            await until(lambda: fleet.statistics.vetoes > held + 3)
             assert offline(readings, "a") == OFFLINE
             may_ask = True
             await until(lambda: len(readings) == 9)

@@ -6,13 +6,13 @@ import pytest
 
 from libmodbus_py import Device, Mapping, Point, RegisterMap, Server
 from libmodbus_py.maps.point_plan import PointPlan
-from libmodbus_py.services.fleet.trial import Tried, overloads, trying
+from libmodbus_py.services.fleet.trial import TrialPoll, overloads, trial_polls
 from tests.services.fleet.fleets import Peer, good, in_simulated_time, meter, silent
 from tests.support.cases import each_case
 
 
-async def tried(*devices: object) -> dict[str, Tried]:
-    return {each.device.name: each async for each in trying(devices)}  # type: ignore[arg-type]
+async def tried(*devices: object) -> dict[str, TrialPoll]:
+    return {each.device.name: each async for each in trial_polls(devices)}  # type: ignore[arg-type]
 
 
 @in_simulated_time
@@ -79,7 +79,7 @@ async def test_a_trial_that_is_left_after_its_first_result_leaves_no_task() -> N
         Server({1: Device(Mapping(holding_registers=3))}).serving("tcp://127.0.0.1:0") as good,
         Peer(silent) as peer,
     ):
-        trial = trying([meter("good", good.urls[0]), meter("dead", peer.url, timeout=60)])
+        trial = trial_polls([meter("good", good.urls[0]), meter("dead", peer.url, timeout=60)])
         first = await anext(trial)
         assert first.device.name == "good"
         begun = asyncio.get_running_loop().time()

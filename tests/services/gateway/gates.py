@@ -12,7 +12,7 @@ from libmodbus_py import Device, Gateway, Mapping, Route, framing
 from libmodbus_py.client import line
 from libmodbus_py.client.history import history_of
 from libmodbus_py.ports.endpoint import parse
-from libmodbus_py.services.gateway.line import NO_ANSWER, Forwarded, GatewayLine, request_of
+from libmodbus_py.services.gateway.line import NO_ANSWER, ForwardedRequest, GatewayLine, request_of
 from libmodbus_py.services.gateway.routes import GatewayOptions
 from libmodbus_py.services.gateway.statistics import LineStatistics
 from tests.simulation.given import giving
@@ -112,7 +112,7 @@ class Asker:
         self.host = host
         self.answers: list[str | None] = []
 
-    def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
+    def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
         self.answers.append(None if response is None else response.hex())
 
 
@@ -172,16 +172,16 @@ class Plant:
 
     def ask(
         self, unit: int, asker: Asker, request: str = READ, *, merge: bool = False, age: float = 0
-    ) -> Forwarded:
+    ) -> ForwardedRequest:
         given = request_of(bytes.fromhex(request))
-        each = Forwarded(asker, 1, unit, unit, given, self.network.events.now, age)
+        each = ForwardedRequest(asker, 1, unit, unit, given, self.network.events.now, age)
         if code := self.line.put(each, merge=merge):
             asker.answers.append(f"code {code}")
         return each
 
     def has_cached(self, unit: int) -> bool:
         read, now = request_of(bytes.fromhex(READ)), self.network.events.now
-        return self.line.cached(unit, read, 60, now) is not None
+        return self.line.cached_response(unit, read, 60, now) is not None
 
     @property
     def unit(self) -> Any:

@@ -6,7 +6,7 @@ import logging
 import pytest
 
 from libmodbus_py.services.gateway import line as gateway_line
-from libmodbus_py.services.gateway.line import BUSY, MOST_CACHED, NO_ANSWER, Cache, Forwarded
+from libmodbus_py.services.gateway.line import BUSY, MOST_CACHED, NO_ANSWER, Cache, ForwardedRequest
 from tests.services.gateway.gates import (
     INPUTS,
     LINE,
@@ -187,12 +187,12 @@ async def test_a_client_that_leaves_when_it_is_told_so_takes_its_other_requests_
     plant: Plant,
 ) -> None:
     class Leaving(Asker):
-        def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
-            super().answered(forwarded, response)
+        def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
+            super().take_response(forwarded, response)
             plant.line.leave(joined.pop())
 
     asker = Leaving()
-    joined: list[Forwarded] = []
+    joined: list[ForwardedRequest] = []
     plant.ask(1, Asker())
     plant.ask(2, asker, merge=True)
     joined.append(plant.ask(2, asker, merge=True))
@@ -206,15 +206,15 @@ async def test_a_client_that_leaves_at_an_answer_gets_no_other_of_the_same_turn(
     plant: Plant,
 ) -> None:
     class Leaving(Asker):
-        def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
-            super().answered(forwarded, response)
+        def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
+            super().take_response(forwarded, response)
             for other in asked:
                 if other is not forwarded:
                     plant.line.leave(other)
 
-    note_done, done = plant.line._note_done, list[Forwarded]()
+    note_done, done = plant.line._note_done, list[ForwardedRequest]()
 
-    def note_both(each: Forwarded) -> None:
+    def note_both(each: ForwardedRequest) -> None:
         done.append(each)
         for one in done if len(done) == 2 else ():
             note_done(one)
@@ -304,7 +304,7 @@ async def test_a_client_that_leaves_costs_no_other_client_its_answer(
 
     note_done = plant.line._note_done
 
-    def in_the_turn_of_the_answer(each: Forwarded) -> None:
+    def in_the_turn_of_the_answer(each: ForwardedRequest) -> None:
         note_done(each)
         if each.unit == 2:
             leave()
@@ -321,7 +321,7 @@ async def test_a_client_that_leaves_costs_no_other_client_its_answer(
     for name, asker in askers.items():
         assert asker.answers == ([] if name in leaving else [answer_of(2, 2)])
     # Nothing holds requests together that are over.
-    assert [each.asker for each in waiting.values()] == [None] * 3
+    assert [each.requester for each in waiting.values()] == [None] * 3
     assert asked == [1] or [each.first for each in waiting.values()] == [None] * 3
     # A read that no client waits for any more cannot be joined.
     later = Asker()

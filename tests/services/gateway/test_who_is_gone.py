@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from libmodbus_py import Route
-from libmodbus_py.services.gateway.line import NO_ANSWER, Forwarded
+from libmodbus_py.services.gateway.line import NO_ANSWER, ForwardedRequest
 from tests.services.gateway.gates import (
     INPUTS,
     LINE,
@@ -140,8 +140,8 @@ def test_a_silent_unit_delays_reads_of_others_by_one_timeout_at_most(url, unit, 
             self.since = plant.network.events.now
             plant.ask(9, self)
 
-        def answered(self, forwarded: Forwarded, response: bytes | None) -> None:
-            super().answered(forwarded, response)
+        def take_response(self, forwarded: ForwardedRequest, response: bytes | None) -> None:
+            super().take_response(forwarded, response)
             took.append(plant.network.events.now - self.since)
             if len(took) < 1000:
                 self.read()

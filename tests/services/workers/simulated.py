@@ -51,13 +51,13 @@ class OneWorker:
         self.revision = 0
         self.hears = True
         self.last = Decision({})
-        self.worker.begins()
+        self.worker.begin_snapshot()
         self.write(SETTINGS, (settings or FleetSettings(LEASE)).encode())
         for each in connections:
             self.write(each.bucket_key, each.encode())
         if lives:
             self.member(self.me, 0.0)
-        self.worker.is_synced(0.0)
+        self.worker.end_snapshot(0.0)
 
     @property
     def me(self) -> str:
@@ -67,7 +67,7 @@ class OneWorker:
         self.revision += 1
         self.latest[key] = Change(key, value, self.revision)
         if self.hears:
-            self.worker.saw(self.latest[key], at)
+            self.worker.add_change(self.latest[key], at)
 
     def member(
         self, id: str, at: float = 0.0, state: Any = "here", seen: int | None = None
@@ -81,10 +81,10 @@ class OneWorker:
 
     def read_again(self, at: float) -> None:
         """The worker reads all that the bucket contains."""
-        self.worker.begins()
+        self.worker.begin_snapshot()
         for entry in sorted(self.latest.values(), key=lambda each: each.revision):
-            self.worker.saw(entry, at)
-        self.worker.is_synced(at)
+            self.worker.add_change(entry, at)
+        self.worker.end_snapshot(at)
 
     def decided(self, at: float) -> list[Put]:
         """Return the writes of a decision, none of which arrives."""
@@ -193,7 +193,7 @@ class Process:
     def watch(self) -> None:
         self.again_at = None
         self.inbox.clear()
-        self.worker.begins()
+        self.worker.begin_snapshot()
         for entry in sorted(self.world.bucket.latest.values(), key=lambda each: each.revision):
             self.send(entry)
         self.send(None)
@@ -211,9 +211,9 @@ class Process:
             self.inbox.remove(each)
             entry = each[2]
             if entry is None:
-                self.worker.is_synced(self.now)
+                self.worker.end_snapshot(self.now)
             else:
-                self.worker.saw(entry, self.now)
+                self.worker.add_change(entry, self.now)
         is_due = self.worker.due <= self.now
         active = self.worker.active
         decision = step(self.worker, self.now)
@@ -223,7 +223,7 @@ class Process:
         self.open = set(self.worker.active)
         for put in decision.puts:
             self.write(put)
-        if self.again_at is None and decision.is_blind:
+        if self.again_at is None and decision.must_read_again:
             self.again_at = self.world.now
 
     def write(self, put: Put) -> None:

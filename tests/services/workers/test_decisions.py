@@ -35,12 +35,12 @@ def beside_ended() -> OneWorker:
 class TestSnapshot:
     def test_a_bucket_counts_when_it_is_whole(self) -> None:
         worker = Worker(lambda: "m.1", {""})
-        worker.begins()
+        worker.begin_snapshot()
         assert worker.is_reading
-        worker.saw(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 0.0)
+        worker.add_change(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 0.0)
         assert worker.view.settings is None
         assert step(worker, 0.0).puts == ()
-        worker.is_synced(0.0)
+        worker.end_snapshot(0.0)
         assert not worker.is_reading
         assert worker.view.settings == FleetSettings(LEASE)
         assert worker.due == -math.inf
@@ -49,9 +49,9 @@ class TestSnapshot:
 
     def test_a_bucket_that_went_back_is_another_one(self) -> None:
         one = at_work(LINE)
-        one.worker.begins()
-        one.worker.saw(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 15.0)
-        one.worker.is_synced(15.0)
+        one.worker.begin_snapshot()
+        one.worker.add_change(Change(SETTINGS, FleetSettings(LEASE).encode(), 1), 15.0)
+        one.worker.end_snapshot(15.0)
         assert one.me == "m.2"
         assert one.polled() == set()
         assert not one.worker.may_ask(LINE.key, 15.0)
@@ -91,7 +91,7 @@ class TestLease:
             one.write("worker.m.1", None, 12.0)
         else:
             one.member("m.1", 12.0, "ended")
-        assert (one.me, one.worker.left, one.polled()) == ("m.2", False, set())
+        assert (one.me, one.worker.has_left, one.polled()) == ("m.2", False, set())
         assert one.worker.due == -math.inf
 
 
@@ -133,12 +133,12 @@ class TestSlots:
         one = beside_ended()
         (beat,) = one.decided(0.0)
         one.write(beat.key, beat.value, 0.0)
-        blind = []
+        reads_again = []
         for at in (0.1, 2.0, 2.2):
-            one.worker.saw(Change(beat.key, beat.value, one.revision + int(at) + 1), at)
+            one.worker.add_change(Change(beat.key, beat.value, one.revision + int(at) + 1), at)
             one.decided(at)
-            blind.append(one.last.is_blind)
-        assert blind == [False, False, True]
+            reads_again.append(one.last.must_read_again)
+        assert reads_again == [False, False, True]
 
 
 class TestAcknowledgements:
@@ -218,18 +218,18 @@ class TestBucketThatLies:
 
 
 class TestBlindness:
-    def blind(self, one: OneWorker, at: float) -> bool:
+    def reads_again(self, one: OneWorker, at: float) -> bool:
         one.decided(at)
-        return one.last.is_blind
+        return one.last.must_read_again
 
-    def test_a_worker_that_does_not_receive_its_own_values_is_blind(self) -> None:
+    def test_a_worker_that_does_not_receive_its_own_values_reads_again(self) -> None:
         one = OneWorker()
-        assert [self.blind(one, at) for at in (4.9, 5.1)] == [False, True]
+        assert [self.reads_again(one, at) for at in (4.9, 5.1)] == [False, True]
         one.member(one.me, 5.1)
-        assert [self.blind(one, at) for at in (10.0, 10.2)] == [False, True]
+        assert [self.reads_again(one, at) for at in (10.0, 10.2)] == [False, True]
 
     def test_the_bucket_is_read_again_after_a_while(self) -> None:
         one = OneWorker()
         for at in range(1, 700):
             one.step(float(at))
-            assert one.last.is_blind == (at >= 60 * LEASE)
+            assert one.last.must_read_again == (at >= 60 * LEASE)

@@ -80,7 +80,7 @@ def test_none_is_asked_by_two_whatever_happens_and_each_by_one_in_the_end(seed: 
         process.delay = 0.01
         # As each does from time to time: nobody is told what was purged.
         process.again_at = world.now
-    world.processes = [each for each in world.processes if not each.worker.left]
+    world.processes = [each for each in world.processes if not each.worker.has_left]
     for zone in ZONES:
         world.start(zone)
     world.run(6 * LEASE)

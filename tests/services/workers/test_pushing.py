@@ -8,7 +8,7 @@ import pytest
 from libmodbus_py import Point, RegisterMap
 from libmodbus_py.fleet import DeviceConfig
 from libmodbus_py.services.engine.connection import EngineError, EngineGone
-from libmodbus_py.services.workers.contents import Pushed, connections_of, push, seen_now
+from libmodbus_py.services.workers.contents import PushCounts, connections_of, push, read_bucket
 from libmodbus_py.services.workers.records import SETTINGS, FleetSettings
 from tests.simulation.engine import Engine, EngineClient, with_engine
 
@@ -20,7 +20,7 @@ def device(host: int, name: str = "", **options: Any) -> DeviceConfig:
     return DeviceConfig(name or f"pump {host}", f"tcp://192.0.2.{host}", MAP, **options)
 
 
-async def pushed(bucket: Any, *devices: DeviceConfig, lease: float = LEASE) -> Pushed:
+async def pushed(bucket: Any, *devices: DeviceConfig, lease: float = LEASE) -> PushCounts:
     return await push(bucket, FleetSettings(lease), connections_of(devices, lease))
 
 
@@ -28,22 +28,22 @@ async def pushed(bucket: Any, *devices: DeviceConfig, lease: float = LEASE) -> P
 async def test_only_what_differs_is_written_and_counted(engine: Engine, client: EngineClient):
     bucket = engine.bucket(client)
     assert engine.latest is not None
-    assert await pushed(bucket) == Pushed(0, 0, 0)
+    assert await pushed(bucket) == PushCounts(0, 0, 0)
     assert engine.latest.keys() == {SETTINGS}
-    for expected in (Pushed(3, 0, 0), Pushed(0, 0, 0)):
+    for expected in (PushCounts(3, 0, 0), PushCounts(0, 0, 0)):
         assert await pushed(bucket, *map(device, range(1, 4))) == expected
         assert engine.revision == 4  # the settings, too
     changed = device(2, interval=60)
-    assert await pushed(bucket, device(1), changed, device(4), device(5)) == Pushed(2, 1, 1)
+    assert await pushed(bucket, device(1), changed, device(4), device(5)) == PushCounts(2, 1, 1)
     assert engine.revision == 8
     last = max(engine.latest.values(), key=lambda each: each.revision)
     assert last.value is None  # deletions come last
-    assert await pushed(bucket, device(3)) == Pushed(1, 0, 4)
-    assert await pushed(bucket, device(3), lease=20.0) == Pushed(0, 0, 0)
+    assert await pushed(bucket, device(3)) == PushCounts(1, 0, 4)
+    assert await pushed(bucket, device(3), lease=20.0) == PushCounts(0, 0, 0)
     assert engine.latest[SETTINGS].revision == engine.revision
     many = [device(host) for host in range(1, 131)]
-    assert (await pushed(bucket, *many)).new == 129
-    assert len((await seen_now(bucket)).all_connections) == 130
+    assert (await pushed(bucket, *many)).additions == 129
+    assert len((await read_bucket(bucket)).all_connections) == 130
 
 
 @with_engine
@@ -70,7 +70,7 @@ async def test_a_bucket_that_does_not_arrive_is_given_up_after_ten_seconds(
     monkeypatch.setattr(engine, "_feed", lambda consumer: None)
     begun = engine.events.now
     with pytest.raises(EngineGone, match="within 10 s"):
-        await seen_now(engine.bucket(client))
+        await read_bucket(engine.bucket(client))
     assert engine.events.now - begun == pytest.approx(10.0, abs=0.1)
     await asyncio.sleep(1)
     assert engine._consumers == []

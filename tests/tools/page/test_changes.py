@@ -149,7 +149,7 @@ def test_a_held_value_is_held_after_its_file_was_read_again(tmp_path: Path) -> N
     before["level"] = 33
     file.write_text(PLANT.replace("value = 7", "value = 8"))
     after = device_of(file)
-    after.go_on_from(before)
+    after.take_state_of(before)
     assert (after["level"], after.movement(after.points["level"])) == (33, False)
     after.hold(after.points["level"], is_on=False)
     assert after["level"] != 33

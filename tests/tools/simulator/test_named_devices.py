@@ -271,7 +271,7 @@ def test_a_page_shows_and_sets_what_points_mean(made: Write) -> None:
 
 
 def test_examples_are_described_and_can_be_loaded() -> None:
-    found = example_files.described()
+    found = example_files.descriptions()
     beside = {path.stem for path in Path(__file__).parents[3].glob("examples/*.toml")}
     assert beside - {"fleet", "gateway"} == set(found)
     for name, description in found.items():

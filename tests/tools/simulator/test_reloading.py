@@ -46,7 +46,7 @@ def after(
     assert isinstance(old.devices, dict)
     change(old.devices[1], clock)
     clock.now += 10
-    made = parse(text, clock=clock).going_on_from(old)
+    made = parse(text, clock=clock).with_state_of(old)
     assert isinstance(made.devices, dict)
     return made.devices[1]
 

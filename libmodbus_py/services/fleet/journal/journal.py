@@ -28,12 +28,10 @@ from ...tasks import Pauses, WriterThread, end_tasks, finish
 from ..outputs.output import file_at
 from ..readings import Reading
 from ..statistics import JournalStatistics
-from .journal_file import Begun, JournalFile
+from .journal_file import JournalFile, RunStart
 from .journal_reader import HistoricalValue, history
 from .place import JournalPlace, RecentPolls
 from .schema import JournalDamaged, JournalError, JournalPoll, numbered
-
-__all__ = ["Journal"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -96,9 +94,7 @@ class Journal:
         )
         self.statistics: JournalStatistics = JournalStatistics()
         self._file = JournalFile(
-            self.path,
-            in_seconds("keep", keep, *KEEP_BOUNDS),
-            in_bytes("size", size, *SIZE_BOUNDS),
+            self.path, in_seconds("keep", keep, *KEEP_BOUNDS), in_bytes("size", size, *SIZE_BOUNDS)
         )
         self._thread = WriterThread(self.path)
         self._places: list[JournalPlace] = []
@@ -150,15 +146,15 @@ class Journal:
         self._thread.start()
         try:
             try:
-                begun: Begun = await self._thread.call(self._file.open, outputs)
+                start: RunStart = await self._thread.call(self._file.open, outputs)
             except JournalDamaged as error:
-                begun = await self._thread.call(self._file.replace, error, outputs)
+                start = await self._thread.call(self._file.replace, error, outputs)
         except BaseException:
             await finish(self._thread.call(self._file.close), LAST_WAIT_S)  # it may be opening
             self._thread.stop()
             raise
-        self._recent = RecentPolls(begun.first - 1)
-        self._places = [JournalPlace(name, self, *begun.places[name]) for name in outputs]
+        self._recent = RecentPolls(start.first - 1)
+        self._places = [JournalPlace(name, self, *start.places[name]) for name in outputs]
         self._task = asyncio.create_task(self._run(), name=f"journal {self.path}")
         return self._places
 
@@ -301,7 +297,7 @@ class Journal:
             self.statistics.trouble = ""
             logger.warning("%s accepts readings again", self.path)
         for place in self._places:
-            place.deleted(state.deleted)
+            place.note_deletions(state.deleted)
             place.wake()
         if self._recent.taken < self.last or state.deleted:  # there may be more to delete
             self._wake.set()
@@ -317,7 +313,6 @@ class Journal:
         self.statistics.trouble = message
 
     async def _replace(self, error: JournalDamaged) -> None:
-        """Begin a new file in place of a damaged one."""
         names = [place.name for place in self._places]
         await self._thread.call(self._file.replace, error, names, self._written + 1)
         self._damage = None

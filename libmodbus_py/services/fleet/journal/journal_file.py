@@ -1,6 +1,4 @@
-"""
-The file of a journal: an SQLite database. Its methods block; one thread calls them.
-"""
+"""The file of a journal: an SQLite database. Its methods block; one thread calls them."""
 
 from __future__ import annotations
 
@@ -17,10 +15,8 @@ from ....protocol.logs import HarmlessLogger
 from ....protocol.plain import SORTED_JSON
 from ....system import lock_file
 from ..readings import NO_LABELS
+from . import schema
 from .schema import (
-    APPLICATION,
-    SCHEMA,
-    VERSION,
     JournalDamaged,
     JournalError,
     JournalPoll,
@@ -28,11 +24,8 @@ from .schema import (
     Row,
     decoded,
     encoded,
-    first_id,
-    raised,
+    journal_errors,
 )
-
-__all__ = ["Begun", "JournalFile"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -76,12 +69,11 @@ SET_PLACE = (
     " SET confirmed = max(confirmed, excluded.confirmed)"
 )
 
-
 # What the contents of a damaged row raise.
 DAMAGES = (AttributeError, LookupError, TypeError, ValueError, RecursionError)
 
 
-class Begun(NamedTuple):
+class RunStart(NamedTuple):
     """The first id of a run; for each output the id it confirmed, and how many readings wait."""
 
     first: int
@@ -120,13 +112,13 @@ class JournalFile:
 
     # --- life -------------------------------------------------------------------------------
 
-    def open(self, outputs: Collection[str], first: int = 0) -> Begun:
+    def open(self, outputs: Collection[str], first: int = 0) -> RunStart:
         """Open or create the file, and begin a run with the id `first`, 0 for one by the clock."""
         # Some other file must not be taken for a damaged journal, which is renamed.
         was_used = os.path.exists(f"{self.path}-lock")
         try:
             self._take_lock()
-            with raised(self.path):
+            with journal_errors(self.path):
                 self._database = sqlite3.connect(
                     self.path, isolation_level=None, check_same_thread=False
                 )
@@ -169,12 +161,12 @@ class JournalFile:
         kind, version = pragma("application_id"), pragma("user_version")
         if not tables:
             pragma("auto_vacuum = INCREMENTAL")
-        elif kind != APPLICATION:
+        elif kind != schema.APPLICATION:
             raise JournalError(f"{self.path}: is a database of another program")
-        elif version != VERSION:
+        elif version != schema.VERSION:
             raise JournalError(
                 f"{self.path}: is a journal of version {version}, and this program knows version"
-                f" {VERSION} only; name another file"
+                f" {schema.VERSION} only; name another file"
             )
         if pragma("journal_mode = WAL") != "wal":
             raise JournalError(f"{self.path}: its file system is not suitable for a journal")
@@ -185,23 +177,23 @@ class JournalFile:
         if not tables:
             # IMMEDIATE, else the tables are created one by one.
             database.executescript(
-                f"BEGIN IMMEDIATE; PRAGMA application_id = {APPLICATION};"
-                f" PRAGMA user_version = {VERSION}; {SCHEMA} COMMIT"
+                f"BEGIN IMMEDIATE; PRAGMA application_id = {schema.APPLICATION};"
+                f" PRAGMA user_version = {schema.VERSION}; {schema.SCHEMA} COMMIT"
             )
 
-    def _begin(self, outputs: Collection[str], first: int) -> Begun:
+    def _begin(self, outputs: Collection[str], first: int) -> RunStart:
         database = self._used
         with self._transaction():
             [[read]] = database.execute("SELECT max(id + readings - 1) FROM poll")
             [[confirmed]] = database.execute("SELECT max(confirmed) FROM place")
-            first = first or first_id(time.time(), max(read or 0, confirmed or 0))
+            first = first or schema.first_id(time.time(), max(read or 0, confirmed or 0))
             # A new output begins with the next reading.
             database.executemany(
                 "INSERT INTO place VALUES (?, ?) ON CONFLICT DO NOTHING",
                 [(name, first - 1) for name in outputs],
             )
             places = {name: database.execute(WAITING, (name,)).fetchone() for name in outputs}
-        return Begun(first, places)
+        return RunStart(first, places)
 
     def close(self) -> None:
         """Force all data onto the disk, close the file, and let others open it."""
@@ -215,7 +207,7 @@ class JournalFile:
             with contextlib.suppress(sqlite3.Error), contextlib.closing(database):
                 database.execute(last)
 
-    def replace(self, error: JournalDamaged, outputs: Collection[str], first: int = 0) -> Begun:
+    def replace(self, error: JournalDamaged, outputs: Collection[str], first: int = 0) -> RunStart:
         """Rename a damaged file, and begin a new one, as `open` does."""
         self._close_database()
         self._take_lock()
@@ -224,7 +216,7 @@ class JournalFile:
         # The changes of a database that is gone would spoil the one in its place.
         is_gone = self._identity not in (None, _identity_of(self.path))
         for ending in ("-wal", "-shm", ""):
-            with raised(self.path), contextlib.suppress(FileNotFoundError):
+            with journal_errors(self.path), contextlib.suppress(FileNotFoundError):
                 if is_gone and ending:
                     os.unlink(f"{self.path}{ending}")
                 else:
@@ -264,7 +256,7 @@ class JournalFile:
         Write polls, and by output the last id that it confirmed, in one transaction or not at all,
         and delete what is too old. `confirmed` is the last id that all outputs confirmed.
         """
-        with raised(self.path):
+        with journal_errors(self.path):
             if _identity_of(self.path) != self._identity:  # its contents would be lost
                 raise JournalDamaged(f"{self.path}: was deleted or replaced while it was in use")
             with self._transaction():
@@ -277,7 +269,7 @@ class JournalFile:
     def force(self) -> None:
         """Force what was written onto the disk, and merge it into the database if it is much."""
         wal = f"{self.path}-wal"
-        with raised(self.path):
+        with journal_errors(self.path):
             try:
                 descriptor = os.open(wal, os.O_RDONLY | os.O_CLOEXEC)
             except FileNotFoundError:  # its contents are merged when the database is closed
@@ -327,7 +319,10 @@ class JournalFile:
         """Return the polls behind an id, at least one if there is one, without damaged rows."""
         polls: list[JournalPoll] = []
         count = 0
-        with raised(self.path), contextlib.closing(self._used.execute(POLLS, (after,))) as rows:
+        with (
+            journal_errors(self.path),
+            contextlib.closing(self._used.execute(POLLS, (after,))) as rows,
+        ):
             for row in map(Row._make, rows):
                 count += row.readings
                 if polls and count > most:
@@ -384,7 +379,6 @@ def _size_of(path: str) -> int:
 
 
 def _identity_of(path: str) -> tuple[int, int] | None:
-    """Return device and inode of a file; None if it is gone."""
     with contextlib.suppress(FileNotFoundError):
         status = os.stat(path)
         return status.st_dev, status.st_ino

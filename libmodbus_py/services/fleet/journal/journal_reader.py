@@ -15,12 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ....protocol.checks import integer
 from ....protocol.logs import HarmlessLogger
-from .schema import JournalError, raised
+from .schema import JournalError, journal_errors
 
 if TYPE_CHECKING:
     from ....tools.page.table_source import Older
-
-__all__ = ["HistoricalValue", "history", "past_in", "thinned"]
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -70,7 +68,7 @@ def history(
     """Return the values of a point from the journal at a path; see `Journal.history`."""
     integer("most", most, 3, 1_000_000)
     place = f"{Path(path).absolute().as_uri()}?mode=ro"
-    with raised(path), contextlib.closing(sqlite3.connect(place, uri=True)) as database:
+    with journal_errors(path), contextlib.closing(sqlite3.connect(place, uri=True)) as database:
         database.execute(f"PRAGMA busy_timeout = {BUSY_MS}")
         positions = database.execute(POSITIONS, (device, name)).fetchall()
         span = {"since": since, "until": until}

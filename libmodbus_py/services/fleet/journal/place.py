@@ -14,9 +14,6 @@ from ....protocol.logs import HarmlessLogger
 from ..readings import Buffer, Reading
 from .schema import JournalPoll
 
-__all__ = ["JournalPlace", "RecentPolls"]
-
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 NOTING_S = 1.0
@@ -85,7 +82,7 @@ class JournalPlace(Buffer):
         self.close_buffer()
         self._kept.clear()
 
-    def deleted(self, polls: Sequence[tuple[int, int]]) -> None:
+    def note_deletions(self, polls: Sequence[tuple[int, int]]) -> None:
         """Count polls, by first id and number of readings, that were deleted unconfirmed."""
         gaps = [(first, count) for first, count in polls if first > self.confirmed]
         if not gaps:
@@ -176,7 +173,6 @@ class RecentPolls:
         return polls
 
     def take_unwritten(self, most: int) -> list[JournalPoll]:
-        """Return polls for the file, with about so many readings, which were not taken before."""
         polls = self.after(self.taken, most) or []
         if polls:
             self.taken = polls[-1].last

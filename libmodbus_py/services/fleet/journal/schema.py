@@ -26,14 +26,6 @@ from typing import NamedTuple
 from ....protocol.plain import COMPACT_JSON, plain
 from ..readings import Reading
 
-# fmt: off
-__all__ = [
-    "APPLICATION", "SCHEMA", "VERSION", "JournalDamaged", "JournalError", "JournalPoll",
-    "Points", "Row", "decoded", "encoded", "first_id", "numbered", "raised",
-]
-# fmt: on
-
-
 # In the header of the file; `file` and other programs name the kind of a database by it.
 APPLICATION = 0x4D424A31
 VERSION = 1
@@ -85,7 +77,6 @@ SELECT poll.id + value.key AS id,
   JOIN point ON point.id = poll.points
        + coalesce(json_extract(poll.chosen, '$[' || value.key || ']'), value.key);
 """
-
 
 _SIMPLE = {int, float, bool, str, type(None)}
 
@@ -214,7 +205,7 @@ class JournalDamaged(JournalError):
 
 
 @contextlib.contextmanager
-def raised(path: str) -> Iterator[None]:
+def journal_errors(path: str) -> Iterator[None]:
     """Raise errors of SQLite and of the system as those of journals."""
     try:
         yield

@@ -26,8 +26,6 @@ from ..readings import Reading
 from .mqtt_connection import Message
 from .topics import Topic
 
-__all__ = ["PREFIX", "Discovery", "Topics"]
-
 PREFIX = "homeassistant"
 """The first level of the topics of configurations, unless Home Assistant is told otherwise."""
 
@@ -72,14 +70,9 @@ RISING = (*AMOUNTS, "distance", "duration", "weight", None)
 # The bounds of a number, which must have some, if only its device knows its scale.
 WIDEST = -1e9, 1e9
 
-SMALLEST_STEP = 0.001
-"""The least step of a number that Home Assistant accepts."""
-
-LONGEST_TEXT = 255
-"""The most characters of a text that Home Assistant sets."""
-
-LONGEST_SLUG = 60
-"""The characters of names in an identifier, which a digest makes unlike others."""
+SMALLEST_STEP = 0.001  # the least step of a number that Home Assistant accepts
+LONGEST_TEXT = 255  # the most characters of a text that Home Assistant sets
+LONGEST_SLUG = 60  # the characters of names in an identifier, which a digest makes unlike others
 
 
 class Topics(NamedTuple):
@@ -111,7 +104,6 @@ class Discovery:
         self._retained: set[str] = set()
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Set the devices that are polled."""
         self._current = {
             name for name in self._current & devices.keys() if devices[name] == self.devices[name]
         }

@@ -1,6 +1,4 @@
-"""
-Readings as JSON and CSV, and messages in JSON with the readings of a poll.
-"""
+"""Readings as JSON and CSV, and messages in JSON with the readings of a poll."""
 
 from __future__ import annotations
 
@@ -15,9 +13,6 @@ from ....files.csv_text import csv_rows
 from ....protocol.plain import JSON, json_text, plain, time_text
 from ..readings import Reading
 from .output import ReadingsRefused
-
-__all__ = ["COLUMNS", "as_csv", "as_json", "object_text", "poll_messages"]
-
 
 COLUMNS: tuple[str, ...] = "time", "device", "name", "value", "unit", "quality", "reason"
 """The columns of CSV: what a reading has, but for its id and its labels."""
@@ -37,7 +32,6 @@ def object_text(reading: Reading, *, with_labels: bool = True) -> str:
 
 
 def as_json(readings: Iterable[Reading]) -> bytes:
-    """Return a line of JSON for each reading."""
     text = "".join(
         f'{{"device": {_quoted(row.device)}, "name": {_quoted(row.name)}, {_fields(row)}\n'
         for row in readings

@@ -27,16 +27,9 @@ from .output import Output, OutputError, ReadingsRefused
 if TYPE_CHECKING:
     import httpx
 
-__all__ = ["Influx", "LineProtocol"]
-
-# Scheme -> port of a URL without one.
-PORTS = {"http": 80, "https": 443}
-
-# What a login is written in.
-LOGIN = "user and password_file, or token_file"
-
-# Seconds for a server to take a batch, whatever it does meanwhile.
-TIMEOUT_S = 30.0
+PORTS = {"http": 80, "https": 443}  # scheme -> port of a URL without one
+LOGIN = "user and password_file, or token_file"  # what a login is written in
+TIMEOUT_S = 30.0  # seconds for a server to take a batch, whatever it does meanwhile
 
 # What is read of an answer, and what is shown of it.
 LONGEST_ANSWER_BYTES, LONGEST_SHOWN_CHARACTERS = 4096, 200
@@ -241,7 +234,6 @@ class LineProtocol:
         self._texts: dict[str, frozenset[str]] = {}
 
     def describe(self, devices: Mapping[str, DeviceConfig]) -> None:
-        """Set the devices of the readings, by their names."""
         self._texts |= {
             name: frozenset(point for point in config.map if config.map[point].states is not None)
             for name, config in devices.items()
@@ -275,7 +267,6 @@ class LineProtocol:
 
 
 def _values(name: str, value: Any) -> Iterator[str]:
-    """Yield the fields of a value."""
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _values(f"{name}.{key}", part)

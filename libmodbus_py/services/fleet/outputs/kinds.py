@@ -1,6 +1,4 @@
-"""
-The kinds of outputs in fleet files and of options, and how an output of a kind is made.
-"""
+"""The kinds of outputs in fleet files and of options, and how an output of a kind is made."""
 
 from __future__ import annotations
 
@@ -8,8 +6,6 @@ from typing import Any
 
 from ....files.schema import Keys, keys_of
 from .output import Output
-
-__all__ = ["KINDS", "made", "output_keys"]
 
 KINDS: dict[str, str] = {
     "json": "lines of JSON",
@@ -46,11 +42,10 @@ def output_class(kind: str) -> Any:
 
 
 def output_keys(kind: str) -> Keys:
-    """Return the keys that a kind of outputs has in a fleet file."""
     return keys_of(output_class(kind))
 
 
-def made(kind: str, keys: dict[str, Any]) -> Output:
+def make_output(kind: str, keys: dict[str, Any]) -> Output:
     """
     Make an output of a kind with the values of its keys.
 

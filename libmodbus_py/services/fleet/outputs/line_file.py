@@ -23,9 +23,6 @@ from ..readings import MOST_KEPT, Reading
 from .forms import COLUMNS, as_csv, as_json
 from .output import Output, OutputError, file_at
 
-__all__ = ["CsvOutput", "Format", "JsonOutput", "LineFile"]
-
-
 # Bytes that are read at once from a file whose last line was not ended.
 CHUNK_BYTES = 1 << 20
 
@@ -211,7 +208,6 @@ class CsvOutput(LineFile):
 
 
 def _columns(labels: object) -> list[str]:
-    """Return the names of the columns for labels."""
     if isinstance(labels, str) or not isinstance(labels, Sequence):
         raise WrongType("labels", f"must be a list of names, not {labels!r}")
     for at, name in enumerate(labels):

@@ -26,8 +26,6 @@ from .topics import Topic, plain_topic
 if TYPE_CHECKING:
     import aiomqtt
 
-__all__ = ["DeviceStates", "Mqtt"]
-
 
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
@@ -45,7 +43,6 @@ ONLINE, OFFLINE = b"online", b"offline"
 
 LARGEST_BYTES = 268_435_000
 """The size of a message that MQTT can carry, with a long topic."""
-
 
 Last = dict[str, Reading]
 """Point -> its last reading; the one that came last has the labels of the topic."""
@@ -175,7 +172,6 @@ class Mqtt(Output):
             self._discovery.describe(devices)
 
     def attach_commands(self, commands: Commands) -> None:
-        """Set the object that carries out commands."""
         self._commands = commands
 
     async def open_output(self) -> None:
@@ -244,7 +240,6 @@ class Mqtt(Output):
             await self._answer(self._commands, topic, message.payload)
 
     async def _answer(self, commands: Commands, topic: str, payload: object) -> None:
-        """Carry out a command, and publish its outcome."""
         base = topic.removesuffix("/set")
         names = self._point.read(base)
         # A rule of the broker that goes by a label must hold: only the own topic of a point counts.
@@ -323,7 +318,6 @@ class Messages:
             self._kept.pop(key, None)
 
     def last_messages(self) -> Iterator[Message]:
-        """Yield the messages with the last values."""
         for last in self._kept.values():
             yield from self._messages(self._topic_of(last), [*last.values()])
 

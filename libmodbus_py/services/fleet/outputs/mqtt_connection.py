@@ -1,6 +1,4 @@
-"""
-A connection to an MQTT broker. It needs aiomqtt (the extra ``mqtt``).
-"""
+"""A connection to an MQTT broker. It needs aiomqtt (the extra ``mqtt``)."""
 
 from __future__ import annotations
 
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
     import aiomqtt
 
     OnMessage = Callable[[aiomqtt.Message], Coroutine[Any, Any, None]]
-
-__all__ = ["Message", "MqttConnection"]
 
 # Seconds for a response of the broker.
 TIMEOUT_S = 5.0
@@ -117,7 +113,6 @@ class MqttConnection:
         self._listening = self._tasks.begin(self._listen(client, on_message))
 
     async def _listen(self, client: aiomqtt.Client, on_message: OnMessage) -> None:
-        """Pass messages on until the connection is lost."""
         with contextlib.suppress(OSError), _as_connection_error():
             async for message in client.messages:
                 self._tasks.begin(_call(on_message, message))
@@ -160,7 +155,6 @@ class MqttConnection:
                 await client.unsubscribe(self.unused, timeout=LONGEST_CONFIRMING_S)
 
     async def subscribe(self, topics: str, qos: int = 1) -> None:
-        """Receive the messages of a topic filter."""
         with _as_connection_error():
             await self._used.subscribe(topics, qos)
 
@@ -217,7 +211,6 @@ class _Handshaking(ssl.SSLSocket):
 
 @contextlib.contextmanager
 def _as_connection_error() -> Iterator[None]:
-    """Raise errors of aiomqtt as ConnectionError."""
     import aiomqtt
 
     try:

@@ -13,10 +13,6 @@ from ..commands import Commands
 from ..config import DeviceConfig
 from ..readings import MOST_KEPT, Reading
 
-__all__ = [
-    "Output", "OutputError", "ReadingsRefused", "check_exclusive", "file_at", "shared", "used",
-]  # fmt: skip
-
 
 class OutputError(Exception):
     """An output failed permanently: it will not accept readings again."""
@@ -88,11 +84,11 @@ class Output:
         """Disconnect, until it is opened again; raise nothing, take two seconds at most."""
 
 
-def shared(outputs: Sequence[Output]) -> tuple[int, int, str] | None:
+def shared_thing(outputs: Sequence[Output]) -> tuple[int, int, str] | None:
     """Return the positions of two outputs that would use one thing, and the thing in words."""
     for (at, first), (second_at, second) in combinations(enumerate(outputs), 2):
         # One task calls an output: an object that is there twice would be called by two.
-        what = f"the same {first.name}" if first is second else used(second, first.exclusive)
+        what = f"the same {first.name}" if first is second else used_thing(second, first.exclusive)
         what = what or first.shares(second)
         if what is not None:
             return at, second_at, what
@@ -105,16 +101,16 @@ def check_exclusive(
     """
     Raise ValueError if outputs, a journal and the files the fleet is read from use a thing twice.
     """
-    if (pair := shared(outputs)) is not None:
+    if (pair := shared_thing(outputs)) is not None:
         raise ValueError(f"two outputs use {pair[2]}")
     for output in outputs:
-        if (both := used(output, of_journal)) is not None:
+        if (both := used_thing(output, of_journal)) is not None:
             raise ValueError(f"the journal and {output.name} use {both}")
-        if (both := used(output, sources)) is not None:
+        if (both := used_thing(output, sources)) is not None:
             raise ValueError(f"{output.name} uses {both}, which the fleet is read from")
 
 
-def used(output: Output, others: Container[str]) -> str | None:
+def used_thing(output: Output, others: Container[str]) -> str | None:
     """Return the first thing of an output that is among those of others, or None."""
     return next((thing for thing in output.exclusive if thing in others), None)
 

@@ -20,9 +20,6 @@ from ..readings import Buffer, Reading
 from ..statistics import OutputStatistics
 from .output import Output, OutputError, ReadingsRefused
 
-__all__ = ["Pump"]
-
-
 logger: HarmlessLogger = HarmlessLogger(__name__)
 
 # Readings of a batch: what is sent twice if its confirmation is lost.
@@ -72,7 +69,6 @@ class Pump:
         self._may_open_at_once = False
 
     def start(self) -> None:
-        """Start the task."""
         self.task: asyncio.Task[None] = asyncio.create_task(self._run(), name=self.name)
 
     def close_pump(self, *, is_patient: bool = False) -> None:

@@ -13,9 +13,6 @@ from ....maps.point_checks import TEXTS
 from ....protocol.mistakes import WrongType, WrongValue
 from ..config import LONGEST_NAME, DeviceConfig
 
-__all__ = ["Levels", "Topic", "plain_topic"]
-
-
 _LONGEST = max(TEXTS["name"][1], LONGEST_NAME)
 
 
@@ -26,7 +23,6 @@ class Levels:
         self._special = re.compile(special, re.ASCII)
 
     def spell(self, name: str) -> str:
-        """Return the level of a name."""
         return self._special.sub(lambda match: f"%{ord(match[0]):02X}", name)
 
     def read(self, level: str) -> str | None:

@@ -1,6 +1,4 @@
-"""
-One unit on a connection: the operations of modbus-connection's ``ModbusUnit``.
-"""
+"""One unit on a connection: the operations of modbus-connection's ``ModbusUnit``."""
 
 from __future__ import annotations
 
@@ -14,8 +12,6 @@ from ....protocol.pdu import ReportServerId, ServerId
 
 if TYPE_CHECKING:
     from . import ModbusConnection
-
-__all__ = ["ConnectionUnit"]
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from libmodbus_py.fleet import Reading
-from libmodbus_py.services.fleet.outputs.kinds import made
+from libmodbus_py.services.fleet.outputs.kinds import make_output
 from libmodbus_py.services.fleet.outputs.line_file import CsvOutput, JsonOutput, LineFile
 from tests.support.cases import each_case
 
@@ -145,7 +145,7 @@ def test_a_file_that_holds_no_readings_is_left_as_it_is(tmp_path, kind, content)
     path = tmp_path / "theirs"
     path.write_bytes(content)
     with pytest.raises(OSError, match=r"does not begin with .* rename the file") as caught:
-        written(made(kind, {"path": str(path)}), reading(1))
+        written(make_output(kind, {"path": str(path)}), reading(1))
     assert path.read_bytes() == content
     assert b"BEGIN" not in str(caught.value).encode()
 
