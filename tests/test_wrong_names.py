@@ -10,7 +10,6 @@ import pytest
 
 import libmodbus_py
 from libmodbus_py import (
-    AsyncClient,
     Client,
     Device,
     Fault,
@@ -162,38 +161,6 @@ def test_an_argument_of_another_package_is_answered_with_what_is_typed_here(
 ) -> None:
     with pytest.raises(TypeError, match=named):
         make()
-
-
-@each_case(
-    ("maker", "name", "named"),
-    [
-        (Client, "read_registers", "read_holding_registers(address, count)"),
-        (Client, "write_multiple_registers", "write_registers(address, values)"),
-        (Client, "convert_from_registers", "read_value("),
-        (Client, "set_slave", "unit; unit=17"),
-        (Client, "is_socket_open", "state is State.CONNECTED"),
-        (AsyncClient, "connected", "state is State.CONNECTED"),
-        (TcpContext, "read_input_bits", "read_discrete_inputs(address, count)"),
-        (TcpContext, "modbus_connect", "connect"),
-        (TcpContext, "modbus_read_bits", "read_coils(address, count)"),
-        (TcpContext, "set_response_timeout", "response_timeout"),
-    ],
-)
-def test_a_method_of_another_package_is_answered_with_that_of_this_one(
-    maker: Callable[[str], object], name: str, named: str
-) -> None:
-    with pytest.raises(AttributeError) as raised:
-        getattr(maker("192.0.2.10"), name)
-    kind = maker.__name__
-    assert str(raised.value).startswith(f"{kind!r} object has no attribute {name!r}; type {named}")
-
-
-def test_attributes_that_no_package_has_are_refused_as_python_refuses_them() -> None:
-    for owner, name in ((Client(URL), "nonsense"), (Server(DEVICE), "set_slave")):
-        with pytest.raises(AttributeError) as raised:
-            getattr(owner, name)
-        kind = type(owner).__name__
-        assert str(raised.value) == f"{kind!r} object has no attribute {name!r}"
 
 
 @each_case(

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from ..ports.port import make_port
 from ..protocol.checks import integer, seconds
-from ..protocol.mistakes import NamesAttributes
 from .call import Batch, Timeouts
 from .keywords import NoOthers, public_methods, unexpected
 from .options import Options, checked_options, line_options
@@ -31,7 +30,7 @@ __all__ = ["Handle"]
 
 
 @public_methods("Handle")
-class Handle(NamesAttributes):
+class Handle:
     """The base of both clients: a unit, its timeouts, and the connection that handles share."""
 
     _driver: Any

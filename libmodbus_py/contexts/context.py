@@ -17,7 +17,7 @@ from ..ports.waiting import READ, Waker, Woken
 from ..protocol import errors
 from ..protocol.checks import integer, seconds
 from ..protocol.frames import Frame, Framer
-from ..protocol.mistakes import NamesAttributes, explain_reference
+from ..protocol.mistakes import explain_reference
 from ..protocol.pdu.request import Request
 
 Result = TypeVar("Result")
@@ -44,7 +44,7 @@ class ContextState(enum.Enum):
 CLOSED, OPEN, READY, BUSY, FOREIGN = ContextState
 
 
-class ContextBase(NamesAttributes, ABC):
+class ContextBase(ABC):
     """The base of both contexts: one modbus_t, and one call of it at a time."""
 
     _is_serial: ClassVar[bool]

@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import wraps
-from typing import TYPE_CHECKING, Any, ParamSpec, Self, TypeVar
+from typing import Any, ParamSpec, Self, TypeVar
 
 Path = tuple[str | int, ...]
 Class = TypeVar("Class", bound=type)
@@ -223,21 +223,6 @@ def _positional(function: Callable[..., object], arguments: Sequence[object]) ->
             whole = f"rtu://{url}?baudrate={setting}" if is_port else f"tcp://{url}:{setting}"
             return f'; type "{whole}"'
     return ""
-
-
-class NamesAttributes:
-    """The base of classes whose attributes have other names in other packages: errors say which."""
-
-    if not TYPE_CHECKING:  # else every attribute would be known
-
-        def __getattr__(self, name: str) -> object:
-            kind, hint = type(self), ""
-            if not name.startswith("_"):
-                from .other_names import attribute_here
-
-                hint = attribute_here(kind, name)
-            text = f"{kind.__name__!r} object has no attribute {name!r}{hint}"
-            raise AttributeError(text, name=name, obj=self)
 
 
 def _refused(function: Callable[..., object], keywords: Iterable[str]) -> TypeError | None:

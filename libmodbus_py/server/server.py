@@ -12,7 +12,7 @@ from ..binding.library import replier
 from ..device.device import Device
 from ..ports.endpoint import Endpoint
 from ..ports.trace import OnTraced
-from ..protocol.mistakes import NamesAttributes, named_arguments
+from ..protocol.mistakes import named_arguments
 from .faults import Faults, FaultsByUnit, FaultSwitch, ServerFault
 from .framed import SessionSettings
 from .limits import Limits, ServerStatistics
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @named_arguments
-class Server(NamesAttributes, Serving):
+class Server(Serving):
     """
     A server that answers the requests of any number of clients from devices.
 
