@@ -177,8 +177,8 @@ class _PlanRun:
     def tolerant(self) -> _PlanSteps[list[Any]]:
         """Read all pieces but the holes, and search for others."""
         self._forget_old_cuts()
-        known = self._holes.refused.copy()
-        left_out = {piece: known[piece.span] for piece in self._pieces if piece.span in known}
+        reasons = self._holes.refused.copy()
+        left_out = {piece: reasons[piece.span] for piece in self._pieces if piece.span in reasons}
         self._read = {piece.span: alike(hole.error) for piece, hole in left_out.items()}
         portions = self._portions()
         trials = sorted(left_out, key=lambda piece: left_out[piece].at)[:1]

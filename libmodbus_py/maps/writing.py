@@ -221,8 +221,8 @@ def _state(point: Point, states: Mapping[Any, str], text: str) -> Any:
     try:
         return number_of("value", text) if kind is None else value_of(text, kind)
     except ValueError:
-        allowed = ", ".join(states.values())
-        raise ValueError(f"value must be one of {allowed}, or a number, not {text!r}") from None
+        choices = ", ".join(states.values())
+        raise ValueError(f"value must be one of {choices}, or a number, not {text!r}") from None
 
 
 def _named_bits(text: str) -> dict[str, int]:

@@ -65,8 +65,8 @@ class Piece(NamedTuple):
 
 def has_own_length(request: pdu.Request[Any]) -> bool:
     """Return True if the rule for the response of a request is not that of its function."""
-    known = pdu.REQUESTS.get(request.function)
-    usual = unknown_length if known is None else known.response_length
+    kind = pdu.REQUESTS.get(request.function)
+    usual = unknown_length if kind is None else kind.response_length
     return getattr(type(request), "response_length", usual) is not usual
 
 
@@ -332,7 +332,7 @@ class RtuCutter:
 
     def _goes_on(self, data: bytes, start: int, is_fresh: bool = True) -> bool:
         """Return True if frames without a gap go from here to the silence at the end."""
-        reached, seen = [start], {start}
+        reached, places = [start], {start}
         while reached:
             at = reached.pop()
             if at == len(data):
@@ -341,8 +341,8 @@ class RtuCutter:
             for scanner in self._scanners:
                 end = scanner.at(data, at, fresh, SILENT)
                 ends = _fits(data, at, end + 1) if scanner.fits > 1 else (end,)
-                new = {place for place in ends if place > at} - seen
-                seen |= new
+                new = {place for place in ends if place > at} - places
+                places |= new
                 reached += new
         return False
 
