@@ -123,10 +123,10 @@ def test_a_batch_among_others() -> None:
     """Whatever the request waits for: the connection, its slot, its answer."""
 
     async def main(peer: Scripted) -> None:
-        for kept in (True, False):
+        for is_kept in (True, False):
             for steps in range(12):
                 async with AsyncClient(peer.url, max_in_flight=2, timeout=2) as client:
-                    if not kept:
+                    if not is_kept:
                         peer.drop_all()
                     others = [
                         asyncio.create_task(client.read_holding_registers(address, 1))
@@ -141,9 +141,9 @@ def test_a_batch_among_others() -> None:
                     for _ in range(steps):
                         await asyncio.sleep(0)
                     batch.cancel()
-                    got = await asyncio.gather(*others, last, return_exceptions=True)
-                    if kept:
-                        assert got == [[0], [1], [2], [9]]
+                    outcomes = await asyncio.gather(*others, last, return_exceptions=True)
+                    if is_kept:
+                        assert outcomes == [[0], [1], [2], [9]]
                     with contextlib.suppress(asyncio.CancelledError, ModbusConnectionError):
                         assert len(await batch) == 256
                     assert await client.read_holding_registers(5, 1) == [5]
@@ -163,8 +163,8 @@ def test_many_tasks_by_chance(seed: int) -> None:
             address = chance.randrange(1000)
             with contextlib.suppress(TimeoutError, ModbusError):
                 async with asyncio.timeout(chance.choice([0, 0.0005, 0.005, 0.03, 1])):
-                    got = await client.read_holding_registers(address, 1)
-                    assert got == [address]
+                    values = await client.read_holding_registers(address, 1)
+                    assert values == [address]
 
     async def use(client: AsyncClient, peer: Scripted) -> None:
         await asyncio.gather(*(one(client) for _ in range(10)))
@@ -181,14 +181,14 @@ def test_connecting_and_whoever_is_cancelled() -> None:
         for steps in range(8):
             for everybody in (False, True):
                 client = AsyncClient(peer.url, timeout=1)
-                asked = asyncio.create_task(client.read_holding_registers(5, 1))
+                connecting = asyncio.create_task(client.read_holding_registers(5, 1))
                 for _ in range(steps):
                     await asyncio.sleep(0)
                 for task in asyncio.all_tasks() if everybody else ():
                     if "libmodbus_py" in task.get_coro().cr_code.co_filename:  # type: ignore[union-attr]
                         task.cancel()
-                asked.cancel()
-                await asyncio.wait([asked])
+                connecting.cancel()
+                await asyncio.wait([connecting])
                 assert await client.read_holding_registers(6, 1) == [6]
                 await client.close()
 

@@ -41,9 +41,9 @@ def test_wrong_arguments_are_told_where_the_call_is_awaited() -> None:
 def test_many_tasks_each_get_their_own_answer(transport: str, mapping: Mapping) -> None:
     async def main(url: str) -> None:
         async with AsyncClient(url, unit=17) as plc:
-            asked = [100 + number % 10 for number in range(60)]
-            answers = await asyncio.gather(*(plc.read_holding_registers(a, 1) for a in asked))
-            assert answers == [[900 + address] for address in asked]
+            addresses = [100 + number % 10 for number in range(60)]
+            answers = await asyncio.gather(*(plc.read_holding_registers(a, 1) for a in addresses))
+            assert answers == [[900 + address] for address in addresses]
 
     with serving(transport, Server(Device(mapping))) as url:
         run(main(url))
@@ -129,9 +129,9 @@ def agreements(functions: range) -> list[Ask]:
         requests = [pdu.ReadHoldingRegisters(300 + at % 100, 1) for at in range(200)]
         assert context.execute_many(requests) == [[1300 + at % 100] for at in range(200)]
 
-    asked = [partial(agree, each) for each in exchanges() if each.function in functions]
+    agreed = [partial(agree, each) for each in exchanges() if each.function in functions]
     refused = [partial(refuse, each) for each in refusals() if each.function in functions]
-    return [*asked, *refused, many]
+    return [*agreed, *refused, many]
 
 
 @pytest.mark.parametrize("transport", ["tcp", "rtu"])

@@ -211,14 +211,14 @@ def test_an_answer_between_makes_connections_fruitful() -> None:
 def test_all_who_wait_share_one_attempt_and_its_failure() -> None:
     talk = Talk(is_open=False)
     batches = [talk.ask(number) for number in range(3)]
-    joining, left = talk.join(), talk.join()
-    talk.connection.withdraw(left, talk.now)
+    joining, leaving = talk.join(), talk.join()
+    talk.connection.withdraw(leaving, talk.now)
     talk.fail()
     assert [kinds(batch) for batch in batches] == [[ModbusConnectionError]] * 3
     assert {batch.outcomes[0].errno for batch in batches} == {111}
     assert isinstance(joining.outcome, ModbusConnectionError)
     assert (joining.outcome.unit, joining.outcome.errno) == (1, 111)
-    assert left.outcome is NOT_ASKED
+    assert leaving.outcome is NOT_ASKED
     assert talk.is_at_rest
     assert len({id(batch.outcomes[0]) for batch in batches}) == 3
 

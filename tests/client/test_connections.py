@@ -199,8 +199,8 @@ def test_close_is_idempotent_and_final(world: World) -> None:
     for ask in (plc.connect, lambda: plc.execute(REQUEST)):
         with pytest.raises(ModbusConnectionError, match="closed"):
             ask()
-    found = plc.execute_many([REQUEST] * 3, return_exceptions=True)
-    assert [type(each) for each in found] == [ModbusConnectionError] * 3
+    outcomes = plc.execute_many([REQUEST] * 3, return_exceptions=True)
+    assert [type(each) for each in outcomes] == [ModbusConnectionError] * 3
 
 
 @pytest.fixture(params=["an answer", "a connection", "a pause"])

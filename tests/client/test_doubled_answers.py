@@ -109,15 +109,15 @@ def test_answers_of_a_unit_that_became_faster_are_held_once() -> None:
 
 def test_answers_that_vary_in_time_are_believed_at_once() -> None:
     """As on a network, where the time of one says little of the next."""
-    talk, chance, held = Talk(LINE, timeout=1), random.Random(1), 0
+    talk, chance, count = Talk(LINE, timeout=1), random.Random(1), 0
     for each in range(1, 2000):
         batch = talk.ask(each)
         talk.wait(0.002 + chance.expovariate(200))
         talk.come(value(each))
-        held += not batch.is_done
+        count += not batch.is_done
         talk.wait(0.1)
         assert batch.outcomes == [[each]]
-    assert held < 5
+    assert count < 5
 
 
 def test_polls_of_values_that_flip_take_no_longer_than_others() -> None:

@@ -46,14 +46,14 @@ def url(transport: str, mapping: Mapping) -> Iterator[str]:
         exception_status=0x6D,
         canopen=lambda data: data[::-1],
     )
-    with serving(transport, Server({UNIT: device})) as made:
-        yield made
+    with serving(transport, Server({UNIT: device})) as url:
+        yield url
 
 
 @pytest.fixture
 def plc(connect: Connect, url: str) -> Iterator[Any]:
-    with connect(url, unit=UNIT) as made:
-        yield made
+    with connect(url, unit=UNIT) as client:
+        yield client
 
 
 def test_tables(plc: Any, mapping: Mapping) -> None:
@@ -141,8 +141,8 @@ def test_values(plc: Any, mapping: Mapping) -> None:
             assert plc.read_value(table, address, type_, order=order) == value
     for type_, values in (("float32", [3.5, -2.25, 1e10]), ("string:6", ["pump 1", "x"])):
         plc.write_values("holding_registers", 130, values, type_, order="CDAB")
-        found = plc.read_values("holding_registers", 130, type_, len(values), order="CDAB")
-        assert found == values
+        result = plc.read_values("holding_registers", 130, type_, len(values), order="CDAB")
+        assert result == values
 
 
 def test_refusals_name_what_was_asked(plc: Any) -> None:
@@ -192,8 +192,8 @@ def test_a_broadcast_reaches_every_unit_and_is_not_answered(transport: str) -> N
 
 @contextmanager
 def talking_to(device: Device, transport: str, **options: Any) -> Iterator[Client]:
-    with serving(transport, Server(device)) as url, Client(url, **options) as made:
-        yield made
+    with serving(transport, Server(device)) as url, Client(url, **options) as client:
+        yield client
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,20 +274,20 @@ def test_what_a_hook_raises_comes_out_at_the_client(transport: str) -> None:
 
 
 def test_hooks_are_told_who_asks_for_what(transport: str) -> None:
-    seen: list[Access] = []
-    device = Device(Mapping(holding_registers=8), after_write=seen.append, before_read=seen.append)
+    log: list[Access] = []
+    device = Device(Mapping(holding_registers=8), after_write=log.append, before_read=log.append)
     with talking_to(device, transport, unit=5) as context:
         context.write_register(3, 77)
         context.read_holding_registers(2, 4)
-    written, read = seen
-    assert (written.table, written.address, written.values) == ("holding_registers", 3, (77,))
+    write, read = log
+    assert (write.table, write.address, write.values) == ("holding_registers", 3, (77,))
     assert (read.address, read.count, read.values) == (2, 4, ())
-    assert {access.unit for access in seen} == {5}
-    assert all(access.peer.startswith(("127.0.0.1:", "/dev/pts/")) for access in seen)
+    assert {access.unit for access in log} == {5}
+    assert all(access.peer.startswith(("127.0.0.1:", "/dev/pts/")) for access in log)
 
 
 @each_case(
-    ("asked", "answer"),
+    ("level", "answer"),
     [
         ("basic", "2b0e 01 01 ff 00 01 00 01 41"),  # the same page again
         (5, "2b0e 04 83 00 00 01 03 01 78"),  # another object
@@ -296,10 +296,10 @@ def test_hooks_are_told_who_asks_for_what(transport: str) -> None:
         ("basic", "2b0e 02 83 00 00 01 00 01 61"),  # another level
     ],
 )
-def test_pages_that_do_not_answer_are_invalid(asked: str | int, answer: str) -> None:
+def test_pages_that_do_not_answer_are_invalid(level: str | int, answer: str) -> None:
     page = bytes.fromhex(answer)
     with making("blocking") as world:
         peer = world.peer("tcp", answering(lambda request: [mbap(request, page)]))
         with world.connect(peer.url) as plc, pytest.raises(InvalidResponse):
-            plc.read_device_identification(asked)
+            plc.read_device_identification(level)
         assert len(peer.requests) == 1

@@ -112,11 +112,11 @@ def test_a_request_that_nobody_answers_takes_the_turnaround_before_the_next_one(
 
 
 def test_what_comes_before_the_first_request_is_traced_too() -> None:
-    seen: list[Traced] = []
-    talk = Talk(trace=seen.append)
+    frames: list[Traced] = []
+    talk = Talk(trace=frames.append)
     frame = bytes.fromhex("0009 0000 0005 01 03 02 0007")
     talk.come(frame)
-    assert [(each.direction, each.adu) for each in seen] == [("received", frame)]
+    assert [(each.direction, each.adu) for each in frames] == [("received", frame)]
 
 
 def ids(talk: Talk) -> list[int]:

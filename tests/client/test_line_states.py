@@ -370,15 +370,15 @@ def test_hold_and_a_late_frame_of_its_unit_begin_again() -> None:
 
 def test_an_answer_is_held_once_in_ten_timeouts() -> None:
     """Without a pause on the line: it could be shifted by one request, and nothing else tells."""
-    talk, held = used(), 0
+    talk, count = used(), 0
     for number in range(100, 2300):
         batch = talk.ask(number)
         talk.wait(0.01)
         talk.come(value(number))
-        held += not batch.is_done
+        count += not batch.is_done
         talk.wait(0 if batch.is_done else 0.02)
         assert batch.outcomes == [[number]]
-    assert held == 2
+    assert count == 2
 
 
 @each_case(("frame", "is_first"), [

@@ -149,8 +149,8 @@ def test_repetitions_come_to_an_end(url: str, trouble: str) -> None:
                 talk.wait(1)
         else:
             talk.wait(1)
-    expected = {"silence": ModbusTimeoutError, "loss": ModbusConnectionError}
-    assert kinds(batch) == [expected.get(trouble, InvalidResponse)]
+    errors = {"silence": ModbusTimeoutError, "loss": ModbusConnectionError}
+    assert kinds(batch) == [errors.get(trouble, InvalidResponse)]
     assert len(talk.sent) == 2
     assert talk.is_at_rest
 

@@ -41,10 +41,10 @@ def check(statistics: Statistics) -> None:
     """Check the counters, which must agree when nothing is in flight."""
     assert {result for _, result in statistics.results} <= set(RESULTS)
     results = statistics.results.items()
-    sent = sum(count for (_, result), count in results if result != "unsent")
-    answered = sum(count for (_, result), count in results if result in ("ok", "exception"))
-    assert sent == statistics.requests
-    assert answered == statistics.responses == sum(statistics.answer_times)
+    requests = sum(count for (_, result), count in results if result != "unsent")
+    answers = sum(count for (_, result), count in results if result in ("ok", "exception"))
+    assert requests == statistics.requests
+    assert answers == statistics.responses == sum(statistics.answer_times)
     refusals = sum(count for (_, result), count in results if result == "exception")
     assert refusals == statistics.exceptions
 

@@ -27,10 +27,10 @@ from tests.support.reads import echoes, good, reads
 @pytest.fixture
 def refused_port() -> Iterator[int]:
     """Where nobody listens, and nobody else will: its socket hears another one only."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as made:
-        made.bind(("127.0.0.1", 0))
-        made.connect(made.getsockname())
-        yield int(made.getsockname()[1])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.connect(sock.getsockname())
+        yield int(sock.getsockname()[1])
 
 
 @NEEDS_IPV6
@@ -109,10 +109,10 @@ def test_many_in_flight_lose_some_and_get_the_others_in_any_order(world: World) 
         world.connect(peer.url, timeout=60, max_in_flight=16) as context,
         world.lasting(60, more=0.02),
     ):
-        found = context.execute_many(reads(40), return_exceptions=True)
-    assert [at for at, each in enumerate(found) if isinstance(each, ModbusError)] == [5, 30]
-    assert isinstance(found[5], ModbusTimeoutError)
-    assert all(found[at] == [at] for at in range(40) if at not in (5, 30))
+        outcomes = context.execute_many(reads(40), return_exceptions=True)
+    assert [at for at, each in enumerate(outcomes) if isinstance(each, ModbusError)] == [5, 30]
+    assert isinstance(outcomes[5], ModbusTimeoutError)
+    assert all(outcomes[at] == [at] for at in range(40) if at not in (5, 30))
     assert len(peer.requests) == 40
 
 
@@ -124,8 +124,8 @@ def test_port_where_nobody_listens_is_a_connection_error_at_once(
             with pytest.raises(ModbusConnectionError) as caught:
                 context.read_coils(0, 1)
             assert caught.value.errno == errno.ECONNREFUSED
-        found = context.execute_many(reads(800), return_exceptions=True)
-        assert {each.errno for each in found} == {errno.ECONNREFUSED}
+        outcomes = context.execute_many(reads(800), return_exceptions=True)
+        assert {each.errno for each in outcomes} == {errno.ECONNREFUSED}
 
 
 def test_port_that_comes_back_is_used_again(connect: Connect) -> None:

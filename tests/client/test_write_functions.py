@@ -71,32 +71,32 @@ WRITES: list[tuple[str, tuple[int, ...], dict[str, Any], list[str]]] = [
 ]
 
 
-@each_case(("option", "functions", "values", "expected"), WRITES)
+@each_case(("option", "functions", "values", "requests"), WRITES)
 def test_a_map_is_written_with_the_functions_that_the_device_has(
-    world: World, option: str, functions: tuple[int, ...], values: Any, expected: list[str]
+    world: World, option: str, functions: tuple[int, ...], values: Any, requests: list[str]
 ) -> None:
     peer = world.peer("tcp", knowing(*functions))
     with world.connect(peer.url, write_function=option) as plc:
         plc.write_map(POINTS, values)
-    assert sent(peer) == expected
+    assert sent(peer) == requests
 
 
 @each_case(
-    ("option", "functions", "expected"),
+    ("option", "functions", "requests"),
     [
         ("auto", MULTIPLE, ["1000030002043f800000"]),
         ("multiple", MULTIPLE, ["1000030002043f800000"]),
         ("single", SINGLE, ["0600033f80", "0600040000"]),
     ],
 )
-def test_so_are_values(world: World, option, functions, expected) -> None:
+def test_so_are_values(world: World, option, functions, requests) -> None:
     peer = world.peer("tcp", knowing(*functions))
     with world.connect(f"{peer.url}?write_function={option}") as plc:
         plc.write_value("holding_registers", 3, 1.0, "float32")
         plc.write_values("holding_registers", 3, [1.0], "float32")
         with pytest.raises(ValueError, match="address"):
             plc.write_value("holding_registers", 65535, 1.0, "float32")
-    assert sent(peer) == 2 * expected
+    assert sent(peer) == 2 * requests
 
 
 def test_what_a_device_refuses_with_both_functions_is_refused(world: World) -> None:

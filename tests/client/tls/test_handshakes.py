@@ -138,10 +138,10 @@ def test_closing_at_each_await_of_a_handshake(pki: Pki) -> None:
             except asyncio.CancelledError:
                 outcomes.add("cancelled")
             near, far = socket.socketpair()
-            heard = asyncio.Event()
-            loop.add_reader(near, heard.set)
+            event = asyncio.Event()
+            loop.add_reader(near, event.set)
             far.send(b"x")
-            await asyncio.wait_for(heard.wait(), SOON)
+            await asyncio.wait_for(event.wait(), SOON)
             loop.remove_reader(near)
             near.close()
             far.close()

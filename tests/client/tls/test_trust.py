@@ -38,12 +38,12 @@ def ask(connect: Connect, url: str, security: Any, until: threading.Event | None
 
 def refusal(connect: Connect, server: TlsServer, security: Any) -> Any:
     """Connect in vain; nothing of Modbus may go out, and nobody is asked twice."""
-    asked: list[bytes] = []
-    server.script = lambda peer: asked.append(peer.read())
+    requests: list[bytes] = []
+    server.script = lambda peer: requests.append(peer.read())
     with pytest.raises(ModbusConnectionError) as caught:
         ask(connect, server.url, security)
     until(lambda: len(server.errors) + len(server.resumed) == server.connections)
-    assert asked in ([], [b""])
+    assert requests in ([], [b""])
     assert server.connections == 1
     return caught.value
 
@@ -216,17 +216,17 @@ def refusing(context: ssl.SSLContext, is_abrupt: bool, sock: socket.socket) -> N
 def test_a_reset_behind_the_refusal_does_not_hide_it(connect: Connect, pki: Pki, serving: Serving):
     """The request finds the connection gone; what the server said before is still to be read."""
     own = certificates.client(issuer=foreign_authority())
-    gone = threading.Event()
+    event = threading.Event()
 
     def talk(sock: socket.socket) -> None:
         refusing(server.context, True, sock)
         sock.close()
-        gone.set()
+        event.set()
 
     server = serving(version="1.3")
     server._talk = talk
     with server, pytest.raises(ModbusConnectionError, match="refused our certificate"):
-        ask(connect, server.url, pki.security(own), until=gone)
+        ask(connect, server.url, pki.security(own), until=event)
 
 
 HINT = "it may have refused our certificate"
