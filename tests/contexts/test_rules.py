@@ -386,11 +386,11 @@ print(context.read_holding_registers(9, 1))
 def test_descriptors_of_which_libmodbus_would_die_are_refused(transport: str) -> None:
     with peer_at(transport, good_at(transport)) as peer:
         place = peer.url.rpartition(":")[2] if transport == "tcp" else peer.path  # type: ignore[attr-defined]
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", MANY, transport, place], capture_output=True, text=True
         )
-    assert done.returncode == 0, done.stderr
-    first, *refusals, last = done.stdout.splitlines()
+    assert process.returncode == 0, process.stderr
+    first, *refusals, last = process.stdout.splitlines()
     assert first == ("[7] [8]" if transport == "tcp" else "[] []")
     assert last == "[9]"
     assert len(refusals) == 2
@@ -511,8 +511,8 @@ try:
 except ModbusConnectionError as error:
     print(error.errno)
 """
-    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True)
-    assert done.stdout == f"{errno.EMFILE}\n", done.stderr
+    process = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True)
+    assert process.stdout == f"{errno.EMFILE}\n", process.stderr
 
 
 def test_names_of_hosts_are_names() -> None:

@@ -144,8 +144,8 @@ def test_holes_side_by_side_are_told_together() -> None:
 def test_a_hole_is_tried_again_every_ten_minutes() -> None:
     polls = Polls(singles(20), Registers([5]))
     polls.poll(0)
-    tried = [now for now in range(1, 2000) if polls.poll(now)[0] > 2]
-    assert tried == [600, 1200, 1800]
+    times = [now for now in range(1, 2000) if polls.poll(now)[0] > 2]
+    assert times == [600, 1200, 1800]
     assert len(polls.news) == 1
 
 

@@ -50,12 +50,12 @@ MOMENTS = st.datetimes(datetime(2000, 1, 3), datetime(2090, 1, 1), timezones=st.
 def test_what_is_written_comes_back(time: datetime, type: str, zone: str) -> None:
     time = time.replace(microsecond=0)
     point = clock(type, zone)
-    found = point.decode(point.encode(time))
+    result = point.decode(point.encode(time))
     # Only a time that its zone has twice comes back as the other one: the first.
     local = time.astimezone(ZoneInfo(zone))
     is_second = local.fold == 1 and type != "iec870"
     first = local.replace(fold=0).astimezone(UTC)
-    assert found == (first if is_second else time)
+    assert result == (first if is_second else time)
 
 
 def test_values_that_mean_none_are_those_of_the_registers() -> None:

@@ -17,9 +17,9 @@ setpoint,holding,0,0.1,read_write
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    found = tmp_path / "meter.csv"
-    found.write_text(METER)
-    return found
+    file = tmp_path / "meter.csv"
+    file.write_text(METER)
+    return file
 
 
 @pytest.mark.parametrize("kind", [str, Path])
@@ -49,14 +49,14 @@ CALLS: list[Any] = [
 def test_files_that_are_no_maps(path: Path, call: Any) -> None:
     path.write_text("name,table,address\nvoltage,inputt,0\n")
     plc = Client("tcp://127.0.0.1:1")
-    for given, told in (
+    for argument, message in (
         (path, f"{path}, line 2, column table: table must be one of"),
         (path.with_name("none.csv"), f"cannot read {path.with_name('none.csv')}"),
         (path.with_suffix(".xls"), "a register map must end with one of .toml"),
     ):
         with pytest.raises(MapError) as raised:
-            call(plc, given)
-        assert told in str(raised.value)
+            call(plc, argument)
+        assert message in str(raised.value)
     for wrong in (7, b"meter.csv"):
         with pytest.raises(TypeError, match="must be a"):
             call(plc, wrong)

@@ -107,8 +107,8 @@ class TestAscii:
         assert errors
         frames, errors = [], []
         for byte in single_bytes(bad + self.good):
-            found, rejected = take(framer, byte)
-            frames += found
+            accepted, rejected = take(framer, byte)
+            frames += accepted
             errors += rejected
         assert frames == [READ]
         assert errors

@@ -129,11 +129,11 @@ WRITE = pdu.WriteRegister(3, 77).encode()
 
 @pytest.mark.parametrize("name", ["before_write", "after_write", "authorize"])
 def test_a_hook_that_returns_a_coroutine_is_a_failure(name, caplog) -> None:
-    made = device(**{name: hidden})
-    assert made.answer(WRITE) == b"\x86\x04"
+    device_ = device(**{name: hidden})
+    assert device_.answer(WRITE) == b"\x86\x04"
     assert "which nothing awaits" in caplog.text
     if name != "after_write":
-        assert made.mapping.holding_registers[3] == 0
+        assert device_.mapping.holding_registers[3] == 0
 
 
 def test_a_handler_that_returns_a_coroutine_is_a_failure() -> None:
@@ -141,8 +141,8 @@ def test_a_handler_that_returns_a_coroutine_is_a_failure() -> None:
 
 
 def test_a_result_that_something_runs_already_is_taken() -> None:
-    done: Any = object()
-    assert finished("after_write", done) is done
+    task: Any = object()
+    assert finished("after_write", task) is task
     assert finished("after_write", [1]) == [1]
 
 
@@ -165,9 +165,9 @@ def test_a_log_that_fails_is_told_on_stderr(capsys: pytest.CaptureFixture[str]) 
         log_failure(logger.name, "%s failed", "it")
     finally:
         logger.removeHandler(handler)
-    told = capsys.readouterr().err
-    assert "disk full" in told
-    assert "ZeroDivisionError" in told
+    message = capsys.readouterr().err
+    assert "disk full" in message
+    assert "ZeroDivisionError" in message
 
 
 PACKAGE = "libmodbus_py"

@@ -99,9 +99,9 @@ STEPS = {"ms64": 1000, "iec870": 1000}
 )
 def test_times_come_back(name: str, time: datetime, order: str) -> None:
     step = STEPS.get(name, 1_000_000)
-    kept = time.replace(microsecond=time.microsecond // step * step)
+    time_ = time.replace(microsecond=time.microsecond // step * step)
     kind = value_type(name, order=order)
-    assert kind.decode(kind.encode(time)) == kept
+    assert kind.decode(kind.encode(time)) == time_
 
 
 BERLIN = checked_time_zone("time_zone", "Europe/Berlin")

@@ -99,7 +99,7 @@ def test_other_registers_of_the_same_value(name, order, registers, value) -> Non
 
 
 def test_registers_that_hold_no_value(refused: Refused) -> None:
-    refused("no_values.txt", lambda given: value_type(given[0]).decode(words(given[1])))
+    refused("no_values.txt", lambda case: value_type(case[0]).decode(words(case[1])))
 
 
 LIMITS = [

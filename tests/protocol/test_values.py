@@ -268,7 +268,7 @@ class TestMany:
         assert decode_many([], "float64") == []
 
     def test_bad_value_is_named(self, refused: Refused) -> None:
-        refused("wrong_values.txt", lambda given: encode_many(*given))
+        refused("wrong_values.txt", lambda case: encode_many(*case))
 
     @pytest.mark.parametrize(("name", "takes"), [("int32", 2), ("float64", 4), ("string:5", 3)])
     def test_registers_end_with_a_value(self, name: str, takes: int) -> None:

@@ -143,5 +143,5 @@ class TestProperties:
     @given(identifications, st.sampled_from(["basic", "regular", "extended"]))
     def test_any_identification_arrives_whole(self, objects: dict[int, bytes], level: str) -> None:
         last = LAST_OBJECT[pdu.interface.LEVELS[level]]
-        wanted = {number: value for number, value in objects.items() if number <= last}
-        assert served(objects, level)[0] == wanted
+        values = {number: value for number, value in objects.items() if number <= last}
+        assert served(objects, level)[0] == values
