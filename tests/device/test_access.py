@@ -168,20 +168,20 @@ class TestHooks:
     def test_before_write_refuses_and_nothing_changes(self, request_, code, caplog) -> None:
         caplog.clear()
         refusal = errors.ExceptionResponse.of(code)
-        told: list[Access] = []
+        accesses: list[Access] = []
 
         def refuse(access: Access) -> None:
             # By the class where there is one, as an application would.
             raise refusal if type(refusal) is errors.ExceptionResponse else type(refusal)
 
         device = hooked_device(
-            before_write=refuse, before_read=told.append, after_write=told.append
+            before_write=refuse, before_read=accesses.append, after_write=accesses.append
         )
         before = contents(device)
         answer = device.answer(request_.encode(), CALLER)
         assert answer == bytes([request_.function | 0x80, code])
         assert contents(device) == before
-        assert told == []
+        assert accesses == []
         assert caplog.records == []
 
     @each_case("request_", READS, ids=id_of)

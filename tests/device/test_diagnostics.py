@@ -13,8 +13,8 @@ from tests.support.vectors import REQUESTS, RESPONSES
 
 
 def vector(name: str) -> bytes:
-    (found,) = (each.pdu for each in REQUESTS + RESPONSES if each.id == name)
-    return found
+    (body,) = (each.pdu for each in REQUESTS + RESPONSES if each.id == name)
+    return body
 
 
 class TestStatusAndIdentifier:

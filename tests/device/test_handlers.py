@@ -58,16 +58,16 @@ class TestHandlers:
         assert len(caplog.records) == 1
 
     def test_hooks_do_not_see_it(self) -> None:
-        seen: list[Access] = []
+        accesses: list[Access] = []
         device = Device(
             Mapping(),
             handlers={Doubled: lambda request: [1]},
-            before_read=seen.append,
-            before_write=seen.append,
-            after_write=seen.append,
+            before_read=accesses.append,
+            before_write=accesses.append,
+            after_write=accesses.append,
         )
         assert device.answer(b"\x41\0") == b"\x41\2\0\1"
-        assert seen == []
+        assert accesses == []
 
     @each_case(
         "bad",

@@ -338,9 +338,9 @@ print(at)
 
 def test_a_program_that_is_killed_at_any_step_of_saving_leaves_a_whole_file(tmp_path: Path) -> None:
     command = [sys.executable, "-c", KILLED, tmp_path / "values"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=50)
-    assert done.stderr == ""
-    assert int(done.stdout) > 10
+    process = subprocess.run(command, capture_output=True, text=True, timeout=50)
+    assert process.stderr == ""
+    assert int(process.stdout) > 10
 
 
 def test_threads_that_save_one_file_leave_that_of_one_of_them(tmp_path: Path) -> None:

@@ -92,8 +92,8 @@ def test_an_asyncio_client_calls_a_function_and_raises_its_error(
             assert await plc.read_input_registers(0, 1) == [555]
 
     asyncio.run(use())
-    sent = [True, SENT, False]
-    assert events == [False, *sent, True, False, False, *sent]
+    steps = [True, SENT, False]
+    assert events == [False, *steps, True, False, False, *steps]
 
 
 def test_a_function_is_called_with_the_delays_of_rts(events: list[object]) -> None:

@@ -240,9 +240,9 @@ def test_every_endpoint_comes_back_from_its_url(endpoint: Endpoint) -> None:
     again = parse(endpoint.url)
     assert again == endpoint
     assert (hash(again), again.key) == (hash(endpoint), endpoint.key)
-    shown = parse(str(endpoint))
-    assert shown == replace(again, client_options={}, options=visible.options)
-    assert shown.options == ({} if endpoint.is_secure else endpoint.options)
+    visible = parse(str(endpoint))
+    assert visible == replace(again, client_options={}, options=visible.options)
+    assert visible.options == ({} if endpoint.is_secure else endpoint.options)
 
 
 def test_the_zone_of_an_address_is_the_name_of_an_interface_as_it_is_written() -> None:

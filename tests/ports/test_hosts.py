@@ -91,8 +91,8 @@ def test_it_is_told_once_and_again_when_it_is_over(outage: Outage, caplog) -> No
         for _ in range(2):
             outage.end()
         assert not outage.is_on
-    told = ["rtu:///dev/line: no such device; trying again", "rtu:///dev/line: open again"]
-    assert caplog.messages == told * 2
+    messages = ["rtu:///dev/line: no such device; trying again", "rtu:///dev/line: open again"]
+    assert caplog.messages == messages * 2
 
 
 def test_it_lasts_until_the_port_can_be_opened(outage: Outage, caplog) -> None:

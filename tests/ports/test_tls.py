@@ -69,14 +69,14 @@ def test_what_is_wrong_with_a_file_is_told(pki: Pki, monkeypatch, change, text) 
     monkeypatch.setenv("WRONG", "close sesame")
     monkeypatch.setenv("EMPTY", "")
     own = pki.files(certificates.client())
-    known = {
+    files = {
         "CERT": own.cert,
         "KEY": own.key,
         "OTHER": pki.files(certificates.server()).key,
         "LOCKED": pki.files(certificates.client(), SECRET.encode()).key,
     }
     options = {"cert": "CERT", "key": "KEY", "ca": str(pki.ca), **change}
-    for name, file in known.items():
+    for name, file in files.items():
         options = {each: str(file) if value == name else value for each, value in options.items()}
         text = text.replace(f"'{name}'", repr(str(file)))
     url = "tls://h?" + "&".join(f"{name}={value}" for name, value in options.items())

@@ -39,9 +39,9 @@ BEFORE_ANY_DEADLINE = 5.0
 
 @pytest.fixture
 def waker() -> Iterator[Waker]:
-    made = Waker()
-    yield made
-    made.close()
+    waker = Waker()
+    yield waker
+    waker.close()
 
 
 @pytest.fixture(params=["polling", "event loop"])
@@ -104,16 +104,16 @@ def resolving(host: str, seconds: float = 5) -> Steps[Any]:
 
 
 @pytest.fixture
-def named(monkeypatch: pytest.MonkeyPatch) -> str:
+def own_name(monkeypatch: pytest.MonkeyPatch) -> str:
     """A name of this machine, which need not have /etc/hosts."""
     resolve(monkeypatch, "this-machine", "127.0.0.1")
     return "this-machine"
 
 
-def test_names_and_addresses_are_looked_up(drive: Drive, named: str) -> None:
+def test_names_and_addresses_are_looked_up(drive: Drive, own_name: str) -> None:
     assert [each[4] for each in drive(resolving("127.0.0.1"))] == [("127.0.0.1", 502)]
     assert [each[4][:2] for each in drive(resolving("::1"))] == [("::1", 502)]
-    assert "127.0.0.1" in [each[4][0] for each in drive(resolving(named))]
+    assert "127.0.0.1" in [each[4][0] for each in drive(resolving(own_name))]
 
 
 @pytest.mark.parametrize("host", ["no-such-host.invalid", "x" * 300, "a..b"])
@@ -123,16 +123,16 @@ def test_a_name_that_nobody_has_is_an_os_error(drive: Drive, host: str) -> None:
 
 def addresses(monkeypatch: pytest.MonkeyPatch, *ports: int) -> None:
     """A name with an address for each port."""
-    found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port)) for port in ports]
-    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
+    answers = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", port)) for port in ports]
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: answers)
 
 
 def test_a_dead_address_leaves_the_others_their_share_of_the_time(monkeypatch) -> None:
     clock = SimpleNamespace(monotonic=lambda: 100.0)
     monkeypatch.setattr("libmodbus_py.ports.sockets.time", clock)
     with dead() as port, dead() as other, socket.create_server(("127.0.0.1", 0)) as listener:
-        made = TcpPort("three-addresses.invalid", 502, None)
-        steps = made.opening(106.0)
+        port_ = TcpPort("three-addresses.invalid", 502, None)
+        steps = port_.opening(106.0)
         next(steps)
         addresses = [
             (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.0.1", number))
@@ -145,8 +145,8 @@ def test_a_dead_address_leaves_the_others_their_share_of_the_time(monkeypatch) -
         assert steps.send(False)[1:] == (WRITE, 106.0)
         with pytest.raises(StopIteration):
             steps.send(True)
-        assert made.descriptor >= 0
-        made.close()
+        assert port_.descriptor >= 0
+        port_.close()
 
 
 def test_all_addresses_together_take_no_longer_than_the_deadline(drive: Drive, monkeypatch) -> None:
@@ -163,56 +163,56 @@ def test_a_refused_address_costs_no_time(drive: Drive, monkeypatch: pytest.Monke
     with socket.socket() as refusing, socket.create_server(("127.0.0.1", 0)) as listener:
         refusing.bind(("127.0.0.1", 0))
         addresses(monkeypatch, refusing.getsockname()[1], listener.getsockname()[1])
-        made = TcpPort("two-addresses.invalid", 502, None)
+        port = TcpPort("two-addresses.invalid", 502, None)
         start = time.monotonic()
-        drive(made.opening(start + 20))
+        drive(port.opening(start + 20))
         assert time.monotonic() - start < BEFORE_ANY_DEADLINE
-        made.close()
+        port.close()
 
 
 @pytest.mark.parametrize(
     "host", ["this-machine", pytest.param("::1", marks=NEEDS_IPV6), "127.0.0.1"]
 )
-@pytest.mark.usefixtures("named")
+@pytest.mark.usefixtures("own_name")
 def test_every_address_of_a_name_is_tried(drive: Drive, host: str) -> None:
     family = socket.AF_INET6 if host == "::1" else socket.AF_INET
     place = ("::1" if host == "::1" else "127.0.0.1", 0)
     with socket.create_server(place, family=family) as listener:
-        made = TcpPort(host, listener.getsockname()[1], None)
-        drive(made.opening(soon(5)))
-        assert made.descriptor >= 0
-        made.close()
-        assert made.descriptor == -1
+        port = TcpPort(host, listener.getsockname()[1], None)
+        drive(port.opening(soon(5)))
+        assert port.descriptor >= 0
+        port.close()
+        assert port.descriptor == -1
 
 
 def test_udp_is_connected_at_once(drive: Drive) -> None:
-    made = UdpPort("127.0.0.1", 502)
-    drive(made.opening(soon()))
-    assert made.receive() == []
-    made.close()
+    port = UdpPort("127.0.0.1", 502)
+    drive(port.opening(soon()))
+    assert port.receive() == []
+    port.close()
 
 
 def test_udp_tells_a_closed_port_after_what_came_and_sends_to_it_once_it_is_open() -> None:
     def listener(port: int = 0) -> socket.socket:
-        made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        made.bind(("127.0.0.1", port))
-        made.settimeout(5)
-        return made
+        port_ = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        port_.bind(("127.0.0.1", port))
+        port_.settimeout(5)
+        return port_
 
     with listener() as first:
-        made = UdpPort("127.0.0.1", port := first.getsockname()[1])
-        asyncio.run(run_async(made.opening(soon())))
-        made.send([b"hello"], 0.0)
+        port_ = UdpPort("127.0.0.1", port := first.getsockname()[1])
+        asyncio.run(run_async(port_.opening(soon())))
+        port_.send([b"hello"], 0.0)
         first.sendto(b"answer", first.recvfrom(5)[1])
-    made.send([b"lost"], 0.0)
+    port_.send([b"lost"], 0.0)
     with listener(port) as again:
-        made.send([b"request"], 0.0)
+        port_.send([b"request"], 0.0)
         assert again.recv(100) == b"request"
-    made.send([b"lost"], 0.0)
-    assert made.receive() == [b"answer"]
+    port_.send([b"lost"], 0.0)
+    assert port_.receive() == [b"answer"]
     with pytest.raises(ModbusConnectionError, match="refused"):
-        made.receive()
-    made.close()
+        port_.receive()
+    port_.close()
 
 
 def descriptors() -> int:
