@@ -61,18 +61,18 @@ def asking(server: Server | Gateway, transport: str = "tcp") -> Iterator[Any]:
 
 def said(event: AuditEvent) -> dict[str, Any]:
     """Return an event as it is written, without time and peer."""
-    found = json.loads(event.json())
-    assert found.pop("time").endswith("Z")
-    assert found.pop("peer").startswith("127.0.0.1:")
-    return dict(found)
+    entry = json.loads(event.json())
+    assert entry.pop("time").endswith("Z")
+    assert entry.pop("peer").startswith("127.0.0.1:")
+    return dict(entry)
 
 
 @NEEDS_IPV6
 @pytest.mark.parametrize("transport", TRANSPORTS)
 def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
     """In all events, as in URLs: with brackets around the address."""
-    told: list[str | None] = []
-    served = Server(device(), audit=events.append, trace=lambda each: told.append(each.peer))
+    names: list[str | None] = []
+    served = Server(device(), audit=events.append, trace=lambda each: names.append(each.peer))
     closed = Server(device(), limits=Limits(allow=["192.0.2.0/24"]), audit=events.append)
     url = f"{transport}://[::1]:0"
     with served.background(url) as one, closed.background(url) as other:
@@ -81,7 +81,7 @@ def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
         with Client(other.urls[0], unit=5, timeout=0.1) as client, pytest.raises(ModbusError):
             client.write_register(0, 1)
     assert {each.event for each in events} == {"write", "disallowed"}
-    for peer in (*told, *(each.peer for each in events)):
+    for peer in (*names, *(each.peer for each in events)):
         assert peer is not None
         assert re.fullmatch(r"\[::1\]:\d+", peer)
 

@@ -71,10 +71,10 @@ def left() -> tuple[int, int]:
     return len(os.listdir("/proc/self/task")), len(os.listdir("/proc/self/fd"))
 
 
-def is_left(expected: tuple[int, int]) -> bool:
+def is_left(counts: tuple[int, int]) -> bool:
     """Return True if there are no more of them, soon: the system takes a moment to end a thread."""
     deadline = time.monotonic() + PATIENCE
-    while left() > expected:
+    while left() > counts:
         if time.monotonic() > deadline:
             return False
         time.sleep(0.002)
@@ -86,8 +86,8 @@ def test_ctrl_c_at_any_step_leaves_nothing() -> None:
     code = "from tests.server.test_background import interrupt_each_step; interrupt_each_step()"
     root = Path(__file__).parents[2]
     command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=100)
-    assert done.returncode == 0, done.stderr
+    process = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=100)
+    assert process.returncode == 0, process.stderr
 
 
 def interrupt_each_step() -> None:
@@ -140,8 +140,8 @@ print(raised, threading.active_count(), len(os.listdir("/proc/self/fd")) - befor
 
 
 def test_ctrl_c_once_or_twice_leaves_nothing() -> None:
-    done = subprocess.run([sys.executable, "-c", CTRL_C], capture_output=True, text=True)
-    assert done.stdout == "400 1 0\n", done.stderr
+    process = subprocess.run([sys.executable, "-c", CTRL_C], capture_output=True, text=True)
+    assert process.stdout == "400 1 0\n", process.stderr
 
 
 NEVER_LEFT = """
@@ -153,18 +153,18 @@ manager.__enter__()
 
 def test_a_program_ends_though_a_block_was_never_left() -> None:
     command = [sys.executable, "-c", NEVER_LEFT]
-    done = subprocess.run(command, capture_output=True, timeout=PATIENCE)
-    assert (done.returncode, done.stderr) == (0, b"")
+    process = subprocess.run(command, capture_output=True, timeout=PATIENCE)
+    assert (process.returncode, process.stderr) == (0, b"")
 
 
 def test_the_collector_does_not_wait_for_a_forgotten_server() -> None:
     """The server may wait for a lock, such as a mapping's, that the collector's thread holds."""
     is_blocked, goes_on = threading.Event(), threading.Event()
-    told: list[bool] = []
+    results: list[bool] = []
 
     def hook(access: Access) -> None:
         is_blocked.set()
-        told.append(goes_on.wait(PATIENCE))
+        results.append(goes_on.wait(PATIENCE))
 
     before = left()
     server = Server(Device(Mapping(holding_registers=1), before_read=hook))
@@ -178,7 +178,7 @@ def test_the_collector_does_not_wait_for_a_forgotten_server() -> None:
         goes_on.set()
         assert receive(client, 11) == ANSWER
         assert receive(client, 1) == b""
-    assert told == [True]
+    assert results == [True]
     assert is_left(before)
 
 
@@ -227,9 +227,9 @@ def ending(error: BaseException) -> Server:
 
 @contextlib.contextmanager
 def raised(error: BaseException) -> Iterator[None]:
-    with pytest.raises(type(error)) as found:
+    with pytest.raises(type(error)) as caught:
         yield
-    assert found.value is error
+    assert caught.value is error
 
 
 END = adu(bytes.fromhex("03 0063 0001"))

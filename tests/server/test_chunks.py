@@ -58,26 +58,26 @@ def test_same_answers_contents_counters_and_statistics(
     st.lists(st.tuples(bodies(), st.sampled_from([1, 1, 1, 2, 9, 3])), min_size=1, max_size=12),
     st.integers(0, 30),
 )
-def test_same_for_connections_that_send_one_request_each(asked: list[tuple[bytes, int]], cut: int):
+def test_same_for_connections_that_send_one_request_each(pairs: list[tuple[bytes, int]], cut: int):
     """Together, as in one turn of the server; one of them may send a part, and then the rest."""
     states = []
     for kind in ("chunk", "frames"):
         hooked = made_device(before_write=lambda access: None)
         devices = {1: made_device(), 2: made_device(), 3: hooked}
-        ends = [End(devices, kind) for _ in asked]
+        ends = [End(devices, kind) for _ in pairs]
         if kind == "chunk":
             for end in ends:
                 end.share(ends[0])
-        requests = [adu(body, number, unit) for number, (body, unit) in enumerate(asked)]
+        requests = [adu(body, number, unit) for number, (body, unit) in enumerate(pairs)]
         ends[0].receive(requests[0][:cut], is_last=False)
         requests[0] = requests[0][cut:]
         for end, request in zip(ends, requests, strict=True):
             end.receive(request, is_last=end is ends[-1])
-        sent = [bytes(end.sent) for end in ends]
+        answers = [bytes(end.sent) for end in ends]
         counted = [end.statistics for end in ends]
         totals = [sum(each.requests for each in counted), sum(each.refused for each in counted)]
         tables = [contents(device) for device in devices.values()]
-        states.append((sent, totals, tables, [notes(device) for device in devices.values()]))
+        states.append((answers, totals, tables, [notes(device) for device in devices.values()]))
     assert states[0] == states[1]
 
 
@@ -224,13 +224,13 @@ def test_nothing_beside_a_table_is_touched_whatever_libmodbus_checks(
     3.1.6 as released writes in front of the table (CVE-2022-0367), Debian's is patched: here
     it is a modbus_reply that checks no address at all.
     """
-    done = subprocess.run([compiled("beside")], capture_output=True, text=True, timeout=50)
-    assert done.stderr == ""
-    assert done.returncode == 0
+    process = subprocess.run([compiled("beside")], capture_output=True, text=True, timeout=50)
+    assert process.stderr == ""
+    assert process.returncode == 0
     # 40 items: singles (5, 6, 22) for each of 6 counts; of 1, 2, 39 and 40 items so many
     # first addresses are right for 8 others (23 twice).
     executed = 3 * 6 * 40 + 8 * (40 + 39 + 2 + 1)
-    assert done.stdout == f"{65536 * 6 * 11 - executed} refused, {executed} executed\n"
+    assert process.stdout == f"{65536 * 6 * 11 - executed} refused, {executed} executed\n"
 
 
 def test_more_answers_than_one_call_has_room_for() -> None:

@@ -112,9 +112,9 @@ def test_writes_are_carried_out_once(
         assert server.statistics.echoes == (0 if is_set else 1)
         if stray == STRAYS[0]:
             assert server.statistics.bad_frames == 0
-    told = warnings(caplog)
-    assert len(told) == (0 if is_set else 1)
-    for text in told:
+    messages = warnings(caplog)
+    assert len(messages) == (0 if is_set else 1)
+    for text in messages:
         assert text.startswith(f"{scheme}://{LINE}: what is sent comes back (local echo)")
         assert "set echo=1" in text
 
@@ -270,8 +270,8 @@ def test_connections_with_an_echo_are_counted_each_and_told_once(stage: Stage, c
             stage.pass_time(1)
             assert server.statistics.echoes == count
             end.close()
-    (told,) = warnings(caplog)
-    assert told.startswith(f"rtu+tcp://{TCP}: what is sent comes back")
+    (message,) = warnings(caplog)
+    assert message.startswith(f"rtu+tcp://{TCP}: what is sent comes back")
 
 
 def test_a_port_that_was_unplugged_is_looked_at_again(stage: Stage) -> None:

@@ -91,9 +91,9 @@ def test_random_bytes_change_nothing(stage: Stage, scheme: str, device: Device) 
         for _ in range(60):
             flood = stage.talk(running.urls[0])
             flood.end.send(chance.randbytes(4096))
-            asked = stage.now
+            start = stage.now
             assert innocent.read_holding_registers(100, 1) == [1000]
-            assert stage.now - asked < 0.01
+            assert stage.now - start < 0.01
             flood.close()
         stage.pass_time(60)
         assert contents(device) == before
@@ -109,8 +109,8 @@ def test_any_request_gets_one_answer_or_none(port: int, body: bytes, transaction
         while not data.endswith(adu(READ_ANSWER, last)):
             data += connection.recv(600)
         frames = framing.TcpFramer().feed(data)
-        expected = [last] if body[0] & 0x80 else [transaction, last]
-        assert [frame.transaction for frame in frames] == expected
+        transactions = [last] if body[0] & 0x80 else [transaction, last]
+        assert [frame.transaction for frame in frames] == transactions
         assert frames[0].pdu[0] & 0x7F == body[0] & 0x7F or body[0] & 0x80
 
 

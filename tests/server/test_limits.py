@@ -41,11 +41,11 @@ ENDS: dict[str, tuple[Any, ...]] = {
 
 
 def test_limits_unless_given() -> None:
-    made = Limits()
-    assert [getattr(made, name) for name in SECONDS] == [5, 5, 3600, 60]
-    assert (made.when_full, made.max_unsent, made.allow) == ("close-idle", 65536, ())
-    assert (made.max_connections, made.connections_per_address) == (None, None)
-    assert made.requests_per_second is None
+    limits = Limits()
+    assert [getattr(limits, name) for name in SECONDS] == [5, 5, 3600, 60]
+    assert (limits.when_full, limits.max_unsent, limits.allow) == ("close-idle", 65536, ())
+    assert (limits.max_connections, limits.connections_per_address) == (None, None)
+    assert limits.requests_per_second is None
 
 
 @pytest.mark.parametrize(("most", "of_address"), [(1, 8), (80, 8), (89, 8), (90, 9), (1000, 100)])
@@ -96,8 +96,8 @@ NETWORKS = [
 
 
 def test_networks() -> None:
-    for allow, host, allowed in NETWORKS:
-        assert Limits(allow=allow).allows(host) is allowed, (allow, host)
+    for allow, host, is_allowed in NETWORKS:
+        assert Limits(allow=allow).allows(host) is is_allowed, (allow, host)
 
 
 def test_a_copy_of_limits_allows_no_more() -> None:
@@ -153,14 +153,14 @@ def test_serial_lines_are_silent_for_a_unit_without_a_device(stage: Stage, schem
 
 
 def test_serve_has_an_option_for_each_limit(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
+    with pytest.raises(SystemExit) as stop:
         main(["serve", "--help-all"])
-    assert ended.value.code == 0
-    told = capsys.readouterr().out
+    assert stop.value.code == 0
+    output = capsys.readouterr().out
     limits = [
         f"--{each.name.replace('_', '-')}" for each in dataclasses.fields(Limits) if each.init
     ]
-    assert [name for name in limits if name not in told] == []
+    assert [name for name in limits if name not in output] == []
 
 
 def ask_system(connection: socket.socket) -> None:
@@ -234,10 +234,10 @@ def has_answer(client: socket.socket) -> bool:
 @pytest.mark.parametrize("number", [errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM])
 def test_without_descriptors_it_tries_ten_times_a_second(stage: Stage, monkeypatch, number) -> None:
     """Whoever waits to be accepted would wake it without end."""
-    tried: list[float] = []
+    times: list[float] = []
 
     def fail(listener: MemoryListener) -> None:
-        tried.append(stage.now)
+        times.append(stage.now)
         raise OSError(number, os.strerror(number))
 
     with served(stage) as server:
@@ -246,19 +246,19 @@ def test_without_descriptors_it_tries_ten_times_a_second(stage: Stage, monkeypat
         with monkeypatch.context() as short:
             short.setattr(MemoryListener, "accept", fail)
             newcomer = server.connect()
-            begun = stage.now
+            start = stage.now
             newcomer.sendall(adu(READ_ONE))
             stage.pass_time(10)
-            assert len(tried) == pytest.approx(100, abs=1)
+            assert len(times) == pytest.approx(100, abs=1)
             ask(first)
-            assert stage.now - begun < 10.01
+            assert stage.now - start < 10.01
         assert newcomer.receive(ONE_ANSWER) == adu(ANSWER_ONE)
         assert server.counts(accepted=2)
 
 
-def assert_counted(statistics: ServerStatistics, **expected: int) -> None:
+def assert_counted(statistics: ServerStatistics, **counts: int) -> None:
     counted = {name: value for name, value in asdict(statistics).items() if value}
-    assert counted == expected
+    assert counted == counts
 
 
 @KIND
@@ -287,9 +287,9 @@ def test_a_session_over_rtu_over_tcp_is_counted(stage: Stage, kind: str) -> None
     answer, refusal = rtu(ANSWER_ONE), rtu(b"\x83\x03")
     with served(stage, kind, "rtu+tcp") as server:
         client = server.connect()
-        for request, expected in ((READ_ONE, answer), (ILLEGAL_COUNT, refusal)):
+        for request, response in ((READ_ONE, answer), (ILLEGAL_COUNT, refusal)):
             client.sendall(rtu(READ_ONE, STRANGER) + rtu(request))
-            assert client.receive(len(expected)) == expected
+            assert client.receive(len(response)) == response
         damaged = bytearray(rtu(READ_ONE))
         damaged[-1] ^= 0xFF
         client.sendall(damaged)

@@ -78,8 +78,8 @@ def presenting(
             options["crl"] = path
         with greeting(stage, pki, **options) as port:
             for _ in range(TIMES):
-                told = context(pki, identity(), ssl.TLSVersion.TLSv1_2)
-                with TlsClient(port, told, stage=stage) as client, pytest.raises(ssl.SSLError):
+                context_ = context(pki, identity(), ssl.TLSVersion.TLSv1_2)
+                with TlsClient(port, context_, stage=stage) as client, pytest.raises(ssl.SSLError):
                     client.handshake()
             yield
 

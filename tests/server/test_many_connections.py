@@ -76,8 +76,8 @@ def test_fifteen_hundred_connections_at_once_are_served(record_property: Record)
             for number, connection in enumerate(connections):
                 connection.sendall(adu(READ_ONE, number * turn & 0xFFFF))
             for number, connection in enumerate(connections):
-                expected = adu(ANSWER_ONE, number * turn & 0xFFFF)
-                assert receive(connection, len(expected)) == expected
+                answer = adu(ANSWER_ONE, number * turn & 0xFFFF)
+                assert receive(connection, len(answer)) == answer
         assert server.descriptors() == opened + count
         stack.close()
         assert server.has_descriptors(opened)
@@ -131,8 +131,8 @@ def test_what_comes_and_goes_leaves_no_byte_in_the_server(stage: Stage, kind, wo
 
     def allocated() -> int:
         gc.collect()
-        found = tracemalloc.take_snapshot().filter_traces(package).statistics("filename")
-        return sum(each.count for each in found)
+        figures = tracemalloc.take_snapshot().filter_traces(package).statistics("filename")
+        return sum(each.count for each in figures)
 
     with served(stage, kind) as server:
         work(server, 60)

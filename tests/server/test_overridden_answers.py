@@ -67,8 +67,8 @@ def test_it_is_called_in_a_chunk(options: dict[str, Any], unit: int) -> None:
     ):
         peer.sendall(b"".join(adu(each, at, unit) for at, each in enumerate(requests)))
         answers = [REFUSAL if each == WRITE else bytes.fromhex("03 02 0000") for each in requests]
-        expected = b"".join(adu(each, at, unit) for at, each in enumerate(answers))
-        assert receive(peer, len(expected)) == expected
+        response = b"".join(adu(each, at, unit) for at, each in enumerate(answers))
+        assert receive(peer, len(response)) == response
     assert device.mapping.holding_registers[1] == 0
 
 

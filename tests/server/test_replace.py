@@ -183,7 +183,7 @@ def test_a_hook_may_replace_what_calls_it() -> None:
 def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> None:
     """Nobody is disconnected, or gets anything but an answer of one of the devices."""
     server = Server({1: holding(0)})
-    seen: set[int] = set()
+    values: set[int] = set()
 
     async def poll(url: str, stopped: asyncio.Event) -> int:
         count = 0
@@ -191,7 +191,7 @@ def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> 
             while not stopped.is_set():
                 try:
                     (value,) = await client.read_holding_registers(0, 1)
-                    seen.add(value)
+                    values.add(value)
                 except ServerDeviceBusy:
                     pass
                 count += 1
@@ -211,7 +211,7 @@ def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> 
         counts = stage.wait(all_of_it(running.urls[0]))
         assert min(counts) > 15
         assert server.statistics.accepted == 100
-        assert seen == set(range(15))
+        assert values == set(range(15))
         assert stage.until(lambda: server.statistics.connections == 0)
     gc.collect()
     assert sum(isinstance(each, Device) for each in gc.get_objects()) < 15
@@ -244,8 +244,8 @@ def test_replacing_while_it_ends_is_harmless() -> None:
 
 
 def test_a_traced_connection_sees_faults_and_is_closed_by_one() -> None:
-    traced: list[str] = []
-    server = Server(holding(1), trace=lambda each: traced.append(each.direction))
+    directions: list[str] = []
+    server = Server(holding(1), trace=lambda each: directions.append(each.direction))
     with (
         server.background("tcp://127.0.0.1:0") as running,
         Client(running.urls[0], unit=1, timeout=5) as client,
@@ -255,4 +255,4 @@ def test_a_traced_connection_sees_faults_and_is_closed_by_one() -> None:
         with pytest.raises(ModbusConnectionError):
             until(lambda: client.read_holding_registers(0, 1) == [2])
         until(lambda: server.statistics.connections == 0)
-    assert traced[:2] == ["received", "sent"]
+    assert directions[:2] == ["received", "sent"]

@@ -117,16 +117,16 @@ def test_another_thread_serves_without_signals() -> None:
 
 
 def test_what_on_listening_raises_ends_it() -> None:
-    found: list[Running] = []
+    servers: list[Running] = []
 
     def fail(running: Running) -> None:
-        found.append(running)
+        servers.append(running)
         raise BrokenPipeError
 
     with pytest.raises(BrokenPipeError):
         Server(Device(Mapping())).serve_forever("tcp://127.0.0.1:0", on_listening=fail)
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", parse(found[0].urls[0]).port))
+        socket.create_connection(("127.0.0.1", parse(servers[0].urls[0]).port))
 
 
 def ways(server: Server, url: str) -> list[Callable[[], object]]:
