@@ -24,11 +24,11 @@ BEGIN = datetime(2024, 2, 29, 12, 30, 1, tzinfo=UTC)
 
 
 def test_a_certificate_is_described() -> None:
-    made = make("plc 7", certificates.authority(), begin=BEGIN, days=366)
-    assert describe(made.der) == (
+    certificate = make("plc 7", certificates.authority(), begin=BEGIN, days=366)
+    assert describe(certificate.der) == (
         "'CN=plc 7', issued by 'CN=Test authority', "
         "valid 2024-02-29 12:30:01 to 2025-03-01 12:30:01 UTC, "
-        f"SHA-256 {hashlib.sha256(made.der).hexdigest()}"
+        f"SHA-256 {hashlib.sha256(certificate.der).hexdigest()}"
     )
 
 
@@ -96,9 +96,9 @@ def test_without_cryptography_it_is_the_fingerprint() -> None:
         "import sys; sys.modules['cryptography'] = None\n"
         "from libmodbus_py.security.certificates import describe; print(describe(b'abc'))"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     digest = hashlib.sha256(b"abc").hexdigest()
-    assert done.stdout == f"SHA-256 {digest} (more with: {how_to_add('security')})\n"
+    assert process.stdout == f"SHA-256 {digest} (more with: {how_to_add('security')})\n"
 
 
 def test_keys_are_p_256() -> None:
@@ -114,13 +114,13 @@ def test_a_chain_goes_along() -> None:
 
 
 def test_files_are_their_owners_alone_and_never_overwritten(tmp_path: Path) -> None:
-    made = {"ca": certificates.authority(), "client": certificates.client()}
-    paths = write(tmp_path / "new", made)
+    identities = {"ca": certificates.authority(), "client": certificates.client()}
+    paths = write(tmp_path / "new", identities)
     assert [path.name for path in paths["client"]] == ["client.pem", "client-key.pem"]
     assert {path.stat().st_mode & 0o777 for _, path in paths.values()} == {0o600}
     before = paths["client"][1].read_bytes()
     with pytest.raises(FileExistsError, match=r"ca\.pem"):
-        write(tmp_path / "new", made)
+        write(tmp_path / "new", identities)
     assert paths["client"][1].read_bytes() == before
 
 

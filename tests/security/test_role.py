@@ -152,9 +152,9 @@ def test_without_cryptography_it_says_what_to_install() -> None:
         "import sys; sys.modules['cryptography'] = None\n"
         "from libmodbus_py.security.certificates import role_of; role_of(b'')"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.returncode == 1
-    last = done.stderr.splitlines()[-1]
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert process.returncode == 1
+    last = process.stderr.splitlines()[-1]
     assert last.startswith("ImportError: ")
     assert how_to_add("security") in last
 
@@ -162,5 +162,5 @@ def test_without_cryptography_it_says_what_to_install() -> None:
 def test_cryptography_is_imported_late() -> None:
     program = "import libmodbus_py.cli.main, libmodbus_py.security.certificates, sys\n"
     program += "import libmodbus_py.cli.certificates; print('cryptography' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.stdout == "False\n"
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert process.stdout == "False\n"
