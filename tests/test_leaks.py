@@ -94,7 +94,7 @@ LEFT = {
 }
 
 
-def test_each_is_told_by_name(pytester: pytest.Pytester) -> None:
+def test_each_leak_is_reported_with_the_name_of_its_test(pytester: pytest.Pytester) -> None:
     pytester.makeini("[pytest]\nfilterwarnings = error\naddopts = -p no:hypothesispytest")
     pytester.makeconftest(CONFTEST)
     pytester.makepyfile(TESTS)

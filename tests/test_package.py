@@ -314,7 +314,7 @@ class TestLateImports:
             ),
         ],
     )
-    def test_what_comes_with_what(self, program: str, needs: set[str], unwanted: set[str]) -> None:
+    def test_imports_are_few(self, program: str, needs: set[str], unwanted: set[str]) -> None:
         modules = imported_by(program)
         if "AsyncClient" not in program and "Server" not in program:
             assert not modules & SLOW
@@ -351,7 +351,7 @@ class TestLateImports:
         unwanted = ("client.blocking", "maps.point", "tools.scan.probe")
         assert not {f"libmodbus_py.{name}" for name in unwanted} & modules
 
-    def test_tls_brings_ssl(self) -> None:
+    def test_importing_security_imports_ssl(self) -> None:
         assert "ssl" in imported_by("from libmodbus_py import Security")
 
 

@@ -20,7 +20,7 @@ from tests.support.talk import LINE, TCP, Talk
 REQUEST = pdu.ReadHoldingRegisters(5, 1)
 
 
-def test_an_answer() -> None:
+def test_cancelled_requests_take_no_answer_of_later_ones() -> None:
     async def use(plc: AsyncClient, peer: Scripted) -> None:
         for _ in range(3):
             with pytest.raises(TimeoutError):
@@ -36,7 +36,7 @@ def test_an_answer() -> None:
     run_client(good_at("tcp", after=0.2), use, max_in_flight=2)
 
 
-def test_the_connection() -> None:
+def test_cancelled_callers_do_not_end_the_connecting_of_others() -> None:
     async def main(peer: Scripted) -> None:
         plc = AsyncClient(peer.url)
         waiting = [asyncio.create_task(plc.execute(REQUEST)) for _ in range(3)]
@@ -71,7 +71,7 @@ def test_an_answer_that_is_read_in_the_turn_of_the_cancellation() -> None:
 
 
 @pytest.mark.parametrize("options", [{"request_spacing": 0.2}, {"connect_delay": 0.2}])
-def test_a_pause(options: dict[str, Any]) -> None:
+def test_a_request_cancelled_during_a_pause_is_not_sent(options: dict[str, Any]) -> None:
     async def main(peer: Scripted) -> None:
         before = peer.network.events.now
         async with AsyncClient(peer.url, **options) as plc:
@@ -119,7 +119,7 @@ def test_many_that_wait_cost_few_steps_each(url, order, monkeypatch) -> None:
     assert talk.is_at_rest
 
 
-def test_a_batch_among_others() -> None:
+def test_a_cancelled_batch_leaves_other_requests_their_answers() -> None:
     """Whatever the request waits for: the connection, its slot, its answer."""
 
     async def main(peer: Scripted) -> None:
@@ -152,7 +152,7 @@ def test_a_batch_among_others() -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_many_tasks_by_chance(seed: int) -> None:
+def test_tasks_cancelled_at_random_leave_others_their_answers(seed: int) -> None:
     chance = random.Random(seed)
 
     def slowly(request: bytes, write: Write) -> None:
@@ -174,7 +174,7 @@ def test_many_tasks_by_chance(seed: int) -> None:
     run_client(slowly, use, timeout=0.04)
 
 
-def test_connecting_and_whoever_is_cancelled() -> None:
+def test_a_client_connects_again_after_a_cancelled_attempt() -> None:
     """The caller, or all tasks of the package: the client can connect again."""
 
     async def main(peer: Scripted) -> None:

@@ -142,13 +142,13 @@ def test_against_libmodbus_in_c(compiled: Callable[[str], Any], transport: str) 
 
 
 @pytest.mark.parametrize("transport", FRAMERS)
-def test_against_pymodbus(transport: str) -> None:
+def test_both_clients_agree_on_answers_of_pymodbus(transport: str) -> None:
     for what in agreements(range(1, 17))[:-1]:
         with pymodbus_serving(transport) as url:
             ask(url, what)
 
 
-def test_against_our_server(transport: str) -> None:
+def test_both_clients_agree_on_answers_of_our_server(transport: str) -> None:
     for what in agreements(range(1, 44)):
         with serving(transport, Server(make_device())) as url:
             ask(url, what)

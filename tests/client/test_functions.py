@@ -56,7 +56,7 @@ def plc(connect: Connect, url: str) -> Iterator[Any]:
         yield client
 
 
-def test_tables(plc: Any, mapping: Mapping) -> None:
+def test_reads_and_writes_reach_all_four_tables(plc: Any, mapping: Mapping) -> None:
     for turn in range(3):
         coils = [True, False, True, True, False, False, True, True, True, False]
         assert plc.read_coils(10, 10) == coils
@@ -81,7 +81,7 @@ def test_tables(plc: Any, mapping: Mapping) -> None:
     assert plc.statistics.responses == plc.statistics.requests
 
 
-def test_the_other_functions(plc: Any) -> None:
+def test_functions_without_a_table_return_their_values(plc: Any) -> None:
     for _ in range(2):
         assert plc.read_exception_status() == 0x6D
         assert plc.report_server_id() == ServerId(b"\x2a", False, b"abc")
@@ -132,7 +132,7 @@ VALUES = [
 ]
 
 
-def test_values(plc: Any, mapping: Mapping) -> None:
+def test_typed_values_are_written_and_read_in_any_order(plc: Any, mapping: Mapping) -> None:
     for type_, order, value, cells in VALUES:
         plc.write_value("holding_registers", 120, value, type_, order=order)
         assert mapping.holding_registers[120 : 120 + len(cells)] == cells

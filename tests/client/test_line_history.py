@@ -159,7 +159,7 @@ def test_a_line_is_known_by_its_device_or_converter(tmp_path: Path) -> None:
         assert history_of(parse(one)) is not history_of(parse(other))
 
 
-def test_so_many_lines_are_remembered_and_not_more() -> None:
+def test_the_oldest_history_is_dropped_beyond_the_limit() -> None:
     first = history_of(parse("rtu+tcp://host:1"))
     for port in range(1, REMEMBERED + 1):
         history_of(parse(f"rtu+tcp://host:{port}"))

@@ -123,7 +123,7 @@ def test_a_read_is_sent_once_more_within_its_time(world: World) -> None:
 
 
 @pytest.mark.parametrize("case", ["a write", "no answer before", "half an answer"])
-def test_others_are_not_sent_once_more(world: World, case: str) -> None:
+def test_requests_that_may_have_been_executed_are_not_repeated(world: World, case: str) -> None:
     peer = world.peer("tcp", good)
 
     def close(request: bytes, write: Write) -> None:

@@ -140,7 +140,7 @@ LINE, HOST = "/dev/ttyUSB0", "192.0.2.1"
         (HOST, "time_out", "timeout", [Client, AsyncClient]),
     ],
 )
-def test_options_of_classes(place: str, option: str, name: str, makers: list[Any]) -> None:
+def test_wrong_options_have_a_hint(place: str, option: str, name: str, makers: list[Any]) -> None:
     for make in makers:
         with pytest.raises(TypeError, match=f"'{option}' must be one of .*; did you mean {name}"):
             make(place, **{option: 1})
@@ -177,7 +177,7 @@ def test_a_host_may_stand_for_a_url(text: str, url: str) -> None:
         (Client, "udp", "timout", "timeout"),
     ],
 )
-def test_options_in_urls(make: Any, scheme: str, option: str, name: str) -> None:
+def test_wrong_options_in_urls_have_a_hint(make: Any, scheme: str, option: str, name: str) -> None:
     place = LINE if scheme in ("rtu", "ascii") else HOST
     with pytest.raises(ValueError, match=f"'{option}' must be one of .*; did you mean {name}"):
         make(f"{scheme}://{place}?{option}=1")

@@ -19,7 +19,7 @@ from tests.support.replies import BOTH, addresses, answer, exchange, refusal, re
 from tests.support.talk import LINE, TCP, Talk, kinds, tcp, value
 
 
-def test_all_that_are_due_leave_together() -> None:
+def test_repetitions_that_are_due_are_sent_together() -> None:
     talk = Talk(busy_retries=1)
     batches = [talk.ask(number) for number in range(3)]
     talk.come(*[tcp(each, "83 06") for each in talk.sent])
@@ -31,7 +31,7 @@ def test_all_that_are_due_leave_together() -> None:
     assert not any(batch.is_done for batch in batches)
 
 
-def test_they_are_spaced_as_all_requests_are() -> None:
+def test_repetitions_keep_the_spacing_of_requests() -> None:
     talk = Talk(busy_retries=1, request_spacing=0.25)
     for number in range(3):
         talk.ask(number)
@@ -253,7 +253,7 @@ def test_what_comes_behind_a_failure_is_not_repeated() -> None:
 
 
 @BOTH
-def test_others_are_asked_during_a_pause(url: str) -> None:
+def test_other_units_are_asked_during_a_pause(url: str) -> None:
     talk = Talk(url, busy_retries=1)
     busy = talk.ask(1)
     talk.come(refusal(talk, 6))

@@ -30,7 +30,7 @@ from tests.support.talk import Talk
 READ = pdu.ReadHoldingRegisters(7, 1)
 
 
-def test_many_are_told_of_once_each() -> None:
+def test_each_submitted_request_calls_on_done_once() -> None:
     def up_to_nine(request: bytes, write: Write) -> None:
         write(echo(request) if request[9] < 10 else mbap(request, b"\x83\x02"))
 
@@ -53,7 +53,7 @@ def test_many_are_told_of_once_each() -> None:
     run_client(up_to_nine, use)
 
 
-def test_one_that_is_withdrawn_is_not_told_of_and_its_answer_dropped() -> None:
+def test_a_withdrawn_request_calls_no_on_done_and_its_answer_is_dropped() -> None:
     async def use(client: AsyncClient, _: Scripted) -> None:
         names: list[str] = []
         first = Sender(client).submit(1, READ, lambda: names.append("first"))
@@ -119,7 +119,7 @@ def refused(outcome: object) -> bool:
     return isinstance(outcome, ModbusConnectionError) and outcome.errno == errno.EPERM
 
 
-def test_nothing_connects_or_is_sent_until_it_may() -> None:
+def test_without_permission_a_client_neither_connects_nor_sends() -> None:
     gate = Gate(is_open=False)
 
     async def main(peer: Scripted) -> None:
@@ -145,7 +145,7 @@ def test_nothing_connects_or_is_sent_until_it_may() -> None:
 @pytest.mark.parametrize(
     ("options", "count"), [({"max_in_flight": 1}, 1), ({"connect_delay": 0.1}, 0)]
 )
-def test_those_that_wait_are_not_sent_once_it_is_over(options: Any, count: int) -> None:
+def test_waiting_requests_are_refused_once_permission_ends(options: Any, count: int) -> None:
     """They wait for a slot, or for the delay after connecting: asked at their start it was yes."""
     gate = Gate()
 
@@ -173,7 +173,7 @@ def test_false_is_no_mistake_and_all_but_true_and_false_is(caplog) -> None:
         caplog.clear()
 
 
-def test_it_is_for_asyncio_alone() -> None:
+def test_may_send_is_an_option_of_asyncio_clients_alone() -> None:
     with pytest.raises(TypeError, match="may_send"):
         Client("tcp://127.0.0.1", may_send=Gate())  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="may_send must be a function"):
@@ -181,7 +181,7 @@ def test_it_is_for_asyncio_alone() -> None:
 
 
 @pytest.mark.parametrize("when", ["given", "traced"])
-def test_nothing_goes_while_a_line_is_turned_round(when, monkeypatch) -> None:
+def test_without_permission_nothing_is_sent_while_rts_is_turned(when, monkeypatch) -> None:
     """With RTS the frame leaves later than it was given to the port."""
     gate = Gate()
     send = SerialPort.send

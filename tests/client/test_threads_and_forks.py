@@ -132,7 +132,7 @@ def test_a_hundred_threads_and_a_close() -> None:
 
 @ALL
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "udp", "rtu", "ascii"])
-def test_descriptors_beyond_1023(scheme: str, kind: str) -> None:
+def test_clients_work_with_descriptors_beyond_1023(scheme: str, kind: str) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard < 2048:
         pytest.skip("this system allows no more descriptors")

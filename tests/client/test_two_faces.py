@@ -148,7 +148,7 @@ def test_no_method_takes_other_names(make: Any) -> None:
 
 
 @each_case("make", [Client, AsyncClient])
-def test_what_is_missing_is_named(make: Any) -> None:
+def test_a_call_without_an_argument_names_it(make: Any) -> None:
     plc = make("tcp://127.0.0.1:1")
     for name, method in methods(make).items():
         parameters = [

@@ -93,7 +93,7 @@ def test_datagram_of_another_host_is_never_seen(connect: Connect) -> None:
         assert context.statistics.late_answers == 0
 
 
-def test_many_in_flight_lose_some_and_get_the_others_in_any_order(world: World) -> None:
+def test_of_many_in_flight_only_those_without_an_answer_time_out(world: World) -> None:
     waiting: list[bytes] = []
 
     def four_at_a_time(request: bytes) -> list[bytes]:
@@ -151,7 +151,7 @@ def counted(client: Any) -> dict[str, int]:
 
 @SCHEMES
 @ALL
-def test_those_before_an_answer_are_no_answer(kind: str, scheme: str) -> None:
+def test_empty_datagrams_before_an_answer_are_ignored(kind: str, scheme: str) -> None:
     def on_request(request: bytes, write: Write) -> None:
         for _ in range(3):
             write(b"")
@@ -164,7 +164,7 @@ def test_those_before_an_answer_are_no_answer(kind: str, scheme: str) -> None:
 
 @SCHEMES
 @ALL
-def test_those_that_come_to_an_idle_client_change_nothing(kind: str, scheme: str) -> None:
+def test_empty_datagrams_to_an_idle_client_change_nothing(kind: str, scheme: str) -> None:
     """Neither its connection nor the rest that a unit without an answer gets."""
     is_silent = False
 

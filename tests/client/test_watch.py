@@ -155,7 +155,7 @@ def test_a_point_that_is_refused_leaves_the_others(wall: Wall) -> None:
         ([("holding_registers", 3, 1, "int16")], {}, [[7]]),
     ],
 )
-def test_what_can_be_watched(wall: Wall, what: Any, options: Any, values: Any) -> None:
+def test_maps_plans_and_items_are_watched(wall: Wall, what: Any, options: Any, values: Any) -> None:
     assert [result for _, result in wall.watch(2, every=1, what=what, **options)] == [values] * 2
 
 
@@ -179,7 +179,7 @@ def test_arguments_are_checked_at_once(what: Any, options: Any, error: Any, mess
             plc.close()
 
 
-def test_it_ends_when_the_client_is_closed(wall: Wall) -> None:
+def test_a_watch_ends_when_the_client_is_closed(wall: Wall) -> None:
     polls = wall.watch(9, every=1, during=lambda plc: plc.close())
     assert len(polls) == 1
     assert wall.watch(9, every=1, during=None)[0][1] == {"a": 7, "b": 7}

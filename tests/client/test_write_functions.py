@@ -89,7 +89,7 @@ def test_a_map_is_written_with_the_functions_that_the_device_has(
         ("single", SINGLE, ["0600033f80", "0600040000"]),
     ],
 )
-def test_so_are_values(world: World, option, functions, requests) -> None:
+def test_values_are_written_with_its_functions(world: World, option, functions, requests) -> None:
     peer = world.peer("tcp", knowing(*functions))
     with world.connect(f"{peer.url}?write_function={option}") as plc:
         plc.write_value("holding_registers", 3, 1.0, "float32")

@@ -231,7 +231,7 @@ def test_a_closed_context_opens_again_when_it_is_told_to(transport: str) -> None
         assert context.socket == -1
 
 
-def test_garbage_is_closed() -> None:
+def test_a_collected_context_closes_its_connection() -> None:
     with TcpPeer(good) as peer:
         context = context_at(peer.url)
         context.connect()

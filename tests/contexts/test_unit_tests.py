@@ -183,7 +183,7 @@ def unit_test_server(kind: str, peer: str) -> Iterator[dict[str, str]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tcp", "tcppi", "rtu"])
 @pytest.mark.parametrize("peer", ["slave", "server"])
-def test_the_client_passes(kind: str, peer: str, tmp_path: Path) -> None:
+def test_the_unit_test_client_of_libmodbus_passes(kind: str, peer: str, tmp_path: Path) -> None:
     with unit_test_server(kind, peer) as changes:
         client = adapted("unit-test-client", tmp_path, LONGER_WAITS | changes)
         lines = lines_of(client, kind)

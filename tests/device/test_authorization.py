@@ -118,7 +118,7 @@ def test_all_128_codes_are_asked_about() -> None:
         assert len(requests) == 1
 
 
-def test_it_is_told_what_a_request_touches_as_hooks_are() -> None:
+def test_authorize_gets_the_reads_and_writes_of_a_request() -> None:
     calls: list[Asked] = []
     caller = Caller(7, "here", role="Operator")
     Tables(denying(calls)).device.answer(pdu.ReadWriteRegisters(1, 2, 3, (4, 5)).encode(), caller)
@@ -127,7 +127,7 @@ def test_it_is_told_what_a_request_touches_as_hooks_are() -> None:
     assert calls[0].reads == (Access("holding_registers", 1, 2, (), *who),)
 
 
-def test_handlers_are_asked_about() -> None:
+def test_authorize_is_called_before_handlers() -> None:
     requests: list[object] = []
 
     def handle(request: pdu.ReadCoils) -> list[bool]:
@@ -141,7 +141,7 @@ def test_handlers_are_asked_about() -> None:
         assert len(requests) == is_allowed
 
 
-def test_it_is_asked_each_time() -> None:
+def test_authorize_is_called_for_each_request() -> None:
     answers = iter([True, False, True])
     device = Device(Mapping(holding_registers=1), authorize=lambda asked: next(answers))
     request = pdu.ReadHoldingRegisters(0, 1).encode()
@@ -163,7 +163,7 @@ def test_it_is_asked_each_time() -> None:
         (b"\x08\x00\x02\x00\x01", 3),
     ],
 )
-def test_who_may_not_learns_nothing(data: bytes, otherwise: int) -> None:
+def test_without_permission_every_bad_request_is_answered_1(data: bytes, otherwise: int) -> None:
     hooked: list[object] = []
     for is_allowed, code in ((True, otherwise), (False, 1)):
         device = Device(
@@ -176,7 +176,7 @@ def test_who_may_not_learns_nothing(data: bytes, otherwise: int) -> None:
     assert hooked == []
 
 
-def test_hooks_come_after_it() -> None:
+def test_authorize_is_called_before_hooks() -> None:
     order: list[str] = []
 
     def authorize(asked: Asked) -> bool:
@@ -217,7 +217,7 @@ def test_a_restart_and_silence_that_are_denied_do_not_happen() -> None:
     assert log.listen_only
 
 
-def test_who_was_refused_is_told() -> None:
+def test_on_unauthorized_is_called_for_requests_without_permission_alone() -> None:
     refused: list[int] = []
     device = Device(Mapping(1), authorize=lambda asked: asked.function == 1)
     caller = Caller(on_unauthorized=lambda _: refused.append(1))
@@ -254,7 +254,7 @@ def test_a_mistake_opens_no_door(authorize: Any, caplog: pytest.LogCaptureFixtur
     assert len(caplog.records) == 1
 
 
-def test_it_may_refuse_with_another_exception() -> None:
+def test_authorize_may_refuse_with_another_exception() -> None:
     def authorize(asked: Asked) -> bool:
         raise ServerDeviceBusy
 

@@ -98,7 +98,7 @@ class TestExceptions:
         ],
         ids=lambda value: value.hex() if isinstance(value, bytes) else str(value),
     )
-    def test_order_of_checks(self, request_pdu: bytes, code: int) -> None:
+    def test_requests_are_checked_in_this_order(self, request_pdu: bytes, code: int) -> None:
         device = new_device()
         before = contents(device)
         assert device.answer(request_pdu) == bytes([request_pdu[0] | 0x80, code])

@@ -57,7 +57,7 @@ class TestHandlers:
             assert device.answer(b"\x41\0") == b"\xc1\4"
         assert len(caplog.records) == 1
 
-    def test_hooks_do_not_see_it(self) -> None:
+    def test_hooks_are_not_called_for_a_handled_request(self) -> None:
         accesses: list[Access] = []
         device = Device(
             Mapping(),

@@ -71,7 +71,7 @@ class Unusual(BaseException):
         *[lambda code=code: errors.ExceptionResponse(code=code) for code in NO_CODES],
     ],
 )
-def test_whatever_they_raise_is_answered_4_and_logged_once(kind, make, caplog) -> None:
+def test_errors_of_hooks_and_handlers_are_answered_4_and_logged_once(kind, make, caplog) -> None:
     caplog.clear()
     device = made_device(kind, raising(make))
     request = KINDS[kind]
@@ -86,7 +86,7 @@ def test_whatever_they_raise_is_answered_4_and_logged_once(kind, make, caplog) -
 
 @each_case("kind", KINDS)
 @each_case("error", [SystemExit, KeyboardInterrupt])
-def test_what_ends_a_process_goes_on(kind, error, caplog) -> None:
+def test_errors_that_end_a_process_pass_through_hooks(kind, error, caplog) -> None:
     caplog.clear()
     device = made_device(kind, raising(error))
     with pytest.raises(error):
@@ -146,7 +146,7 @@ def test_a_slow_one_is_told_of_once_for_each_device(kind, caplog, monkeypatch) -
     assert any(0.02 <= float(word) < 60 for word in message.split() if word[0].isdigit())
 
 
-def test_what_no_hook_can_be_is_refused_by_name(refused: Refused) -> None:
+def test_wrong_arguments_of_hooks_are_refused_by_name(refused: Refused) -> None:
     refused("wrong_hooks.txt", lambda places: Hook(**{"call": print, **places}))
     with pytest.raises(TypeError, match="call must be a function"):
         Hook(Hook(print))  # type: ignore[arg-type]
@@ -173,7 +173,7 @@ def test_a_slow_hook_with_places_is_told_of_even_if_it_fails(caplog, monkeypatch
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
 
 
-def test_all_that_a_read_touches_is_given() -> None:
+def test_a_hook_gets_the_whole_range_of_a_read() -> None:
     """Not only what the hook asked for: it can refresh, or refuse, the whole."""
     accesses: list[Access] = []
     hook = Hook(accesses.append, holding_registers=range(5, 6))
@@ -183,7 +183,7 @@ def test_all_that_a_read_touches_is_given() -> None:
     assert [(access.address, access.count) for access in accesses] == [(0, 20)]
 
 
-def test_who_looks_from_inside_has_values_computed() -> None:
+def test_refresh_calls_before_read_of_the_hook() -> None:
     mapping = Mapping(holding_registers=8, input_registers=8)
     accesses: list[Access] = []
 

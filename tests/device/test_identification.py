@@ -89,7 +89,7 @@ class TestIdentification:
 
 
 class TestCanopen:
-    def test_without_a_function_it_is_illegal(self) -> None:
+    def test_canopen_without_a_function_is_illegal(self) -> None:
         for body in (b"", b"\1\2\3"):
             assert new_device().answer(b"\x2b\x0d" + body) == b"\xab\1"
 

@@ -150,7 +150,7 @@ class TestHoles:
             ([range(3), 5], TypeError, r"a count, ranges of addresses or {address: values}, not"),
         ],
     )
-    def test_what_cannot_be_is_refused_by_name(self, name: str, bad, error, text) -> None:
+    def test_wrong_ranges_are_refused_with_the_table(self, name: str, bad, error, text) -> None:
         with pytest.raises(error, match=rf"^{name}.*{text}"):
             table(name, bad)
 
@@ -311,7 +311,7 @@ class TestTypedValues:
         assert cells.read(109, "bcd16") == 1234
 
     @each_register_table
-    def test_lists_of_values(self, name: str) -> None:
+    def test_lists_of_typed_values_are_written_and_read(self, name: str) -> None:
         cells = table(name, range(100, 106))
         cells.write_values(100, [1.0, 2.0], "float32", order="CDAB")
         assert cells[:] == [0, 0x3F80, 0, 0x4000, 0, 0]
@@ -358,7 +358,7 @@ class TestTypedValues:
             (lambda cells: cells.read_values(0, "int16", 1.0), TypeError, "count must be an"),
         ],
     )
-    def test_errors_change_nothing(self, name: str, access, error, message) -> None:
+    def test_refused_typed_values_change_nothing(self, name: str, access, error, message) -> None:
         cells = table(name, 10)
         cells[9] = 0xFFFF
         with pytest.raises(error, match=message):

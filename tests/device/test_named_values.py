@@ -22,7 +22,7 @@ MAP = RegisterMap(
 )
 
 
-def test_values_by_name() -> None:
+def test_values_are_set_and_read_by_the_names_of_points() -> None:
     device = Device.of_map(MAP, {"setpoint": 21.5, "name": "Ab", "alarms": [True, False, True]})
     assert device.mapping.holding_registers[0] == 215
     assert device["setpoint"] == 21.5
@@ -59,7 +59,7 @@ WRONG: list[tuple[dict[Any, Any], type[Exception], str]] = [
 
 
 @each_case(("values", "error", "message"), WRONG)
-def test_what_does_not_fit_changes_nothing(values, error, message) -> None:
+def test_an_update_with_a_wrong_value_changes_nothing(values, error, message) -> None:
     device = Device.of_map(MAP, {"setpoint": 20})
     with pytest.raises(error, match=message):
         device.update(values)

@@ -84,7 +84,7 @@ def plant() -> Device:
 
 
 @each_case(("request_", "code"), REQUESTS)
-def test_codes(request_: pdu.Request[Any], code: int) -> None:
+def test_requests_against_rules_of_a_map_are_refused(request_: pdu.Request[Any], code: int) -> None:
     device = plant()
     before = contents(device)
     response = device.answer(request_.encode())
@@ -169,7 +169,7 @@ def test_bounds_of_a_list_hold_for_each_value() -> None:
     assert device["levels"] == [1, 9, 8, 4]
 
 
-def test_many_overlapping_points() -> None:
+def test_an_access_meets_every_point_that_overlaps_it() -> None:
     """Every point that an access touches is found, wherever the longer ones begin."""
     points = [Point("all", "holding_registers", 0, 300, access="read")]
     points += [Point(f"r{at}", "holding_registers", at, maximum=at) for at in range(300)]

@@ -39,7 +39,7 @@ def test_nothing_is_allowed_that_no_rule_allows() -> None:
             assert code(other.answer(request.encode(), Caller(role=role))) == 1
 
 
-def test_all_is_all() -> None:
+def test_the_rule_all_allows_every_request() -> None:
     for role in ("Engineer", None):
         guarded = device(Rules({role: ALL}))
         refused = [
@@ -182,7 +182,7 @@ def test_sub_functions_and_mei_types(functions: list[str], data: bytes, result: 
         (ALL, b"\x5a", 1),
     ],
 )
-def test_what_cannot_be_decoded(allow: Allow, data: bytes, result: int) -> None:
+def test_bad_requests_are_explained_if_allowed(allow: Allow, data: bytes, result: int) -> None:
     assert code(device(Rules({None: allow})).answer(data)) == result
 
 
@@ -229,13 +229,13 @@ def test_what_cannot_be_decoded(allow: Allow, data: bytes, result: int) -> None:
         (lambda: Allow(functions=17), 'functions must be "all" or a list, not 17'),
     ],
 )
-def test_what_cannot_be_is_refused_at_once(make: Any, message: str) -> None:
+def test_wrong_rules_are_refused_when_they_are_made(make: Any, message: str) -> None:
     with pytest.raises((TypeError, ValueError)) as caught:
         make()
     assert message in str(caught.value)
 
 
-def test_what_was_given_may_change_afterwards() -> None:
+def test_rules_do_not_follow_later_changes_of_their_dict() -> None:
     roles = {"a": Allow(read=iter(["coils"]), functions=iter([17]))}
     rules = Rules(roles)
     roles["b"] = ALL

@@ -32,7 +32,7 @@ def plant() -> Device:
     return Device(mapping, files={4: {3: 1, 4: 2, 9: 3}, 65535: [0] * 10_000})
 
 
-def test_values_come_back(tmp_path: Path) -> None:
+def test_saved_values_are_loaded(tmp_path: Path) -> None:
     path = tmp_path / "values"
     saved = plant()
     saved.mapping.coils[5] = True

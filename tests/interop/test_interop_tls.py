@@ -89,7 +89,7 @@ def answering(server: SServer, commands: list[bytes]) -> None:
 
 @pytest.mark.parametrize("key", ["EC", "RSA"])
 @pytest.mark.parametrize("version", ["tls1_2", "tls1_3"])
-def test_s_server(connect: Connect, pki: Pki, version: str, key: str) -> None:
+def test_clients_talk_with_s_server(connect: Connect, pki: Pki, version: str, key: str) -> None:
     """With changes of keys, asked for (K) and announced (k), where there are such."""
     options = {"key": certificates.rsa_key()} if key == "RSA" else {}
     commands = [b"", b"k", b"K", b"kkKK", b""] if version == "tls1_3" else [b""] * 5
@@ -147,7 +147,7 @@ def openssl(*arguments: object) -> str:
 
 
 @pytest.mark.parametrize("role", ["Operator", "Prüfer", "x" * 200])
-def test_it_reads_the_role_as_a_utf8string(tmp_path: Path, role: str) -> None:
+def test_openssl_reads_the_role_as_a_utf8string(tmp_path: Path, role: str) -> None:
     files = certificates.save(tmp_path, certificates.client(role), "client")
     parsed = openssl("asn1parse", "-in", files.cert)
     # The identifier, by number for it has no name, and behind it the octets of the extension.
@@ -164,7 +164,7 @@ def test_it_reads_the_role_as_a_utf8string(tmp_path: Path, role: str) -> None:
         assert re.search(rf"{re.escape(ROLE_OID)}: *\n.*{role}\n", text)
 
 
-def test_it_takes_them_strictly_for_both_purposes(tmp_path: Path) -> None:
+def test_openssl_verifies_certificates_strictly_for_both_purposes(tmp_path: Path) -> None:
     ca = certificates.save(tmp_path, certificates.authority(), "ca").cert
     below = certificates.intermediate()
     middle = certificates.save(tmp_path, below, "middle").cert

@@ -24,7 +24,7 @@ def device() -> Device:
     return Device.of_map(MAP, {"voltage L1": 230.5, "setpoint": 20})
 
 
-def test_a_blocking_client() -> None:
+def test_a_bound_map_reads_and_writes_with_a_blocking_client() -> None:
     served = device()
     with Server(served).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
         meter = MAP.bind(plc, gap=4)
@@ -39,7 +39,7 @@ def test_a_blocking_client() -> None:
         assert {"voltage_L1", "setpoint", "read_", "read", "write"} <= set(dir(meter))
 
 
-async def test_an_awaiting_client() -> None:
+async def test_a_bound_map_reads_and_writes_with_an_asyncio_client() -> None:
     served = device()
     async with (
         Server(served).serving("tcp://127.0.0.1:0") as running,
@@ -112,7 +112,7 @@ def test_what_is_no_client_is_refused() -> None:
         MAP.bind("tcp://192.0.2.10")  # type: ignore[arg-type]
 
 
-def test_copies() -> None:
+def test_a_copy_of_a_bound_map_keeps_its_values() -> None:
     meter = MAP.bind(NoClient())
     meter._values["setpoint"] = 3
     assert copy.copy(meter).setpoint == 3

@@ -326,7 +326,7 @@ WORDS = {
 
 
 @each_case("type", list(WORDS))
-def test_words_of_types(tmp_path: Path, type: str) -> None:
+def test_words_for_types_in_lists_are_understood(tmp_path: Path, type: str) -> None:
     for word in WORDS[type].split():
         (point,) = load_map(written(tmp_path, f"{HEAD}\na,holding,0,{word}\n")).values()
         assert (point.type, point.order, point.byte) == (type, "ABCD", None), word
@@ -405,7 +405,7 @@ def test_merged_cells_stand_in_each_of_their_rows(tmp_path: Path) -> None:
     ]
 
 
-def test_what_is_no_spreadsheet(tmp_path: Path) -> None:
+def test_a_broken_spreadsheet_is_refused(tmp_path: Path) -> None:
     (tmp_path / "list.xlsx").write_bytes(b"PK\x03\x04 broken")
     with pytest.raises(MapError, match=r"list\.xlsx: is no spreadsheet"):
         load_map(tmp_path / "list.xlsx")

@@ -133,7 +133,7 @@ MEANT = [
 
 
 @each_case(("keys", "cells", "judged"), MEANT)
-def test_cells_mean_values(keys: dict[str, Any], cells: list[Any], judged: Judged) -> None:
+def test_cells_are_judged_decoded(keys: dict[str, Any], cells: list[Any], judged: Judged) -> None:
     point_ = point(**keys)
     assert point_.judge(cells) == judged
     assert point_.decode(cells) == judged.value
@@ -304,16 +304,16 @@ def told(request: Any) -> tuple[int, ...]:
 
 
 @each_case(("values", "requests"), WRITES)
-def test_what_is_written(values: dict[str, Any], requests: list[tuple[int, ...]]) -> None:
+def test_parts_are_masked_or_whole(values: dict[str, Any], requests: list[tuple[int, ...]]) -> None:
     assert [told(each) for each in PARTS.writes(values)] == requests
 
 
-def test_what_cannot_be_written(refused: Refused) -> None:
+def test_writes_of_parts_that_are_impossible_are_refused(refused: Refused) -> None:
     refused("wrong_writes.txt", PARTS.writes)
 
 
 @given(st.integers(0, 0xFFFF), st.integers(0, 15), st.integers(0, 15), st.booleans())
-def test_parts_come_back(cell: int, first: int, last: int, signed: bool) -> None:
+def test_parts_of_registers_come_back(cell: int, first: int, last: int, signed: bool) -> None:
     first, last = sorted((first, last))
     point_ = point(bit=f"{first}..{last}", type="int16" if signed else "uint16")
     value = point_.decode([cell])

@@ -23,7 +23,7 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", [str, Path])
-def test_a_client(path: Path, kind: Any) -> None:
+def test_clients_take_the_path_of_a_map(path: Path, kind: Any) -> None:
     meter = kind(path)
     served = Device.of_map(load_map(path), {"voltage": 230.5})
     with Server(served).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
@@ -46,7 +46,7 @@ CALLS: list[Any] = [
 
 
 @each_case("call", CALLS)
-def test_files_that_are_no_maps(path: Path, call: Any) -> None:
+def test_paths_of_wrong_maps_are_refused_with_the_reason(path: Path, call: Any) -> None:
     path.write_text("name,table,address\nvoltage,inputt,0\n")
     plc = Client("tcp://127.0.0.1:1")
     for argument, message in (

@@ -80,7 +80,7 @@ REQUESTS: list[tuple[list[Any], dict[str, Any], list[tuple[str, int, int]]]] = [
 
 
 @each_case(("items", "options", "requests"), REQUESTS)
-def test_requests(items: Any, options: Any, requests: list[tuple[str, int, int]]) -> None:
+def test_items_become_reads(items: Any, options: Any, requests: list[tuple[str, int, int]]) -> None:
     plan = Plan(items, **options)
     assert [(table, cells[0], len(cells)) for table, cells in spans(plan)] == requests
     reads = [Read(*item) for item in items]

@@ -117,7 +117,7 @@ def test_scaled_floats_come_back(raw: float, scale: float) -> None:
     assert struct.unpack(">f", struct.pack(">2H", *back))[0] == pytest.approx(raw, rel=1e-6)
 
 
-def test_what_is_not_given() -> None:
+def test_a_point_has_defaults_for_its_table() -> None:
     assert (point().type, point().access) == ("uint16", "read_write")
     assert point(table="input_registers").access == "read"
     assert point(table="coils").type is None

@@ -140,7 +140,7 @@ WRITES = [
 
 
 @each_case(("values", "options", "requests"), WRITES)
-def test_what_is_sent(values: Any, options: Any, requests: list[Any]) -> None:
+def test_few_requests_write_all_the_values(values: Any, options: Any, requests: list[Any]) -> None:
     assert METER.writes(values, **options) == requests
 
 

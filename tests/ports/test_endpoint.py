@@ -61,7 +61,7 @@ from tests.support.urls import url_for
         ),
     ],
 )
-def test_what_a_url_stands_for(url: str, endpoint: Endpoint) -> None:
+def test_a_url_is_parsed_into_an_endpoint(url: str, endpoint: Endpoint) -> None:
     assert parse(url) == endpoint
 
 
@@ -151,7 +151,7 @@ def test_ascii_has_seven_data_bits_and_no_silence(url: str, settings: dict[str, 
 ALL = ", ".join([*SERIAL_OPTIONS, *CLIENT_OPTIONS])
 
 
-def test_what_is_wrong_is_named_and_what_is_allowed(refused: Refused) -> None:
+def test_wrong_urls_are_refused_with_what_is_allowed(refused: Refused) -> None:
     """Also schemes of other programs, such as pyserial, simonvetter/modbus, Telegraf and W3C."""
     refused("wrong_urls.txt", parse)
 
@@ -321,7 +321,7 @@ def test_the_endpoint_of_what_was_typed(text: str, url: str) -> None:
     assert str(parse(url)) == url
 
 
-def test_all_that_take_a_url_take_it() -> None:
+def test_classes_and_functions_take_a_host_without_a_scheme() -> None:
     points = RegisterMap([Point("a", "coils", 0)])
     assert AsyncClient("192.0.2.10:1502").url == "tcp://192.0.2.10:1502"
     with closing(Client("192.0.2.10:1502")) as client:

@@ -323,7 +323,7 @@ def test_a_fleet_polls_a_device_that_connects(port: int, tmp_path: Path) -> None
         ("tcp://0.0.0.0:1502", {"greeting": "x"}, "greeting is for listen\\+tcp://, not for tcp"),
     ],
 )
-def test_what_has_no_meaning_is_refused(url: str, options: Any, text: str) -> None:
+def test_options_not_fit_for_listening_are_refused(url: str, options: Any, text: str) -> None:
     with pytest.raises(ValueError, match=text):
         Client(url, **options)
 

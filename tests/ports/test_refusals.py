@@ -346,7 +346,7 @@ def dead_port(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         bound.bind(("127.0.0.1", port))
 
 
-def test_such_a_port_can_be_connected_to_itself(dead_port: int) -> None:
+def test_the_system_connects_an_unused_port_to_itself(dead_port: int) -> None:
     """The system does it: without this the other tests here would show nothing."""
     with socket.socket() as sock:
         sock.connect(("127.0.0.1", dead_port))
@@ -356,7 +356,7 @@ def test_such_a_port_can_be_connected_to_itself(dead_port: int) -> None:
 
 @ALL
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_clients(kind: str, scheme: str, dead_port: int, tmp_path: Path) -> None:
+def test_clients_refuse_such_a_port(kind: str, scheme: str, dead_port: int, tmp_path: Path) -> None:
     options: dict[str, Any] = {}
     if scheme == "tls":
         options["security"] = Pki(tmp_path).security(certificates.client())

@@ -307,7 +307,7 @@ def machine(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_what_the_system_knows(machine: Path) -> None:
+def test_serial_devices_are_described_from_sysfs(machine: Path) -> None:
     assert serial_devices(str(machine)) == [
         SerialDevice("/dev/ttyS0", state="free"),
         SerialDevice(
@@ -333,7 +333,7 @@ def test_ports_that_this_user_may_not_open(machine: Path) -> None:
     assert serial_devices(str(machine))[2].state == "not known"
 
 
-def test_the_command(machine: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_ports_shows_users(machine: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(ports, "serial_devices", lambda: serial_devices(str(machine)))
     process = run("ports")
     assert (process.code, process.err) == (0, "")

@@ -44,7 +44,7 @@ def test_a_client_of_its_own(pki: Pki) -> None:
         Client("tls://h")
 
 
-def test_each_option_of_a_url(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_options_of_a_url_make_a_security(pki: Pki, monkeypatch: pytest.MonkeyPatch) -> None:
     files = pki.files(certificates.client(), SECRET.encode())
     monkeypatch.setenv("KEY_PASSWORD", SECRET)
     both = f"cert={files.cert}&key={files.key}&password_env=KEY_PASSWORD"

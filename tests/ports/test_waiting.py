@@ -63,7 +63,7 @@ def soon(seconds: float = 0.2) -> float:
     return time.monotonic() + seconds
 
 
-def test_what_is_ready_is_told(drive: Drive, pair: tuple[socket.socket, socket.socket]) -> None:
+def test_steps_get_what_is_ready(drive: Drive, pair: tuple[socket.socket, socket.socket]) -> None:
     one, other = pair
 
     def steps() -> Steps[list[bool]]:
@@ -87,7 +87,7 @@ def test_a_deadline_that_has_passed_is_none_to_wait_for(
     assert drive(steps()) is False
 
 
-def test_what_steps_raise_comes_out(drive: Drive) -> None:
+def test_errors_of_steps_are_raised(drive: Drive) -> None:
     def steps() -> Steps[None]:
         yield from ()
         raise ZeroDivisionError
@@ -248,7 +248,7 @@ def test_woken_in_a_pause(waker: Waker) -> None:
         waker.wait(-1, READ, soon(10))
 
 
-def test_what_was_seen_wakes_no_more(waker: Waker) -> None:
+def test_a_cleared_waker_wakes_no_more(waker: Waker) -> None:
     waker.clear()
     waker.wake()
     waker.wake()
@@ -261,7 +261,7 @@ def test_what_was_seen_wakes_no_more(waker: Waker) -> None:
     waker.clear()
 
 
-def test_what_was_woken_before_it_waits_does_not_wait(waker: Waker) -> None:
+def test_a_waker_woken_before_a_wait_ends_it_at_once(waker: Waker) -> None:
     waker.wake()
     waker.wake()
     for _ in range(2):

@@ -103,7 +103,7 @@ class TestErrors:
         ],
         ids=["decode", "decode_many", "readings"],
     )
-    def test_registers_are_registers(self, function, registers, error, message) -> None:
+    def test_wrong_registers_are_refused(self, function, registers, error, message) -> None:
         with pytest.raises(error, match=message):
             function(registers)
 

@@ -109,7 +109,7 @@ class TestChecksums:
         assert lrc(checksum.data + bytes([checksum.lrc])) == 0
 
 
-def test_checksums_of_nothing() -> None:
+def test_checksums_of_no_bytes_are_their_initial_values() -> None:
     assert crc16(b"") == 0xFFFF
     assert lrc(b"") == 0
 
@@ -123,7 +123,7 @@ class TestMakeFramer:
         frame = REFUSAL if role == "client" else READ
         assert make_framer("rtu", role).feed(rtu(*frame[:2])) == [frame]
 
-    def test_others_are_refused_by_name(self) -> None:
+    def test_unknown_framings_and_roles_are_refused_by_name(self) -> None:
         for bad in ("tls", "", None, 1):
             with pytest.raises(ValueError, match=r"^framing must be"):
                 make_framer(bad, "client")  # type: ignore[arg-type]
@@ -201,7 +201,7 @@ class TestTcp:
             with pytest.raises(FrameError):
                 framer.feed(self.good)
 
-    def test_silence_means_nothing(self) -> None:
+    def test_silence_ends_no_frame_of_tcp(self) -> None:
         framer = TcpFramer()
         for byte in single_bytes(self.good[:-1]):
             assert framer.feed(byte) == []

@@ -47,7 +47,7 @@ class TestReadings:
         assert {(name, repr(value)): order for name, order, value in results} == orders
         assert len(results) == len(orders)
 
-    def test_known_registers(self) -> None:
+    def test_two_registers_are_read_as_each_type_and_order(self) -> None:
         results = readings(words("0000 42C8"))
         assert ("float32", "CDAB", 100.0) in results
         assert ("uint32", "ABCD", 0x42C8) in results

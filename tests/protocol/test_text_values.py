@@ -36,7 +36,7 @@ class TestText:
             ("A" * 250, "string:250", {}, " ".join(["4141"] * 125)),
         ],
     )
-    def test_encodings_and_padding(self, value, name, options, registers) -> None:
+    def test_texts_keep_their_encoding_and_padding(self, value, name, options, registers) -> None:
         assert encode(value, name, **options) == words(registers)
         assert decode(words(registers), name, **options) == value
 

@@ -35,7 +35,7 @@ TIMES = [
 
 
 @each_case(("name", "cells", "time"), TIMES)
-def test_registers_hold_times(name: str, cells: list[int], time: datetime) -> None:
+def test_times_are_encoded_and_decoded_in_utc(name: str, cells: list[int], time: datetime) -> None:
     kind = value_type(name)
     assert kind.decode(cells) == time
     assert kind.decode(cells).utcoffset() == timedelta(0)

@@ -69,7 +69,7 @@ def named(*values: str) -> bytes:
     ],
     ids=["terminal", "line", "right to left", "nul", "quotes", "long", "nameless"],
 )
-def test_names_harm_nobody(values: tuple[str, ...]) -> None:
+def test_names_of_certificates_are_printable_and_short(values: tuple[str, ...]) -> None:
     text = describe(named(*values))
     assert text.isprintable()
     assert len(text) <= 500
@@ -78,7 +78,7 @@ def test_names_harm_nobody(values: tuple[str, ...]) -> None:
 
 @settings(max_examples=200)
 @given(st.binary(max_size=200), st.integers(0, 400), st.integers(0, 5))
-def test_any_bytes(noise: bytes, at: int, cut: int) -> None:
+def test_any_bytes_are_described_in_printable_text(noise: bytes, at: int, cut: int) -> None:
     good = certificates.client().der
     for data in (
         noise,
@@ -124,7 +124,7 @@ def test_files_are_their_owners_alone_and_never_overwritten(tmp_path: Path) -> N
     assert paths["client"][1].read_bytes() == before
 
 
-def test_all_files_or_none(tmp_path: Path) -> None:
+def test_if_one_file_exists_none_is_written(tmp_path: Path) -> None:
     (tmp_path / "client-key.pem").write_text("mine")
     with pytest.raises(FileExistsError, match=r"client-key\.pem"):
         write(tmp_path, {"ca": certificates.authority(), "client": certificates.client()})

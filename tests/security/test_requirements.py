@@ -146,7 +146,7 @@ def is_midway(stream: bytes) -> bool:
 
 
 @pytest.mark.parametrize("size", [0, 1, 255, 256, 0x4100])
-def test_one_whole_record_is_told(size: int) -> None:
+def test_a_whole_record_is_recognized(size: int) -> None:
     records = Records()
     assert records.follow(record(size))
     assert not records.is_midway
@@ -172,7 +172,7 @@ def test_what_looks_like_a_record_within_another_one_is_none() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_it_is_known_after_each_piece(seed: int) -> None:
+def test_each_piece_says_whether_a_record_is_open(seed: int) -> None:
     chance = random.Random(seed)
     sizes = [chance.choice([0, 1, 2, 5, 9, 260, 700]) for _ in range(60)]
     stream = b"".join(map(record, sizes))

@@ -114,13 +114,13 @@ def test_a_version_that_does_not_exist_is_refused() -> None:
 
 @settings(max_examples=200)
 @given(st.binary(max_size=300) | st.builds(lambda rest: b"\x0c" + rest, st.binary(max_size=300)))
-def test_any_value(value: bytes) -> None:
+def test_any_bytes_are_a_role_or_a_role_error(value: bytes) -> None:
     check_role_value(value)
 
 
 @settings(max_examples=200)
 @given(st.text(max_size=300))
-def test_any_text(role: str) -> None:
+def test_an_encoded_role_is_decoded_or_refused(role: str) -> None:
     try:
         value = encode_role(role)
     except RoleError:
@@ -143,7 +143,7 @@ def damaged(draw: st.DrawFn) -> bytes:
 
 @settings(max_examples=500)
 @given(damaged() | st.binary(max_size=200))
-def test_any_certificate(data: bytes) -> None:
+def test_any_damaged_certificate_is_a_role_error(data: bytes) -> None:
     check_certificate(data)
 
 

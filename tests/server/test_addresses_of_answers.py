@@ -69,7 +69,7 @@ def addresses_of_ipv6() -> list[str]:
 
 @NEEDS_IPV6
 @SCHEMES
-def test_ipv6(scheme: str, device: Device) -> None:
+def test_every_address_of_ipv6_answers(scheme: str, device: Device) -> None:
     with served(Server({UNIT: device}), scheme, "[::]") as port:
         for host in addresses_of_ipv6():
             assert values_of(scheme, host, port) == [1000, 1001]

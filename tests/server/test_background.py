@@ -284,7 +284,7 @@ def test_serve_forever_and_serving_raise_it(scheme: str, error: BaseException) -
         assert is_left(before)
 
 
-def test_what_one_asked_before_the_end_is_answered() -> None:
+def test_requests_before_the_end_of_the_program_are_answered() -> None:
     """In the same bytes: it was executed."""
     error = SystemExit(3)
     server = ending(error)

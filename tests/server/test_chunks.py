@@ -39,7 +39,7 @@ def loop(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @settings(max_examples=80)
 @given(streams(), st.lists(st.integers(0, 4000), max_size=4), st.booleans())
-def test_same_answers_contents_counters_and_statistics(
+def test_c_and_python_give_the_same_answers_and_counters(
     stream: bytes, cuts: list[int], one_for_all: bool
 ) -> None:
     ends = []
@@ -58,7 +58,7 @@ def test_same_answers_contents_counters_and_statistics(
     st.lists(st.tuples(bodies(), st.sampled_from([1, 1, 1, 2, 9, 3])), min_size=1, max_size=12),
     st.integers(0, 30),
 )
-def test_same_for_connections_that_send_one_request_each(pairs: list[tuple[bytes, int]], cut: int):
+def test_c_and_python_answer_single_requests_alike(pairs: list[tuple[bytes, int]], cut: int):
     """Together, as in one turn of the server; one of them may send a part, and then the rest."""
     states = []
     for kind in ("chunk", "frames"):
@@ -119,7 +119,7 @@ def test_holes_are_answered_with_exception_2_and_stay_as_they_are(body: bytes) -
 
 @settings(max_examples=60)
 @given(st.binary(min_size=1, max_size=600), st.lists(st.integers(0, 600), max_size=4))
-def test_same_for_bytes_that_are_no_requests(data: bytes, cuts: list[int]) -> None:
+def test_c_and_python_treat_bytes_that_are_no_requests_alike(data: bytes, cuts: list[int]) -> None:
     """Where a length makes no sense both stop, and what came before is answered."""
     stream = adu(b"\x03\0\x07\0\x01", 1) + data
     ends = []

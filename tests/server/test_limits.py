@@ -40,7 +40,7 @@ ENDS: dict[str, tuple[Any, ...]] = {
 }
 
 
-def test_limits_unless_given() -> None:
+def test_limits_have_defaults() -> None:
     limits = Limits()
     assert [getattr(limits, name) for name in SECONDS] == [5, 5, 3600, 60]
     assert (limits.when_full, limits.max_unsent, limits.allow) == ("close-idle", 65536, ())
@@ -95,7 +95,7 @@ NETWORKS = [
 ]
 
 
-def test_networks() -> None:
+def test_networks_allow_their_hosts_alone() -> None:
     for allow, host, is_allowed in NETWORKS:
         assert Limits(allow=allow).allows(host) is is_allowed, (allow, host)
 

@@ -58,7 +58,7 @@ POINTS = RegisterMap([Point("flow", "holding_registers", 3)])
     ids=lambda options: "".join(options) or "plain",
 )
 @pytest.mark.parametrize("unit", [1, 0])
-def test_it_is_called_in_a_chunk(options: dict[str, Any], unit: int) -> None:
+def test_an_overridden_answer_is_called_in_a_chunk(options: dict[str, Any], unit: int) -> None:
     device = Refusing(Mapping(holding_registers=4), **options)
     requests = [WRITE, WRITE] if "points" in options else [READ_ONE, WRITE, READ_ONE]
     with (

@@ -84,7 +84,7 @@ def test_an_endpoint_that_is_still_looked_up_opens_with_the_new_devices(monkeypa
         assert client.read_holding_registers(0, 1) == [2]
 
 
-def test_what_a_server_has_is_told() -> None:
+def test_a_server_has_the_devices_and_faults_of_replace() -> None:
     first, fault = holding(1), Fault("no_answer")
     server = Server(first, faults={None: (fault,)})
     assert server.devices is first
@@ -109,7 +109,7 @@ def test_what_a_server_has_is_told() -> None:
         ({1: holding(1)}, [], "faults must be"),
     ],
 )
-def test_what_cannot_be_changes_nothing(devices: Any, faults: Any, message: str) -> None:
+def test_a_wrong_replacement_changes_nothing(devices: Any, faults: Any, message: str) -> None:
     before = {1: holding(1)}
     server = Server(before, faults={1: [Fault("exception", code=6, every=2)]}, own_unit=1)
     with server.background("tcp://127.0.0.1:0") as running:

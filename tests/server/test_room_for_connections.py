@@ -135,7 +135,7 @@ def test_hosts_outside_are_closed_at_once(stage: Stage, kind: str) -> None:
 
 @NEEDS_IPV6
 @pytest.mark.parametrize(("allow", "is_allowed"), [("::1", True), ("2001:db8::/32", False)])
-def test_hosts_of_ipv6(allow: str, is_allowed: bool) -> None:
+def test_only_allowed_hosts_of_ipv6_are_served(allow: str, is_allowed: bool) -> None:
     server = Server(Device(Mapping(holding_registers=1)), limits=Limits(allow=[allow]))
     with server.background("tcp://[::1]:0") as running, connect(running.urls[0]) as connection:
         if is_allowed:

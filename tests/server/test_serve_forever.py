@@ -102,7 +102,7 @@ def test_signals_end_it_well_whatever_clients_do(number: signal.Signals) -> None
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_it_prints_nothing_and_leaves_the_handlers_as_they_were(number: signal.Signals) -> None:
+def test_serve_forever_prints_nothing_and_restores_signal_handlers(number: signal.Signals) -> None:
     with program(QUIET) as (process, url):
         assert read(url) == [555]
         assert end(process, number) == ("returned\nTrue\nown handler\n", "")

@@ -64,7 +64,7 @@ def test_devices_must_be_devices(devices: object) -> None:
 
 
 @pytest.mark.parametrize("second", ["127.0.0.2", pytest.param("[::1]", marks=NEEDS_IPV6)])
-def test_serving_in_asyncio(device: Device, second: str) -> None:
+def test_a_server_in_asyncio_listens_on_two_addresses(device: Device, second: str) -> None:
     async def main() -> bytes:
         async with Server(device).serving("tcp://127.0.0.1:0", f"tcp://{second}:0") as running:
             assert [url.rpartition(":")[0] for url in running.urls] == [

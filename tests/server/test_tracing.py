@@ -73,7 +73,7 @@ FRAMED: dict[str, Callable[[str], bytes]] = {
 
 
 @pytest.mark.parametrize("scheme", FRAMED)
-def test_what_passes_is_told_as_it_is_on_the_wire(scheme: str) -> None:
+def test_frames_are_traced_as_they_are_on_the_wire(scheme: str) -> None:
     frames: list[Traced] = []
     frame = FRAMED[scheme]
     request, answer = frame("11 03 0000 0002"), frame("11 03 04 0007 0008")
@@ -182,7 +182,7 @@ def test_an_answer_that_is_kept_back_is_told_when_it_is_sent(stage: Stage) -> No
         ("ascii+tcp", b":11030000ZZ\r\n"),
     ],
 )
-def test_what_is_no_frame_is_told_too(scheme: str, noise: bytes) -> None:
+def test_bytes_that_are_no_frame_are_traced(scheme: str, noise: bytes) -> None:
     frames: list[Traced] = []
     with connected(frames.append, f"{scheme}://127.0.0.1:0") as (connection, _):
         connection.sendall(noise)
@@ -240,7 +240,7 @@ def test_the_logger_has_the_same(caplog: pytest.LogCaptureFixture) -> None:
     ]
 
 
-def test_others_come_and_go() -> None:
+def test_tracing_begins_and_ends_while_the_server_runs() -> None:
     first: list[Traced] = []
     second: list[Traced] = []
     server = Server({17: made_device()})
@@ -260,7 +260,7 @@ def test_others_come_and_go() -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError("mine"), GeneratorExit(), ModbusError("no")])
-def test_one_that_fails_costs_no_answer_and_is_logged_once(error, caplog) -> None:
+def test_a_trace_that_fails_costs_no_answer_and_is_logged_once(error, caplog) -> None:
     def broken(frame: Traced) -> None:
         raise error
 
@@ -273,7 +273,7 @@ def test_one_that_fails_costs_no_answer_and_is_logged_once(error, caplog) -> Non
 
 @pytest.mark.parametrize("direction", ["received", "sent"])
 @pytest.mark.parametrize("error", [SystemExit, KeyboardInterrupt])
-def test_one_that_ends_the_program_does_after_the_answers(error, direction) -> None:
+def test_a_trace_that_ends_the_program_does_after_the_answers(error, direction) -> None:
     def ending(frame: Traced) -> None:
         if frame.direction == direction:
             raise error("enough")
@@ -287,7 +287,7 @@ def test_one_that_ends_the_program_does_after_the_answers(error, direction) -> N
         run()
 
 
-def test_one_that_is_slow_is_named_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_slow_trace_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     def slow(frame: Traced) -> None:
         time.sleep(0.11)
 
@@ -297,7 +297,7 @@ def test_one_that_is_slow_is_named_once(caplog: pytest.LogCaptureFixture) -> Non
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
-def test_one_that_closes_the_server_is_obeyed(scheme: str) -> None:
+def test_a_trace_may_close_the_server(scheme: str) -> None:
     closed = threading.Event()
     stack = ExitStack()
 

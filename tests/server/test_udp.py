@@ -269,7 +269,7 @@ def test_a_late_answer_does_not_hold_up_the_others(stage: Stage) -> None:
     ],
     ids=lambda value: value.kind if isinstance(value, Fault) else "",
 )
-def test_wrong_answers(stage: Stage, fault: Fault, response: bytes) -> None:
+def test_faults_change_answers_to_datagrams(stage: Stage, fault: Fault, response: bytes) -> None:
     faults = {None: [fault]}
     with served(stage, scheme="udp", faults=faults) as server, server.connect() as client:
         for _ in range(3):

@@ -29,7 +29,7 @@ def guarded(authorize: Any) -> Device:
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
-def test_nothing_is_executed(transport: str) -> None:
+def test_unauthorized_requests_are_not_executed(transport: str) -> None:
     requests: list[Asked] = []
 
     def authorize(asked: Asked) -> bool:
@@ -52,12 +52,12 @@ def test_nothing_is_executed(transport: str) -> None:
 
 
 @pytest.mark.parametrize("many", [1, 8])
-def test_neither_alone_nor_in_a_chunk(many: int) -> None:
+def test_unauthorized_requests_are_refused_alone_and_in_chunks(many: int) -> None:
     """The server answers chunks, and what comes alone, in C where it can."""
     numbered = [(number, pdu) for number, pdu in enumerate(examples("pdu")) if pdu[0] < 0x80]
     # Between requests to a device that C answers.
     other, other_answer = adu(READ_ONE, 0x99, 2), adu(ANSWER_ONE, 0x99, 2)
-    plain, closed = Device(Mapping(65536, 65536, 65536, 65536)), guarded(lambda numbered: False)
+    plain, closed = Device(Mapping(65536, 65536, 65536, 65536)), guarded(lambda asked: False)
     server = Server({1: closed, 2: plain})
     with server.background("tcp://127.0.0.1:0") as running, ExitStack() as stack:
         peers = [stack.enter_context(connect(running.urls[0])) for _ in range(3)]

@@ -21,7 +21,7 @@ ALERT, ACCESS_DENIED = 21, b"\x02\x31"
 
 
 @pytest.mark.parametrize("key", ["EC", "RSA"])
-def test_both_versions_and_both_kinds_of_keys(talking: Talking, pki: Pki, version: str, key):
+def test_ec_and_rsa_keys_serve_in_both_versions(talking: Talking, pki: Pki, version: str, key):
     options = {"key": certificates.rsa_key()} if key == "RSA" else {}
     own = {"security": pki.security(certificates.client(**options))}
     identity = certificates.server(**options)

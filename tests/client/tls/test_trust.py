@@ -104,7 +104,7 @@ def test_a_bad_certificate_is_named_with_what_is_wrong(
         pytest.param("[0:0::1]", ("::1",), True, marks=NEEDS_IPV6),
     ],
 )
-def test_names_and_addresses(
+def test_certificates_must_name_the_host_or_its_address(
     monkeypatch, connect: Connect, pki: Pki, serving: Serving, host, hosts, is_good
 ) -> None:
     resolve(monkeypatch, "plc.example")
