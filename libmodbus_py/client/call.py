@@ -426,8 +426,8 @@ def no_answer(timeout: float, received: bytes, *, is_held: bool = False) -> Modb
     return ModbusTimeoutError(f"no answer within {timeout:g} s")
 
 
-def raised(outcomes: Iterable[Any], tolerated: tuple[type[BaseException], ...] = ()) -> None:
+def raised(outcomes: Iterable[Any], kinds: tuple[type[BaseException], ...] = ()) -> None:
     """Raise the first failure, in the order of requests, that is not tolerated."""
     for outcome in outcomes:
-        if isinstance(outcome, BaseException) and not isinstance(outcome, tolerated):
+        if isinstance(outcome, BaseException) and not isinstance(outcome, kinds):
             raise outcome

@@ -55,8 +55,8 @@ def unexpected(method: Any, names: Iterable[str], others: Collection[str] = ()) 
         close += "it is an argument of the client"
     elif not (close := close_option(name, arguments)) and (close := close_to(name, options)):
         close += " it is an argument of the client"
-    called = f"{type(method.__self__).__name__}.{method.__name__}()"
-    return TypeError(f"{called} got an unexpected keyword argument {name!r}{close}")
+    method_name = f"{type(method.__self__).__name__}.{method.__name__}()"
+    return TypeError(f"{method_name} got an unexpected keyword argument {name!r}{close}")
 
 
 def check_plan_options(method: Any, options: Mapping[str, Any]) -> None:

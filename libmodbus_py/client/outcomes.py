@@ -45,7 +45,7 @@ class Outcomes:
     """Decides about requests without a result; the endpoint and the port are for errors."""
 
     def __init__(
-        self, endpoint: Endpoint, port: Port, queue: Queue, life: Reconnecting, counted: Statistics
+        self, endpoint: Endpoint, port: Port, queue: Queue, life: Reconnecting, counts: Statistics
     ) -> None:
         self._place = str(endpoint)
         self._scheme = endpoint.scheme
@@ -53,7 +53,7 @@ class Outcomes:
         self._queue = queue
         self._matching = queue.matching
         self._life = life
-        self._statistics = counted
+        self._statistics = counts
 
     def note_invalid(self, mistake: BaseException, call: Call, now: float) -> None:
         """Note what the class of a request raised for a reply: it refused it, or is wrong."""

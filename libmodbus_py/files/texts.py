@@ -136,9 +136,9 @@ def _spreadsheet(
         raise kind("sheet", reason, place=place)
     name = sheet or book.sheetnames[0]
     rows = [[*row] for row in book[name].iter_rows(values_only=True)]
-    for merged in book[name].merged_cells.ranges:  # each row has what several rows share
-        for row in rows[merged.min_row : merged.max_row]:
-            row[merged.min_col - 1] = rows[merged.min_row - 1][merged.min_col - 1]
+    for area in book[name].merged_cells.ranges:  # each row has what several rows share
+        for row in rows[area.min_row : area.max_row]:
+            row[area.min_col - 1] = rows[area.min_row - 1][area.min_col - 1]
     text = "".join(f"{','.join(map(_quoted, row))}\n" for row in rows)
     others = [title for title in book.sheetnames if title != name]
     return text, f"read sheet {name}, not {', '.join(others)}" if others else ""

@@ -329,11 +329,11 @@ def _kind(
             f"{_option(kind, heading)} if {text}" for kind, text in choices.items()
         )
         raise error(f"column {heading} has two meanings: say {meanings}")
-    alarming = words().alarming
-    spaced = word_of(re.sub("(?<=[a-z])(?=[A-Z])", " ", heading))  # of valueFormat
-    parts = [*word.split(), *spaced.split()]
-    parts += [part for part in alarming if not part.isascii() and part in word]
-    kinds = [alarming[part] for part in parts if part in alarming]
+    kinds_of_parts = words().alarming
+    words_of_heading = word_of(re.sub("(?<=[a-z])(?=[A-Z])", " ", heading))  # of valueFormat
+    parts = [*word.split(), *words_of_heading.split()]
+    parts += [part for part in kinds_of_parts if not part.isascii() and part in word]
+    kinds = [kinds_of_parts[part] for part in parts if part in kinds_of_parts]
     if kinds and word not in words().harmless and kinds[0] not in option.headings:
         advice = f"{_option(kinds[0], heading)}, or {_option(NOTHING, heading)} to ignore it"
         raise error(f"column {heading} is not known: say {advice}")

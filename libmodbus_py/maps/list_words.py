@@ -96,8 +96,8 @@ class ListWords:
         self.types: Mapping[str, str] = _by_word(content["types"])
         self.ambiguous_types: Mapping[str, str] = _by_word(content["ambiguous_types"])
         self.origins: Mapping[str, Origin] = {
-            name: Origin(**{key: _keyed(value) for key, value in described.items()})
-            for name, described in content["origins"].items()
+            name: Origin(**{key: _keyed(value) for key, value in keys.items()})
+            for name, keys in content["origins"].items()
         }
 
 

@@ -93,8 +93,8 @@ def is_loopback(host: str) -> bool:
         address = ip_address(host)
     except ValueError:
         return False
-    mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
-    return (mapped or address).is_loopback
+    ipv4 = address.ipv4_mapped if isinstance(address, IPv6Address) else None
+    return (ipv4 or address).is_loopback
 
 
 def is_this_machine(host: str) -> bool:

@@ -59,8 +59,8 @@ def security_of(endpoint: Endpoint, security: Given | None) -> Security | Given:
         if name not in os.environ:
             raise ValueError(f"password_env: no environment variable {name!r}")
         options["password"] = os.environ[name]
-    renamed = {"cert": "certificate", "ca": "trust"}
-    return Security(**{renamed.get(name, name): value for name, value in options.items()})
+    arguments = {"cert": "certificate", "ca": "trust"}
+    return Security(**{arguments.get(name, name): value for name, value in options.items()})
 
 
 class TlsPort(TcpPort):
@@ -257,8 +257,8 @@ class TlsPort(TcpPort):
         except ssl.SSLError as error:
             self._end(tunnel, error)
         try:
-            if encrypted := tunnel.outgoing():
-                super().send([encrypted], 0.0)
+            if records := tunnel.outgoing():
+                super().send([records], 0.0)
         except ModbusConnectionError as error:
             self._failure = self._failure or self._suspecting(error)
 

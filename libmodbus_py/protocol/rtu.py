@@ -332,9 +332,9 @@ class RtuCutter:
 
     def _goes_on(self, data: bytes, start: int, is_fresh: bool = True) -> bool:
         """Return True if frames without a gap go from here to the silence at the end."""
-        reached, places = [start], {start}
-        while reached:
-            at = reached.pop()
+        stack, places = [start], {start}
+        while stack:
+            at = stack.pop()
             if at == len(data):
                 return True
             fresh = at if is_fresh or at > start else -1
@@ -343,7 +343,7 @@ class RtuCutter:
                 ends = _fits(data, at, end + 1) if scanner.fits > 1 else (end,)
                 new = {place for place in ends if place > at} - places
                 places |= new
-                reached += new
+                stack += new
         return False
 
     def _forget(self, count: int, size: int, is_silent: bool) -> None:

@@ -234,10 +234,10 @@ class Serving(ABC):
             checked_callback("on_hangup", on_hangup)
 
         async def serve() -> None:
-            stopped = asyncio.Event()
+            stop = asyncio.Event()
             handlers: dict[signal.Signals, Handler] = {
-                signal.SIGINT: stopped.set,
-                signal.SIGTERM: stopped.set,
+                signal.SIGINT: stop.set,
+                signal.SIGTERM: stop.set,
             }
             if on_hangup is not None:
                 handlers[signal.SIGHUP] = on_hangup
@@ -245,7 +245,7 @@ class Serving(ABC):
                 async with self.serving(*urls) as running:
                     with frozen_garbage():
                         on_listening(running)
-                        await stopped.wait()
+                        await stop.wait()
 
         asyncio.run(serve())
 
