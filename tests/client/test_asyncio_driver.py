@@ -41,11 +41,11 @@ def test_a_line_that_must_be_turned_round_is_sent_to_after_its_delay(rs485: str)
 def test_a_send_that_fails_is_told_at_once_and_the_next_goes_over_another_connection(monkeypatch):
     kind = memory_port("tcp")
     send = kind.send
-    failing = [True]
+    errors = [True]
 
     def fail(port: Any, adus: list[bytes], now: float) -> None:
-        if failing:
-            failing.clear()
+        if errors:
+            errors.clear()
             raise ModbusConnectionError("Broken pipe", errno=32)
         send(port, adus, now)
 

@@ -143,7 +143,7 @@ def test_nothing_is_left_of_what_was_interrupted(url: str) -> None:
     busy = talk.ask(1)
     talk.come(refusal(talk, 6))
     everyone = talk.ask(pdu.WriteRegister(1, 2), unit=0, is_broadcast=True)
-    batch, waiting = talk.ask(2), talk.ask(3)
+    batch, queued = talk.ask(2), talk.ask(3)
     count = len(talk.sent)
     talk.connection.interrupted(INTERRUPTED, talk.now)
     assert talk.is_at_rest
@@ -153,7 +153,7 @@ def test_nothing_is_left_of_what_was_interrupted(url: str) -> None:
     talk.open()
     talk.wait(5)
     assert len(talk.sent) == count
-    assert not any(each.is_done for each in (busy, everyone, batch, waiting))
+    assert not any(each.is_done for each in (busy, everyone, batch, queued))
     exchange(talk, 7)
 
 

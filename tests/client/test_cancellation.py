@@ -39,14 +39,14 @@ def test_cancelled_requests_take_no_answer_of_later_ones() -> None:
 def test_cancelled_callers_do_not_end_the_connecting_of_others() -> None:
     async def main(peer: Scripted) -> None:
         plc = AsyncClient(peer.url)
-        waiting = [asyncio.create_task(plc.execute(REQUEST)) for _ in range(3)]
+        tasks = [asyncio.create_task(plc.execute(REQUEST)) for _ in range(3)]
         joining = asyncio.create_task(plc.connect())
         await asyncio.sleep(0)
         assert plc.state is State.CONNECTING
-        waiting[0].cancel()
-        waiting[2].cancel()
+        tasks[0].cancel()
+        tasks[2].cancel()
         joining.cancel()
-        assert await waiting[1] == [5]
+        assert await tasks[1] == [5]
         await asyncio.sleep(60)
         assert len(peer.requests) == 1
         await plc.close()
@@ -77,9 +77,9 @@ def test_a_request_cancelled_during_a_pause_is_not_sent(options: dict[str, Any])
         async with AsyncClient(peer.url, **options) as plc:
             if "request_spacing" in options:
                 await plc.read_holding_registers(0, 1)
-            waiting = asyncio.create_task(plc.read_holding_registers(1, 1))
+            task = asyncio.create_task(plc.read_holding_registers(1, 1))
             await asyncio.sleep(0.02)
-            waiting.cancel()
+            task.cancel()
             assert await plc.read_holding_registers(2, 1) == [2]
             assert peer.network.events.now == pytest.approx(before + 0.2, abs=0.002)
             assert 1 not in [request[9] for request in peer.requests]
@@ -224,11 +224,11 @@ def test_closing_while_it_connects() -> None:
     async def main(peer: Scripted) -> None:
         for turns in range(6):
             plc = AsyncClient(peer.url)
-            waiting = asyncio.create_task(plc.execute(REQUEST))
+            task = asyncio.create_task(plc.execute(REQUEST))
             for _ in range(turns):
                 await asyncio.sleep(0)
             await plc.close()
             with contextlib.suppress(ModbusConnectionError):
-                await waiting
+                await task
 
     run_peer(good, main)

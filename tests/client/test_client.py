@@ -130,8 +130,8 @@ def agreements(functions: range) -> list[Ask]:
         assert context.execute_many(requests) == [[1300 + at % 100] for at in range(200)]
 
     agreed = [partial(agree, each) for each in exchanges() if each.function in functions]
-    refused = [partial(refuse, each) for each in refusals() if each.function in functions]
-    return [*agreed, *refused, many]
+    refusals_ = [partial(refuse, each) for each in refusals() if each.function in functions]
+    return [*agreed, *refusals_, many]
 
 
 @pytest.mark.parametrize("transport", ["tcp", "rtu"])

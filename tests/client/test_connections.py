@@ -162,11 +162,11 @@ def test_a_port_that_is_unplugged_on_the_real_system(kind: str, tmp_path: Path) 
     with connecting_to(kind, f"rtu://{path}?baudrate=115200", timeout=60, max_pause=0) as plc:
         with SerialWire() as wire, ThreadPoolExecutor(1) as pool:
             path.symlink_to(wire.client)
-            waiting = pool.submit(plc.execute, REQUEST)
+            future = pool.submit(plc.execute, REQUEST)
             until(lambda: wire.passed)
             wire.unplug()
             with pytest.raises(ModbusConnectionError) as caught:
-                waiting.result()
+                future.result()
             assert caught.value.errno == errno.EIO
         path.unlink()
         with pytest.raises(ModbusConnectionError):
@@ -224,10 +224,10 @@ def somebody_waits(request: pytest.FixtureRequest, connect: Connect) -> Iterator
 def test_close_ends_what_others_wait_for(somebody_waits: Any) -> None:
     plc = somebody_waits
     with ThreadPoolExecutor(2) as pool:
-        waiting = [pool.submit(plc.execute, REQUEST), pool.submit(plc.execute_many, [REQUEST] * 50)]
+        futures = [pool.submit(plc.execute, REQUEST), pool.submit(plc.execute_many, [REQUEST] * 50)]
         until(lambda: plc._driver._connection.is_wanted or plc.statistics.requests)
         plc.close()
-        for each in waiting:
+        for each in futures:
             with pytest.raises(ModbusConnectionError):
                 each.result()
 

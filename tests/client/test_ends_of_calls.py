@@ -78,13 +78,13 @@ def struck(
     call: Callable[[], object], number: int, error: BaseException
 ) -> tuple[bool, BaseException | None]:
     """Return whether a call had so many moments, and what it raised."""
-    raised = None
+    failure = None
     with Strike(number, error) as strike:
         try:
             call()
         except BaseException as caught:
-            raised = caught
-    return strike.left <= 0, raised
+            failure = caught
+    return strike.left <= 0, failure
 
 
 def strike_each_moment(
@@ -106,8 +106,8 @@ def strike_each_moment(
         was_struck = False
         for ask in (context.write_register, context.read_holding_registers):
             address += 2
-            is_struck, raised = struck(partial(ask, address, 1), number, error)
-            assert raised is (error if is_struck else None), (number, ask, raised)
+            is_struck, failure = struck(partial(ask, address, 1), number, error)
+            assert failure is (error if is_struck else None), (number, ask, failure)
             was_struck |= is_struck
             settle()
             assert context.read_holding_registers(address + 1, 1) == [address + 1], (number, ask)
@@ -229,8 +229,8 @@ def test_nothing_is_sent_of_many_requests_that_a_context_was_thrown_out_of() -> 
             while is_struck:
                 number += 1
                 call = partial(context.execute_many, writes(10 * number))
-                is_struck, raised = struck(call, number, error)
-                assert raised is (error if is_struck else None), (number, raised)
+                is_struck, failure = struck(call, number, error)
+                assert failure is (error if is_struck else None), (number, failure)
                 world.sleep(SETTLED)
                 before = len(peer.requests)
                 assert context.read_holding_registers(10 * number + 9, 1) == [10 * number + 9]

@@ -47,8 +47,8 @@ MISTAKES: dict[str, tuple[str, Callable[[bytes], bytes], str]] = {
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_recognised_in_one_line(mistake: str, world: World) -> None:
-    scheme, came, message = MISTAKES[mistake]
-    peer = world.peer(scheme, answering(lambda request: [came(request)]))
+    scheme, answer_to, message = MISTAKES[mistake]
+    peer = world.peer(scheme, answering(lambda request: [answer_to(request)]))
     with world.connect(peer.url, timeout=0.15) as client:
         caught = failure(client)
     text = str(caught)

@@ -258,15 +258,15 @@ REFUSALS = [
 
 
 def test_what_a_hook_raises_comes_out_at_the_client(transport: str) -> None:
-    raised: list[type[ExceptionResponse]] = []
+    refusals: list[type[ExceptionResponse]] = []
 
     def refuse(access: Access) -> None:
-        raise raised[-1]
+        raise refusals[-1]
 
     device = Device(Mapping(holding_registers=8), before_write=refuse)
     with talking_to(device, transport) as context:
         for refusal in REFUSALS * 2:
-            raised.append(refusal)
+            refusals.append(refusal)
             with pytest.raises(refusal) as caught:
                 context.write_registers(0, [1, 2])
             assert type(caught.value) is refusal

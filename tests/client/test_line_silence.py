@@ -276,7 +276,7 @@ def test_what_comes_unasked_is_traced_too(late: bytes) -> None:
     talk.come(late)
     talk.wait(1)
     talk.ask(1)  # what is no frame is traced before the next request
-    received = [each for each in events if each.direction == "received"]
-    assert b"".join(each.adu for each in received) == late
-    frames = [(each.unit, each.function) for each in received if each.unit is not None]
+    receipts = [each for each in events if each.direction == "received"]
+    assert b"".join(each.adu for each in receipts) == late
+    frames = [(each.unit, each.function) for each in receipts if each.unit is not None]
     assert frames == ([(1, 3)] if value(1) in late else [])

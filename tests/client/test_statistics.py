@@ -184,13 +184,13 @@ def test_an_answer_is_counted_up_to_its_bound(seconds: float, place: int) -> Non
 
 
 def test_clients_one_after_the_other_count_in_the_same_place(connect: Connect) -> None:
-    counted = Statistics()
+    totals = Statistics()
     with FakeServer(lambda request: [echo(request)]) as server:
         for _ in range(3):
-            with connect(server.url, statistics=counted) as plc:
+            with connect(server.url, statistics=totals) as plc:
                 assert plc.read_holding_registers(7, 1) == [7]
-                assert plc.statistics is counted
-    assert (counted.connects, counted.requests, counted.responses) == (3, 3, 3)
+                assert plc.statistics is totals
+    assert (totals.connects, totals.requests, totals.responses) == (3, 3, 3)
 
 
 def test_statistics_must_be_some() -> None:

@@ -94,9 +94,9 @@ def called(plc: Any, name: str, *arguments: Any, **keywords: Any) -> str:
         if inspect.isawaitable(result):
             await result
 
-    with pytest.raises(TypeError) as raised:
+    with pytest.raises(TypeError) as caught:
         asyncio.run(main())
-    return str(raised.value)
+    return str(caught.value)
 
 
 CLIENT = "? it is an argument of the client"

@@ -94,14 +94,14 @@ def test_datagram_of_another_host_is_never_seen(connect: Connect) -> None:
 
 
 def test_of_many_in_flight_only_those_without_an_answer_time_out(world: World) -> None:
-    waiting: list[bytes] = []
+    requests: list[bytes] = []
 
     def four_at_a_time(request: bytes) -> list[bytes]:
-        waiting.append(request)
-        if len(waiting) < 4:
+        requests.append(request)
+        if len(requests) < 4:
             return []
-        answers = [echo(each) for each in reversed(waiting) if each[9] not in (5, 30)]
-        waiting.clear()
+        answers = [echo(each) for each in reversed(requests) if each[9] not in (5, 30)]
+        requests.clear()
         return answers
 
     peer = world.peer("udp", answering(four_at_a_time))
@@ -199,15 +199,15 @@ def test_an_answer_in_two_datagrams_is_one(world: World) -> None:
 
 
 def test_a_damaged_answer_ends_the_wait_as_on_a_line(world: World) -> None:
-    damaged = ANSWER[:-1] + bytes([ANSWER[-1] ^ 1])
-    peer = world.peer("rtu+udp", answering(lambda request: [damaged]))
+    frame = ANSWER[:-1] + bytes([ANSWER[-1] ^ 1])
+    peer = world.peer("rtu+udp", answering(lambda request: [frame]))
     with (
         world.connect(peer.url, unit=1, timeout=30) as client,
         world.lasting(0, more=1),
         pytest.raises(FrameError) as caught,
     ):
         read(client, 0)
-    assert caught.value.received == damaged
+    assert caught.value.received == frame
 
 
 def test_two_servers_do_not_answer_each_other_for_ever() -> None:

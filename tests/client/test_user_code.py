@@ -176,8 +176,8 @@ def test_a_trace_of_a_request_comes_before_its_answer(world: World) -> None:
     ) as client:
         start = world.now
         client.read_holding_registers(1, 1)
-    (first, at), (received, then) = times
-    assert (first, received) == ("sent", "received")
+    (first, at), (second, then) = times
+    assert (first, second) == ("sent", "received")
     assert at - start < 0.1
     assert then - at >= 0.299
 
@@ -292,28 +292,28 @@ def test_a_hook_that_closes_ends_the_request(at: int, hook: str) -> None:
 
 @pytest.mark.parametrize("hook", ["on_state", "trace"])
 def test_a_hook_that_asks_is_refused_and_harms_nobody(hook: str) -> None:
-    refused: list[BaseException] = []
+    errors: list[BaseException] = []
 
     def ask(*_: object) -> None:
         try:
             context.read_coils(0, 1)
         except (RuntimeError, ModbusConnectionError) as error:
-            refused.append(error)
+            errors.append(error)
 
     options: dict[str, Any] = {hook: ask}
     with FakeServer(tcp) as server:
         context = Client(f"tcp://127.0.0.1:{server.port}", **options)
         assert context.read_holding_registers(1, 1) == [1]
         context.close()
-    assert isinstance(refused[0], RuntimeError)
+    assert isinstance(errors[0], RuntimeError)
 
 
 @ALL
-@pytest.mark.parametrize("encoded", [b"", bytes(254), "text", None, 7])
-def test_a_request_that_encodes_to_nonsense_is_refused(encoded: Any, kind: str) -> None:
+@pytest.mark.parametrize("data", [b"", bytes(254), "text", None, 7])
+def test_a_request_that_encodes_to_nonsense_is_refused(data: Any, kind: str) -> None:
     class Nonsense(pdu.ReadHoldingRegisters):
         def encode(self) -> Any:
-            return encoded
+            return data
 
     with (
         FakeServer(tcp) as server,

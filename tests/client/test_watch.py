@@ -242,12 +242,12 @@ def test_other_requests_go_on_until_another_thread_ends_the_wait(url: str) -> No
     with Client(url) as plc:
         watching = plc.watch(METER, every=86_400)
         assert next(watching) == {"a": 0, "b": 0}
-        waiting = threading.Thread(target=lambda: polls.extend(watching))
-        waiting.start()
+        thread = threading.Thread(target=lambda: polls.extend(watching))
+        thread.start()
         plc.write_register(0, 5)
         assert plc.read_holding_registers(0, 1) == [5]
         plc.close()
-        waiting.join()
+        thread.join()
     assert polls == []
 
 

@@ -158,8 +158,8 @@ class WideCount(pdu.Request[bytes]):
 def device(scheme: str, pieces: int = 1) -> Any:
     def on_request(request: bytes, write: Write) -> None:
         text = bytes.fromhex(request[1:-4].decode()) if request.startswith(b":") else request
-        usual, refused = bytes.fromhex(USUAL), bytes.fromhex(REFUSED)
-        body = USUAL_ANSWER if usual in text else REFUSAL if refused in text else ANSWER
+        usual, other = bytes.fromhex(USUAL), bytes.fromhex(REFUSED)
+        body = USUAL_ANSWER if usual in text else REFUSAL if other in text else ANSWER
         if scheme == "tcp":
             frame = mbap(request, bytes.fromhex(body))
         else:
@@ -200,9 +200,9 @@ def check(client: Any) -> None:
 
 
 def test_a_damaged_answer_in_an_own_layout_is_none(connect: Connect) -> None:
-    damaged = rtu("01" + ANSWER)[:-1] + b"\0"
+    frame = rtu("01" + ANSWER)[:-1] + b"\0"
     with (
-        peer_at("rtu", lambda request, write: write(damaged)) as peer,
+        peer_at("rtu", lambda request, write: write(frame)) as peer,
         connect(peer.url, unit=1, timeout=0.2) as client,
         pytest.raises((ModbusTimeoutError, FrameError)),
     ):

@@ -57,7 +57,7 @@ def late_sometimes(transport: str, seconds: float) -> OnRequest:
     ],
 )
 def test_no_late_answer_is_taken_for_the_next(transport, timeout, seconds) -> None:
-    right = failed = 0
+    right = failures = 0
     with (
         peer_at(transport, late_sometimes(transport, seconds)) as peer,
         context_at(peer.url, timeout=timeout) as context,
@@ -67,9 +67,9 @@ def test_no_late_answer_is_taken_for_the_next(transport, timeout, seconds) -> No
                 assert context.read_holding_registers(address, 1) == [address]
                 right += 1
             except ModbusError:
-                failed += 1
+                failures += 1
     assert right >= 30
-    assert right + failed == 60
+    assert right + failures == 60
 
 
 def test_after_a_timeout_the_next_call_connects_again() -> None:

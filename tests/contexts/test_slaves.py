@@ -62,11 +62,11 @@ def test_a_slave_on_a_line_finds_requests_between_noise() -> None:
     ):
         for behind, before in itertools.product(noises, noises):
             os.write(master.socket, before + request + behind)
-            received = b""
-            while len(received) < len(answer):
+            data = b""
+            while len(data) < len(answer):
                 assert select.select([master.socket], [], [], 5.0)[0], (before, behind)
-                received += os.read(master.socket, 100)
-            assert received == answer
+                data += os.read(master.socket, 100)
+            assert data == answer
     assert mapping.holding_registers[0] == 7
 
 

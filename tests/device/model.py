@@ -43,10 +43,10 @@ class Model:
         self.need(len(body) == 4, 3)
         start, count = struct.unpack(">HH", body)
         self.need(1 <= count <= 2000, 3)
-        packed = bytearray(-(-count // 8))
+        bits = bytearray(-(-count // 8))
         for at, cell in enumerate(self.cells(table, start, count)):
-            packed[at // 8] |= table[cell] << at % 8
-        return bytes([len(packed)]) + packed
+            bits[at // 8] |= table[cell] << at % 8
+        return bytes([len(bits)]) + bits
 
     def function_1(self, body: bytes) -> bytes:
         return self.read_bits(self.bits[1], body)

@@ -164,16 +164,16 @@ def test_authorize_is_called_for_each_request() -> None:
     ],
 )
 def test_without_permission_every_bad_request_is_answered_1(data: bytes, otherwise: int) -> None:
-    hooked: list[object] = []
+    accesses: list[object] = []
     for is_allowed, code in ((True, otherwise), (False, 1)):
         device = Device(
             Mapping(holding_registers=10, coils=1),
-            before_read=hooked.append,
-            before_write=hooked.append,
+            before_read=accesses.append,
+            before_write=accesses.append,
             authorize=lambda asked, it=is_allowed: it,
         )
         assert device.answer(data) == bytes([data[0] | 0x80, code])
-    assert hooked == []
+    assert accesses == []
 
 
 def test_authorize_is_called_before_hooks() -> None:
@@ -193,13 +193,13 @@ def test_authorize_is_called_before_hooks() -> None:
 
 
 def test_broadcasts_are_asked_about() -> None:
-    refused: list[int] = []
+    calls: list[int] = []
     for is_allowed in (False, True):
         device = Device(Mapping(coils=1), authorize=lambda asked, it=is_allowed: it)
-        caller = Caller(0, "line", is_broadcast=True, on_unauthorized=lambda _: refused.append(1))
+        caller = Caller(0, "line", is_broadcast=True, on_unauthorized=lambda _: calls.append(1))
         assert device.answer(pdu.WriteCoil(0, True).encode(), caller) == b""
         assert device.mapping.coils[0] == is_allowed
-    assert refused == [1]
+    assert calls == [1]
 
 
 def test_a_restart_and_silence_that_are_denied_do_not_happen() -> None:
@@ -218,15 +218,15 @@ def test_a_restart_and_silence_that_are_denied_do_not_happen() -> None:
 
 
 def test_on_unauthorized_is_called_for_requests_without_permission_alone() -> None:
-    refused: list[int] = []
+    calls: list[int] = []
     device = Device(Mapping(1), authorize=lambda asked: asked.function == 1)
-    caller = Caller(on_unauthorized=lambda _: refused.append(1))
+    caller = Caller(on_unauthorized=lambda _: calls.append(1))
     device.answer(pdu.ReadCoils(0, 1).encode(), caller)
     device.answer(pdu.ReadCoils(9, 1).encode(), caller)  # refused, but not by authorisation
-    assert refused == []
+    assert calls == []
     device.answer(pdu.WriteCoil(0, True).encode(), caller)
     device.answer(b"\x05", caller)
-    assert refused == [1, 1]
+    assert calls == [1, 1]
 
 
 async def forgotten(asked: Asked) -> bool:

@@ -86,9 +86,9 @@ def frame(context: Client, unit: int, body: bytes) -> bytes:
 
 
 def spoilt_frame(context: Client) -> bytes:
-    spoilt = bytearray(frame(context, 1, pdu.ReadCoils(0, 1).encode()))
-    spoilt[3] ^= 1
-    return bytes(spoilt)
+    frame_ = bytearray(frame(context, 1, pdu.ReadCoils(0, 1).encode()))
+    frame_[3] ^= 1
+    return bytes(frame_)
 
 
 def test_every_counter_counts_what_it_should(line: Client) -> None:

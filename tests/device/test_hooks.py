@@ -107,9 +107,9 @@ def test_a_handler_whose_class_encodes_no_bytes_is_a_failure(result, caplog, mon
 def test_nobody_loses_a_request_of_the_same_turn(error, caplog) -> None:
     """Neither who sent it nor others, whose requests came alone and are answered together."""
     server = Server(made_device("before_write", raising(error)))
-    ok, failed = b"\3\2\0\0", b"\x86\4"
+    ok, failure = b"\3\2\0\0", b"\x86\4"
     requests = [READ, WRITE, READ]
-    answers = b"".join(adu(body, at) for at, body in enumerate([ok, failed, ok]))
+    answers = b"".join(adu(body, at) for at, body in enumerate([ok, failure, ok]))
     with server.background("tcp://127.0.0.1:0") as running:
         port = int(running.urls[0].rpartition(":")[2])
         peers = [socket.create_connection(("127.0.0.1", port), timeout=20) for _ in range(8)]
@@ -117,7 +117,7 @@ def test_nobody_loses_a_request_of_the_same_turn(error, caplog) -> None:
             for peer in peers:
                 peer.sendall(adu(requests[turn % 3], turn))
             for peer in peers:
-                response = adu([ok, failed, ok][turn % 3], turn)
+                response = adu([ok, failure, ok][turn % 3], turn)
                 assert receive(peer, len(response)) == response
         peers[0].sendall(b"".join(adu(body, at) for at, body in enumerate(requests)))
         assert receive(peers[0], len(answers)) == answers

@@ -42,12 +42,12 @@ def test_nothing_is_allowed_that_no_rule_allows() -> None:
 def test_the_rule_all_allows_every_request() -> None:
     for role in ("Engineer", None):
         guarded = device(Rules({role: ALL}))
-        refused = [
+        refusals = [
             type(request)
             for request in REQUEST_OBJECTS
             if code(guarded.answer(request.encode(), Caller(role=role))) == 1
         ]
-        assert refused == [pdu.RawRequest]  # a function that nobody is
+        assert refusals == [pdu.RawRequest]  # a function that nobody is
 
 
 TABLES = {

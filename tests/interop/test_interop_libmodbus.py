@@ -160,18 +160,18 @@ def c_client_runs(compiled: Callable[[str], Path]) -> Callable[[str], tuple[set[
 def test_c_client_is_content_with_our_server(
     c_client_runs: Callable[[str], tuple[set[str], Device]], transport: str, record_property: Record
 ) -> None:
-    printed, _ = c_client_runs(transport)
+    output, _ = c_client_runs(transport)
     executed = [
         (case_id("libmodbus", "server", transport, function), f"FC {function} ok")
         for function in C_CLIENT_CALLS
     ]
-    refused = [
+    refusals = [
         (case_id("libmodbus", "server", transport, function, "refused"), f"FC {function} refused")
         for function in C_CLIENT_REFUSALS
     ]
-    for check, line in tried(record_property, executed + refused):
+    for check, line in tried(record_property, executed + refusals):
         with check:
-            assert line in printed
+            assert line in output
 
 
 @each_transport
@@ -232,7 +232,7 @@ def test_example_client_reports_success_against_our_server(tmp_path: Path) -> No
     with our_server("tcp", device) as place:
         client = compile_example("random-test-client", place.end.port, tmp_path)
         process = subprocess.run([client], capture_output=True, text=True, timeout=30)
-        codes = {passed.data[7] for passed in place.wire.passed if passed.sender == "client"}
+        codes = {frame.data[7] for frame in place.wire.passed if frame.sender == "client"}
     assert "Test: SUCCESS" in process.stdout.splitlines()
     assert "ERROR" not in process.stdout
     assert process.returncode == 0

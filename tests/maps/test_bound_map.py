@@ -25,14 +25,14 @@ def device() -> Device:
 
 
 def test_a_bound_map_reads_and_writes_with_a_blocking_client() -> None:
-    served = device()
-    with Server(served).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
+    device_ = device()
+    with Server(device_).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
         meter = MAP.bind(plc, gap=4)
         assert meter.read() is None
         assert (meter.voltage_L1, meter.setpoint, meter.read_) == (230.5, 20, False)
         assert meter["voltage L1"] == 230.5
         assert meter.write(setpoint=21.5, read_=True, key=True) is None
-        assert (served["setpoint"], served["read"], served["key"]) == (21.5, True, True)
+        assert (device_["setpoint"], device_["read"], device_["key"]) == (21.5, True, True)
         assert meter.setpoint == 20
         meter.read("setpoint")
         assert meter.setpoint == 21.5
@@ -40,16 +40,16 @@ def test_a_bound_map_reads_and_writes_with_a_blocking_client() -> None:
 
 
 async def test_a_bound_map_reads_and_writes_with_an_asyncio_client() -> None:
-    served = device()
+    device_ = device()
     async with (
-        Server(served).serving("tcp://127.0.0.1:0") as running,
+        Server(device_).serving("tcp://127.0.0.1:0") as running,
         AsyncClient(running.urls[0]) as plc,
     ):
         meter = MAP.bind(plc)
         await meter.read()
         assert meter.voltage_L1 == 230.5
         await meter.write(setpoint=21.5)
-        assert (served["setpoint"], meter.setpoint) == (21.5, 20)
+        assert (device_["setpoint"], meter.setpoint) == (21.5, 20)
         await asyncio.gather(meter.read("setpoint"), meter.read("read_"))
         assert meter.setpoint == 21.5
         reading = asyncio.ensure_future(meter.read())

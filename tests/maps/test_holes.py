@@ -44,9 +44,9 @@ def test_items_without_a_hole_have_their_values(items, gap, missing, lost_ones, 
         polls.device.asked.clear()
         count, values = polls.poll()
         spans = [range(first, first + size) for first, size in polls.device.asked]
-        refused = [name for name, value in values.items() if isinstance(value, ModbusError)]
-        assert refused == polls.unreadable == lost_ones
-        for name in values.keys() - refused:
+        names = [name for name, value in values.items() if isinstance(value, ModbusError)]
+        assert names == polls.unreadable == lost_ones
+        for name in values.keys() - names:
             cells = plan._reads[name].cells
             assert values[name] == plan._reads[name].decode(list(cells))
             assert any(cells[0] in each and cells[-1] in each for each in spans), "torn"

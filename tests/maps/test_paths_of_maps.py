@@ -25,8 +25,8 @@ def path(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("kind", [str, Path])
 def test_clients_take_the_path_of_a_map(path: Path, kind: Any) -> None:
     meter = kind(path)
-    served = Device.of_map(load_map(path), {"voltage": 230.5})
-    with Server(served).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
+    device = Device.of_map(load_map(path), {"voltage": 230.5})
+    with Server(device).background("tcp://127.0.0.1:0") as running, Client(running.urls[0]) as plc:
         plc.write_map(meter, {"setpoint": 21.5})
         assert plc.read_map(meter) == {"voltage": 230.5, "setpoint": 21.5}
         assert next(plc.watch(meter, every=1, names=["voltage"])) == {"voltage": 230.5}
@@ -54,9 +54,9 @@ def test_paths_of_wrong_maps_are_refused_with_the_reason(path: Path, call: Any) 
         (path.with_name("none.csv"), f"cannot read {path.with_name('none.csv')}"),
         (path.with_suffix(".xls"), "a register map must end with one of .toml"),
     ):
-        with pytest.raises(MapError) as raised:
+        with pytest.raises(MapError) as caught:
             call(plc, argument)
-        assert message in str(raised.value)
+        assert message in str(caught.value)
     for wrong in (7, b"meter.csv"):
         with pytest.raises(TypeError, match="must be a"):
             call(plc, wrong)

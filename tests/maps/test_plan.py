@@ -258,7 +258,7 @@ def cells_of(read: Read) -> range:
     return range(read.address, read.address + read.count * SIZES[read.type])
 
 
-def fewest(reads: list[Read], limit: int, gap: int, closed: set[int], borders: set[int]) -> int:
+def fewest(reads: list[Read], limit: int, gap: int, forbidden: set[int], borders: set[int]) -> int:
     """Try the ends of each request: what must stay together, and where one must begin."""
     addresses = {address for read in reads for address in cells_of(read)}
     together = []
@@ -272,7 +272,7 @@ def fewest(reads: list[Read], limit: int, gap: int, closed: set[int], borders: s
         edges = [start - 1, *sorted(addresses & set(range(start, stop))), stop]
         holes = max(second - first - 1 for first, second in pairwise(edges))
         crossed = borders & set(range(start + 1, stop))
-        return holes <= gap and not closed & set(range(start, stop)) and not crossed
+        return holes <= gap and not forbidden & set(range(start, stop)) and not crossed
 
     count = 0
     while together:
@@ -358,9 +358,9 @@ def test_read_many_is_refused_as_a_whole_or_in_part(context: Client) -> None:
         context.read_many(items, gap=2)
     with pytest.raises(IllegalDataAddress, match=r"address=99, count=1"):
         context.read_many(items, gap=2, forbidden=[("holding_registers", range(100, 102))])
-    valves, refused, level = context.read_many(items, return_exceptions=True)
+    valves, refusal, level = context.read_many(items, return_exceptions=True)
     assert (valves, level) == ([True, False], [1002])
-    assert isinstance(refused, IllegalDataAddress)
+    assert isinstance(refusal, IllegalDataAddress)
 
 
 def test_gaps_are_on_the_wire() -> None:

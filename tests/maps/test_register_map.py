@@ -108,9 +108,9 @@ def test_names_become_scaled_values(connect: Connect, meter: str) -> None:
 def test_values_are_written_and_neighbours_together(
     connect: Connect, meter: str, tables: Mapping, reads: list[Any]
 ) -> None:
-    changed = {"run": False, "energy": 7.5, "setpoint": 5, "key": 99, "name": "x"}
+    values = {"run": False, "energy": 7.5, "setpoint": 5, "key": 99, "name": "x"}
     with connect(meter, timeout=5) as plc:
-        assert plc.write_map(METER, changed) is None
+        assert plc.write_map(METER, values) is None
         assert reads == [(H, 100, 6), (H, 120, 1), ("coils", 7, 1)]
         assert tables.holding_registers[100:106] == [50, 7500, 0, 0x7800, 0, 0]
         assert tables.holding_registers[120] == 99
@@ -304,11 +304,11 @@ def test_the_plan_is_kept() -> None:
     assert METER.plan() is METER.plan()
     assert METER.plan(["run"], gap=2) is METER.plan(iter(["run"]), gap=2)
     assert METER.plan(["run"], gap=2) is not METER.plan(["run"])
-    closed = [("coils", range(7, 8))]
-    METER.plan(["volts"], forbidden=closed)
-    closed.append(("input_registers", range(1, 2)))
+    forbidden = [("coils", range(7, 8))]
+    METER.plan(["volts"], forbidden=forbidden)
+    forbidden.append(("input_registers", range(1, 2)))
     with pytest.raises(ValueError, match="touches the forbidden"):
-        METER.plan(["volts"], forbidden=closed)
+        METER.plan(["volts"], forbidden=forbidden)
 
 
 def test_a_map_is_a_mapping_that_never_changes() -> None:

@@ -236,17 +236,17 @@ def test_a_cancelled_wait_leaves_the_address_to_the_next_request(port: int) -> N
     async def use() -> None:
         async with asyncio.timeout(20):
             plc = AsyncClient(f"listen+tcp://127.0.0.1:{port}", timeout=600)
-            waiting = asyncio.create_task(plc.read_holding_registers(1, 1))
+            task = asyncio.create_task(plc.read_holding_registers(1, 1))
             await asyncio.sleep(0.05)
-            waiting.cancel()
-            await asyncio.wait([waiting])
+            task.cancel()
+            await asyncio.wait([task])
             with dialling(port):
                 assert await plc.read_holding_registers(2, 1) == [2]
-            waiting = asyncio.create_task(plc.read_holding_registers(1, 1))
+            task = asyncio.create_task(plc.read_holding_registers(1, 1))
             await asyncio.sleep(0.05)
             await plc.close()
             with pytest.raises(ModbusConnectionError, match="this client is closed"):
-                await waiting
+                await task
 
     asyncio.run(use())
     with socket.create_server(("127.0.0.1", port)):

@@ -311,8 +311,8 @@ class TestReadOnly:
             patch.setattr(termios, "tcsetattr", refuse)
             with pytest.raises(ModbusConnectionError) as caught:
                 port_.open()
-        refused = "the port refuses these settings"
-        reason = refused if number == errno.EINVAL else os.strerror(number)
+        text = "the port refuses these settings"
+        reason = text if number == errno.EINVAL else os.strerror(number)
         assert str(caught.value) == f"cannot open {wire.client}: {reason}"
         assert caught.value.errno == number
         assert port_.descriptor == -1

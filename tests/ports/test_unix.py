@@ -388,13 +388,13 @@ def test_what_is_no_server_is_a_connection_error_of_both_clients(kind: str) -> N
 
 
 def test_a_client_is_named_by_the_path_its_user_and_its_process(path: str) -> None:
-    audited: list[Any] = []
+    events: list[Any] = []
     frames: list[Any] = []
-    server_ = server(audit=audited.append, trace=frames.append)
+    server_ = server(audit=events.append, trace=frames.append)
     with server_.background(f"unix://{path}"), Client(f"unix://{path}") as client:
         client.write_register(0, 5)
     name = f"{path} uid {os.getuid()} pid {os.getpid()}"
-    assert {each.peer for each in audited} == {"", name}
+    assert {each.peer for each in events} == {"", name}
     assert {each.peer for each in frames} == {name}
     assert host_of_peer(name) == f"{path} uid {os.getuid()}"
 

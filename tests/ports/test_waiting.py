@@ -160,9 +160,9 @@ def test_all_addresses_together_take_no_longer_than_the_deadline(drive: Drive, m
 
 
 def test_a_refused_address_costs_no_time(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
-    with socket.socket() as refusing, socket.create_server(("127.0.0.1", 0)) as listener:
-        refusing.bind(("127.0.0.1", 0))
-        addresses(monkeypatch, refusing.getsockname()[1], listener.getsockname()[1])
+    with socket.socket() as sock, socket.create_server(("127.0.0.1", 0)) as listener:
+        sock.bind(("127.0.0.1", 0))
+        addresses(monkeypatch, sock.getsockname()[1], listener.getsockname()[1])
         port = TcpPort("two-addresses.invalid", 502, None)
         start = time.monotonic()
         drive(port.opening(start + 20))
@@ -322,17 +322,17 @@ class Counted:
 @pytest.mark.parametrize("seconds", [0.0, 0.5, 1.0, 1.0005, 90_000.5])
 def test_the_system_waits_a_second_at_a_time(seconds, monkeypatch) -> None:
     """A signal just before a wait does not end it: its handler must not wait for a timeout."""
-    counted = Counted()
-    monkeypatch.setattr(select, "poll", lambda: counted)
+    polls = Counted()
+    monkeypatch.setattr(select, "poll", lambda: polls)
     waker = Waker()
-    waker.now = lambda: counted.now
+    waker.now = lambda: polls.now
     waker.watch(-1)
     for wait in (
         lambda: waker.is_ready(seconds),
-        lambda: waker.wait(-1, READ, counted.now + seconds),
+        lambda: waker.wait(-1, READ, polls.now + seconds),
     ):
-        before = counted.now
+        before = polls.now
         assert not wait()
-        assert seconds <= counted.now - before <= seconds + 0.0011
-    assert max(counted.waits) <= 1000
+        assert seconds <= polls.now - before <= seconds + 0.0011
+    assert max(polls.waits) <= 1000
     waker.close()

@@ -125,12 +125,12 @@ def registers_of(form: str, order: str, value: float) -> list[int]:
 def rank(form: str, order: str, value: float) -> int:
     """The place of the value, from 0 on; of signed and unsigned types that are equal, of either."""
     kind = NAMES[form.lower()]
-    (packed,) = struct.unpack(f">{form}", struct.pack(f">{form}", value))
+    (number,) = struct.unpack(f">{form}", struct.pack(f">{form}", value))
     candidates = [
         (each.type.removeprefix("u"), each.value)
         for each in readings(registers_of(form, order, value))
     ]
-    return candidates.index((kind, packed))
+    return candidates.index((kind, number))
 
 
 def test_28_of_30_public_examples_are_among_the_first_three() -> None:

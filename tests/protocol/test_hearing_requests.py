@@ -144,10 +144,10 @@ def test_a_request_in_damage_counts_only_close_to_the_silence() -> None:
     assert requests(heard(ask, head + READ)) == []
     assert requests(heard(ask, head + READ, READ)) == [ASKED]
     assert requests(heard(head + READ)) == [ASKED]
-    damaged = bytearray(AROUND["an answer to a read"][1])
-    damaged[3] ^= 1
-    assert requests(heard(bytes(damaged))) == []
-    assert requests(heard(bytes(damaged), READ)) == [ASKED]
+    frame = bytearray(AROUND["an answer to a read"][1])
+    frame[3] ^= 1
+    assert requests(heard(bytes(frame))) == []
+    assert requests(heard(bytes(frame), READ)) == [ASKED]
 
 
 # Bytes that transceivers add: of a line that is low, high or floats, and beginnings of frames.
@@ -185,9 +185,9 @@ def test_a_request_in_a_frame_of_others_between_noise_is_none(name, before, behi
 def test_a_request_in_a_damaged_answer_of_others_is_none(head: str) -> None:
     answer = with_data(head, WRITE)
     for place in (3, 5, len(answer) - 1):
-        damaged = bytearray(answer)
-        damaged[place] ^= 4
-        for bursts in ([damaged], [rtu("02 03 0000 0004"), damaged]):
+        frame = bytearray(answer)
+        frame[place] ^= 4
+        for bursts in ([frame], [rtu("02 03 0000 0004"), frame]):
             assert requests(heard(*map(bytes, bursts))) == [], place
 
 

@@ -87,10 +87,10 @@ class TestReadings:
 class TestParseReference:
     @each_case("vector", rows(REFERENCES))
     def test_reference_of_a_worked_example(self, vector: Reference) -> None:
-        parsed = parse_reference(vector.reference)
-        assert parsed == (TABLES[vector.table], vector.address)
-        assert parsed.table == TABLES[vector.table]
-        assert parsed.address == vector.address
+        reference = parse_reference(vector.reference)
+        assert reference == (TABLES[vector.table], vector.address)
+        assert reference.table == TABLES[vector.table]
+        assert reference.address == vector.address
 
     def test_worked_examples_cover_every_table(self) -> None:
         assert {vector.table for vector in REFERENCES} == set(TABLES)

@@ -220,9 +220,9 @@ class TestRtu:
     def test_known_function_without_length_does_not_swallow_the_next(self, head: bytes) -> None:
         """Its CRC is lost; what follows after a silence is found all the same."""
         framer = RtuFramer("server")
-        spoilt = bytearray(rtu(17, head + b"\xa5\x37"))
-        spoilt[-1] ^= 1
-        frames = take(framer, bytes(spoilt))[0] + quiet(framer)
+        frame = bytearray(rtu(17, head + b"\xa5\x37"))
+        frame[-1] ^= 1
+        frames = take(framer, bytes(frame))[0] + quiet(framer)
         for _ in range(2):
             frames += take(framer, rtu(*READ[:2]))[0] + quiet(framer)
         assert frames == [READ] * 2

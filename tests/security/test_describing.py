@@ -40,8 +40,8 @@ def test_a_self_signed_one_says_so() -> None:
 def test_the_fingerprint_is_that_of_openssl(tmp_path: Path) -> None:
     files = certificates.save(tmp_path, certificates.client(), "client")
     command = ["openssl", "x509", "-in", files.cert, "-noout", "-fingerprint", "-sha256"]
-    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    fingerprint = printed.strip().rpartition("=")[2].replace(":", "").lower()
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    fingerprint = output.strip().rpartition("=")[2].replace(":", "").lower()
     assert describe(certificates.client().der).endswith(f"SHA-256 {fingerprint}")
 
 

@@ -184,9 +184,9 @@ def test_an_encrypted_key_needs_its_password(tmp_path: Path, pki: Pki, form: str
     for wrong in (b"secret", 5):
         with pytest.raises(TypeError, match="password must be a string, not "):
             Security(cert, key, trust=pki.ca, password=wrong)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="the password is another") as raised:
+    with pytest.raises(ValueError, match="the password is another") as caught:
         Security(cert, key, trust=pki.ca, password="S3cret")
-    assert "S3cret" not in str(raised.value)
+    assert "S3cret" not in str(caught.value)
 
 
 def test_a_password_is_never_asked_for_at_the_terminal(pki: Pki) -> None:

@@ -72,10 +72,10 @@ def said(event: AuditEvent) -> dict[str, Any]:
 def test_an_ipv6_client_has_one_name(transport: str, events: Events) -> None:
     """In all events, as in URLs: with brackets around the address."""
     names: list[str | None] = []
-    served = Server(device(), audit=events.append, trace=lambda each: names.append(each.peer))
-    closed = Server(device(), limits=Limits(allow=["192.0.2.0/24"]), audit=events.append)
+    server = Server(device(), audit=events.append, trace=lambda each: names.append(each.peer))
+    other_server = Server(device(), limits=Limits(allow=["192.0.2.0/24"]), audit=events.append)
     url = f"{transport}://[::1]:0"
-    with served.background(url) as one, closed.background(url) as other:
+    with server.background(url) as one, other_server.background(url) as other:
         with Client(one.urls[0], unit=5, timeout=20) as client:
             client.write_register(0, 1)
         with Client(other.urls[0], unit=5, timeout=0.1) as client, pytest.raises(ModbusError):
@@ -142,8 +142,8 @@ def test_only_what_authorize_does_not_allow_is_recorded_as_refused(transport, ev
     def refuse(access: Access) -> None:
         raise IllegalFunction
 
-    guarded = device(authorize=authorize, before_read=refuse, exception_status=1)
-    server = Server(guarded, audit=events.append)
+    device_ = device(authorize=authorize, before_read=refuse, exception_status=1)
+    server = Server(device_, audit=events.append)
     with (
         server.background(f"{transport}://127.0.0.1:0") as running,
         Client(running.urls[0], unit=5, timeout=20) as plc,
@@ -297,8 +297,8 @@ def test_writes_are_refused_while_a_required_trail_fails(kind, caplog) -> None:
             trail.fails = False
             plc.write_register(0, 10)
     values = [(each.changes[0].access.values, each.result) for each in trail.taken]
-    failed = "server device failure (exception 4)"
-    assert values == [((8,), "ok"), ((9,), failed), ((9,), failed), ((10,), "ok")]
+    failure = "server device failure (exception 4)"
+    assert values == [((8,), "ok"), ((9,), failure), ((9,), failure), ((10,), "ok")]
     assert [each for each in caplog.messages if "audit" in each] == [
         "audit: OSError: [Errno 28] No space left on device",
         "audit: events are recorded again; 0 were lost",
@@ -360,8 +360,8 @@ def test_no_write_is_carried_out_that_a_required_file_cannot_record(
         os.mkfifo(path)
         reader = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     file = AuditFile(path)
-    served = device()
-    with asking(Server(served, audit=Audit(file, required=True))) as plc:
+    device_ = device()
+    with asking(Server(device_, audit=Audit(file, required=True))) as plc:
         plc.write_register(0, 8)
         if reader >= 0:
             os.close(reader)
@@ -369,7 +369,7 @@ def test_no_write_is_carried_out_that_a_required_file_cannot_record(
         for value in (9, 10):
             with pytest.raises(ServerDeviceFailure):
                 plc.write_register(0, value)
-        assert served.mapping.holding_registers[0] == 8
+        assert device_.mapping.holding_registers[0] == 8
         assert [reason in each for each in caplog.messages if "audit" in each] == [True]
         monkeypatch.undo()
         if trouble is refuse_to_open:

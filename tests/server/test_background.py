@@ -296,20 +296,20 @@ def test_requests_before_the_end_of_the_program_are_answered() -> None:
 
 def test_a_hook_may_leave_the_block() -> None:
     before = left()
-    failed: list[BaseException] = []
+    errors: list[BaseException] = []
 
     def leave(access: Access) -> None:
         try:
             background.__exit__()
         except BaseException as error:
-            failed.append(error)
+            errors.append(error)
 
     server = Server(Device(Mapping(holding_registers=1), before_read=leave))
     background = server.background("tcp://127.0.0.1:0")
     with background as running, connect(running.urls[0]) as client:
         ask(client, adu(READ_ONE), ANSWER)
         assert receive(client, 1) == b""
-    assert failed == []
+    assert errors == []
     assert is_left(before)
 
 

@@ -62,8 +62,8 @@ def test_c_and_python_answer_single_requests_alike(pairs: list[tuple[bytes, int]
     """Together, as in one turn of the server; one of them may send a part, and then the rest."""
     states = []
     for kind in ("chunk", "frames"):
-        hooked = made_device(before_write=lambda access: None)
-        devices = {1: made_device(), 2: made_device(), 3: hooked}
+        third = made_device(before_write=lambda access: None)
+        devices = {1: made_device(), 2: made_device(), 3: third}
         ends = [End(devices, kind) for _ in pairs]
         if kind == "chunk":
             for end in ends:
@@ -74,8 +74,8 @@ def test_c_and_python_answer_single_requests_alike(pairs: list[tuple[bytes, int]
         for end, request in zip(ends, requests, strict=True):
             end.receive(request, is_last=end is ends[-1])
         answers = [bytes(end.sent) for end in ends]
-        counted = [end.statistics for end in ends]
-        totals = [sum(each.requests for each in counted), sum(each.refused for each in counted)]
+        tallies = [end.statistics for end in ends]
+        totals = [sum(each.requests for each in tallies), sum(each.refused for each in tallies)]
         tables = [contents(device) for device in devices.values()]
         states.append((answers, totals, tables, [notes(device) for device in devices.values()]))
     assert states[0] == states[1]

@@ -173,8 +173,8 @@ def test_hooks_are_told_alike_of_requests_that_come_alone(
         for number, (end, body) in enumerate(zip(ends, requests_, strict=True)):
             end.receive(adu(body, number), is_last=end is ends[-1])
         answers = [bytes(end.sent) for end in ends]
-        counted = [end.statistics for end in ends]
-        totals = [sum(each.requests for each in counted), sum(each.refused for each in counted)]
+        tallies = [end.statistics for end in ends]
+        totals = [sum(each.requests for each in tallies), sum(each.refused for each in tallies)]
         states.append((answers, totals, contents(device), notes(device), calls))
     assert states[0] == states[1]
 

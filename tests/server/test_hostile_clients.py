@@ -47,11 +47,11 @@ def test_a_lying_request_changes_nothing_and_hurts_nobody(port: int, device: Dev
     with connect(port) as liar, Client(f"tcp://127.0.0.1:{port}", unit=17) as innocent:
         liar.sendall(adu(body) + adu(READ, 2))
         expected_last = adu(READ_ANSWER, 2)
-        received = b""
-        while not received.endswith(expected_last):
+        answers = b""
+        while not answers.endswith(expected_last):
             piece = liar.recv(260)
             assert piece
-            received += piece
+            answers += piece
         assert contents(device) == before
         assert innocent.read_holding_registers(100, 1) == [1000]
 

@@ -105,16 +105,16 @@ def test_who_asks_nothing_is_closed(stage: Stage, kind: str, idle_timeout: float
         stage.pass_time(idle_timeout / 2)
         ask(idle)
         start = stage.now
-        closed: dict[Talker, float] = {}
-        while len(closed) < 2:
+        ends: dict[Talker, float] = {}
+        while len(ends) < 2:
             ask(busy)
             stage.pass_time(idle_timeout / 20)
             for each in (stranger, idle):
                 if each.has_input():
-                    closed.setdefault(each, stage.now - start)
+                    ends.setdefault(each, stage.now - start)
         late = look + idle_timeout / 20 + 0.01
-        assert idle_timeout / 2 - 0.01 <= closed[stranger] <= idle_timeout / 2 + late
-        assert idle_timeout - 0.01 <= closed[idle] <= idle_timeout + late
+        assert idle_timeout / 2 - 0.01 <= ends[stranger] <= idle_timeout / 2 + late
+        assert idle_timeout - 0.01 <= ends[idle] <= idle_timeout + late
         assert stranger.is_closed()
         assert idle.is_closed()
         ask(busy)

@@ -217,12 +217,12 @@ def test_without_descriptors_it_serves_whom_it_has_and_later_the_others() -> Non
         until(lambda: server.descriptors() == 48)
         for _ in range(20):
             ask_system(clients[0])
-        waiting = [client for client in clients[1:] if not has_answer(client)]
-        assert 32 <= len(waiting) < 79
+        others = [client for client in clients[1:] if not has_answer(client)]
+        assert 32 <= len(others) < 79
         for client in clients:
-            if client not in waiting:
+            if client not in others:
                 client.close()
-        for client in waiting:
+        for client in others:
             assert receive(client, ONE_ANSWER) == adu(ANSWER_ONE)
             client.close()
 
@@ -257,8 +257,8 @@ def test_without_descriptors_it_tries_ten_times_a_second(stage: Stage, monkeypat
 
 
 def assert_counted(statistics: ServerStatistics, **counts: int) -> None:
-    counted = {name: value for name, value in asdict(statistics).items() if value}
-    assert counted == counts
+    nonzero = {name: value for name, value in asdict(statistics).items() if value}
+    assert nonzero == counts
 
 
 @KIND
@@ -290,9 +290,9 @@ def test_a_session_over_rtu_over_tcp_is_counted(stage: Stage, kind: str) -> None
         for request, response in ((READ_ONE, answer), (ILLEGAL_COUNT, refusal)):
             client.sendall(rtu(READ_ONE, STRANGER) + rtu(request))
             assert client.receive(len(response)) == response
-        damaged = bytearray(rtu(READ_ONE))
-        damaged[-1] ^= 0xFF
-        client.sendall(damaged)
+        frame = bytearray(rtu(READ_ONE))
+        frame[-1] ^= 0xFF
+        client.sendall(frame)
         stage.pass_time(1)
         assert server.counts(bad_frames=1)
         client.sendall(rtu(READ_ONE))

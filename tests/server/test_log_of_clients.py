@@ -89,9 +89,9 @@ def presenting(
 @contextmanager
 def without_a_handshake(stage: Stage, pki: Pki) -> Iterator[None]:
     with greeting(stage, pki) as port:
-        waiting = [stage.talk(port) for _ in range(TIMES)]
+        clients = [stage.talk(port) for _ in range(TIMES)]
         stage.pass_time(6)
-        assert all(client.is_closed() for client in waiting)
+        assert all(client.is_closed() for client in clients)
         yield
 
 

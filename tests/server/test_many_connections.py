@@ -152,13 +152,13 @@ READ, ANSWER = bytes.fromhex("03 0001 0001"), bytes.fromhex("03 02 0000")
 @contextmanager
 def without_standard_input() -> Iterator[None]:
     """Leave descriptor 0 to whatever is opened next."""
-    saved = os.dup(0)
+    copy = os.dup(0)
     os.close(0)
     try:
         yield
     finally:
-        os.dup2(saved, 0)
-        os.close(saved)
+        os.dup2(copy, 0)
+        os.close(copy)
 
 
 @pytest.mark.parametrize("ends_well", [True, False])

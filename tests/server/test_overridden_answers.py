@@ -89,8 +89,8 @@ def test_a_method_that_is_replaced_later_is_called() -> None:
 
 
 def test_devices_that_override_answer_behind_a_gateway_and_beside_others() -> None:
-    refusing, plain = (kind(Mapping(holding_registers=4)) for kind in (Refusing, Device))
-    server = Server({17: refusing, 18: plain})
+    own, plain = (kind(Mapping(holding_registers=4)) for kind in (Refusing, Device))
+    server = Server({17: own, 18: plain})
     with server.background("tcp://127.0.0.1:0") as behind:
         gateway = Gateway([Route(behind.urls[0], units="17-18")])
         with gateway.background("tcp://127.0.0.1:0") as running:

@@ -185,10 +185,10 @@ def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> 
     server = Server({1: holding(0)})
     values: set[int] = set()
 
-    async def poll(url: str, stopped: asyncio.Event) -> int:
+    async def poll(url: str, stop: asyncio.Event) -> int:
         count = 0
         async with AsyncClient(url, unit=1, timeout=30) as client:
-            while not stopped.is_set():
+            while not stop.is_set():
                 try:
                     (value,) = await client.read_holding_registers(0, 1)
                     values.add(value)
@@ -198,13 +198,13 @@ def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> 
         return count
 
     async def all_of_it(url: str) -> list[int]:
-        stopped = asyncio.Event()
-        polls = [asyncio.create_task(poll(url, stopped)) for _ in range(100)]
+        stop = asyncio.Event()
+        polls = [asyncio.create_task(poll(url, stop)) for _ in range(100)]
         for number in range(15):
             faults = {1: [Fault("exception", code=6, every=3)]} if number % 2 else None
             server.replace({1: holding(number)}, faults=faults)  # type: ignore[arg-type]
             await asyncio.sleep(0.001)
-        stopped.set()
+        stop.set()
         return await asyncio.gather(*polls)
 
     with server.background("tcp://10.0.0.1:0") as running:
@@ -219,15 +219,15 @@ def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> 
 
 def test_replacing_while_it_ends_is_harmless() -> None:
     server = Server(holding(1))
-    stopped = threading.Event()
-    failed: list[BaseException] = []
+    stop = threading.Event()
+    errors: list[BaseException] = []
 
     def replace() -> None:
         try:
-            while not stopped.is_set():
+            while not stop.is_set():
                 server.replace(holding(2))
         except BaseException as error:
-            failed.append(error)
+            errors.append(error)
 
     thread = threading.Thread(target=replace)
     thread.start()
@@ -237,9 +237,9 @@ def test_replacing_while_it_ends_is_harmless() -> None:
                 port = int(running.urls[0].rpartition(":")[2])
                 socket.create_connection(("127.0.0.1", port), 5).close()
     finally:
-        stopped.set()
+        stop.set()
         thread.join()
-    assert failed == []
+    assert errors == []
     assert server._answering_now == []
 
 

@@ -132,9 +132,9 @@ def tampered() -> Identity:
     class Tampered(Identity):
         @property
         def pem(self) -> bytes:
-            changed = self.der.replace(encode_role("Operator"), encode_role("Director"))
-            assert changed != self.der
-            return ssl.DER_cert_to_PEM_cert(changed).encode()
+            der = self.der.replace(encode_role("Operator"), encode_role("Director"))
+            assert der != self.der
+            return ssl.DER_cert_to_PEM_cert(der).encode()
 
     good = certificates.client()
     return Tampered(good.certificate, good.key)
@@ -197,7 +197,7 @@ def test_nobody_gets_in_with_a_bad_certificate(
     who: str,
     version: ssl.TLSVersion,
 ) -> None:
-    make_identity, logged, alert = BAD[who]
+    make_identity, reasons, alert = BAD[who]
     server, port = served
     identity = make_identity()
     context_ = context(pki, identity, version)
@@ -224,9 +224,9 @@ def test_nobody_gets_in_with_a_bad_certificate(
     for peer, record in zip(peers, loud, strict=True):
         assert record.getMessage().startswith(f"{peer}: ")
     message = loud[-1].getMessage()
-    assert any(each in message for each in logged.split("|")), message
+    assert any(each in message for each in reasons.split("|")), message
     assert [(each.event, whose(each)) for each in events] == [("handshake", named(identity))] * 2
-    assert any(each in events[-1].result for each in logged.split("|"))
+    assert any(each in events[-1].result for each in reasons.split("|"))
     if alert is None:  # OpenSSL keeps to itself whose it was that it refused
         assert message.endswith(f"SHA-256 {digest(identity)}")
 
@@ -274,9 +274,9 @@ def test_without_cryptography_only_roles_are_refused(pki: Pki) -> None:
             assert client.is_answered()
         with TlsClient(port, context(pki, certificates.client("Chief"))).handshake() as client:
             assert client.ask(ONE, 1) == b""
-        logged, _ = process.communicate(timeout=PATIENCE)
+        output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
-    assert how_to_add("security") in logged
+    assert how_to_add("security") in output
 
 
 @pytest.mark.parametrize("how", ["one", "several", "with a hash"])

@@ -186,9 +186,9 @@ def test_who_is_cut_off_for_a_bad_record_gets_an_alert(stage: Stage, pki: Pki) -
 
 def _has_read(process: subprocess.Popen[bytes]) -> bool:
     """Return True if a process has read what was written to it, or has ended."""
-    waiting = array.array("i", [0])
-    fcntl.ioctl(process.stdin, termios.FIONREAD, waiting)
-    return not waiting[0] or process.poll() is not None
+    size = array.array("i", [0])
+    fcntl.ioctl(process.stdin, termios.FIONREAD, size)
+    return not size[0] or process.poll() is not None
 
 
 @pytest.mark.parametrize("command", ["R", "K", "k"])
@@ -221,8 +221,8 @@ def test_openssl_may_not_negotiate_again_but_change_its_keys(pki: Pki, command: 
             if not is_negotiation:
                 process.stdin.write(ONE)  # no line that it takes for a command
                 assert wait_until(lambda: server.statistics.requests == 1)
-            output, awaited = b"", b"no renegotiation" if is_negotiation else ONE_ANSWER
-            while awaited not in output and (piece := process.stdout.read(4096)):
+            output, end = b"", b"no renegotiation" if is_negotiation else ONE_ANSWER
+            while end not in output and (piece := process.stdout.read(4096)):
                 output += piece
             process.kill()
         if is_negotiation:
@@ -299,11 +299,11 @@ def test_a_server_that_ends_leaves_no_handshake(pki: Pki, caplog: pytest.LogCapt
                     assert wait_until(lambda: server.statistics.handshakes == 3)
                     for client in clients:
                         client.send(ONE)
-                    waiting = [stack.enter_context(connect(port)) for _ in range(60)]
-                    for each in waiting:
+                    sockets = [stack.enter_context(connect(port)) for _ in range(60)]
+                    for each in sockets:
                         each.sendall(first)
                     time.sleep(pause)
-                for each in waiting:
+                for each in sockets:
                     closed(each)
                 for client in clients:
                     while client.read():

@@ -69,20 +69,20 @@ def test_the_oldest_half_open_one_makes_room(stage: Stage, pki: Pki, monkeypatch
     monkeypatch.setattr(server_tls, "HALF_OPEN", 5)
     first = hello(pki)
     with serving(pki) as (server, port), contextlib.ExitStack() as stack:
-        waiting = []
+        clients = []
         for _ in range(8):
-            waiting.append(stack.enter_context(stage.talk(port)))
-            waiting[-1].sendall(first)
-            assert waiting[-1].recv(100)  # in their order
-        assert [bool(still_open(each)) for each in waiting] == [False] * 3 + [True] * 5
+            clients.append(stack.enter_context(stage.talk(port)))
+            clients[-1].sendall(first)
+            assert clients[-1].recv(100)  # in their order
+        assert [bool(still_open(each)) for each in clients] == [False] * 3 + [True] * 5
         assert server.statistics.closed_for_others == 3
         # Connected is not half open: it has no state of TLS.
         silent = [stack.enter_context(stage.talk(port)) for _ in range(8)]
-        assert all(map(still_open, silent + waiting[3:]))
+        assert all(map(still_open, silent + clients[3:]))
         # And those that are through do not count.
         assert is_served(pki, port, stage)
-        assert not still_open(waiting[3])
-        assert still_open(waiting[4])
+        assert not still_open(clients[3])
+        assert still_open(clients[4])
 
 
 def still_open(connection: Talker) -> bool:

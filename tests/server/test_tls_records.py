@@ -237,10 +237,10 @@ def test_a_client_may_ask_for_short_records(pki: Pki, most: int) -> None:
             assert process.stdout is not None
             process.stdin.write(b"".join(adu(READ_MOST, number) for number in range(20)))
             process.stdin.flush()
-            received = process.stdout.read(20 * len(MOST_ANSWER))
+            data = process.stdout.read(20 * len(MOST_ANSWER))
             process.kill()
         response = b"".join(struct.pack(">H", number) + MOST_ANSWER[2:] for number in range(20))
-        assert received == response
+        assert data == response
         sizes = [size for kind, size in records(wire.sent_by("server")) if kind == 23]
     assert len(sizes) >= 20 * len(MOST_ANSWER) // most
     # 8 bytes of nonce and 16 of tag.
@@ -286,8 +286,8 @@ def test_whom_the_server_closes_gets_a_goodbye(
         assert client.read() == b""
         assert seconds <= stage.now - start <= seconds + 1.01
         statistics = asdict(server.statistics)
-        closed = {name: count for name, count in statistics.items() if name.startswith("closed")}
-        assert closed == {name: int(name == counter) for name in closed}
+        counts = {name: count for name, count in statistics.items() if name.startswith("closed")}
+        assert counts == {name: int(name == counter) for name in counts}
 
 
 @VERSION

@@ -77,18 +77,18 @@ def test_frames_are_traced_as_they_are_on_the_wire(scheme: str) -> None:
     frames: list[Traced] = []
     frame = FRAMED[scheme]
     request, answer = frame("11 03 0000 0002"), frame("11 03 04 0007 0008")
-    beyond, refused = frame("11 03 FFFF 0001"), frame("11 83 02")
+    beyond, refusal = frame("11 03 FFFF 0001"), frame("11 83 02")
     before = time.time()
     with connected(frames.append, f"{scheme}://127.0.0.1:0") as (connection, url):
         here = "{}:{}".format(*connection.getsockname())
         ask(connection, request, answer)
-        ask(connection, beyond, refused)
+        ask(connection, beyond, refusal)
         until(lambda: len(frames) == 4)
     assert said(frames) == [
         ("received", request),
         ("sent", answer),
         ("received", beyond),
-        ("sent", refused),
+        ("sent", refusal),
     ]
     assert [(each.unit, each.function) for each in frames] == [(17, 3)] * 3 + [(17, 0x83)]
     assert {(each.endpoint, each.peer) for each in frames} == {(url, here)}
@@ -298,12 +298,12 @@ def test_a_slow_trace_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
 
 @pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp"])
 def test_a_trace_may_close_the_server(scheme: str) -> None:
-    closed = threading.Event()
+    end = threading.Event()
     stack = ExitStack()
 
     def closing(frame: Traced) -> None:
         stack.close()
-        closed.set()
+        end.set()
 
     background: AbstractContextManager[Any]
     background = Server({17: made_device()}, trace=closing).background(f"{scheme}://127.0.0.1:0")
@@ -313,7 +313,7 @@ def test_a_trace_may_close_the_server(scheme: str) -> None:
         while one.recv(100):
             pass
     background.__exit__(None, None, None)  # the server's own thread could not wait for its end
-    assert closed.is_set()
+    assert end.is_set()
 
 
 def test_a_flood_takes_no_memory() -> None:

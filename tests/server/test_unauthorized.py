@@ -57,8 +57,8 @@ def test_unauthorized_requests_are_refused_alone_and_in_chunks(many: int) -> Non
     numbered = [(number, pdu) for number, pdu in enumerate(examples("pdu")) if pdu[0] < 0x80]
     # Between requests to a device that C answers.
     other, other_answer = adu(READ_ONE, 0x99, 2), adu(ANSWER_ONE, 0x99, 2)
-    plain, closed = Device(Mapping(65536, 65536, 65536, 65536)), guarded(lambda asked: False)
-    server = Server({1: closed, 2: plain})
+    plain, guarded_ = Device(Mapping(65536, 65536, 65536, 65536)), guarded(lambda asked: False)
+    server = Server({1: guarded_, 2: plain})
     with server.background("tcp://127.0.0.1:0") as running, ExitStack() as stack:
         peers = [stack.enter_context(connect(running.urls[0])) for _ in range(3)]
         for at in range(0, len(numbered), many):
@@ -71,7 +71,7 @@ def test_unauthorized_requests_are_refused_alone_and_in_chunks(many: int) -> Non
             for peer in peers:
                 assert receive(peer, len(answers)) == answers
     assert server.statistics.unauthorized == 3 * len(numbered)
-    assert not any(closed.mapping.holding_registers)
+    assert not any(guarded_.mapping.holding_registers)
 
 
 def test_faults_refuse_without_asking() -> None:

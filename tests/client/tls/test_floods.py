@@ -166,17 +166,17 @@ def test_nonsense_of_the_server_is_a_modbus_error(
         at, position = where - position, position + len(data)
         if not 0 <= at < len(data):
             return [data]
-        changed = [
+        piece = [
             bytes([data[at] ^ 1 << chance.randrange(8)]),
             b"",
             data[at : at + 1] * 2,
             chance.randbytes(chance.randrange(1, 400)),
         ][how]
-        return [data[:at] + changed + data[at + 1 :]]
+        return [data[:at] + piece + data[at + 1 :]]
 
     before = descriptors()
     version = "1.2" if seed % 2 else "1.3"
-    failed = 0
+    failures = 0
     with serving(version=version) as server, Relay(server.port, alter) as relay:
         security = pki.client()
         for _ in range(25):
@@ -187,8 +187,8 @@ def test_nonsense_of_the_server_is_a_modbus_error(
                     assert plc.read_holding_registers(each, 1) == [each]
                 assert plc.execute_many(reads(20)) == [[each] for each in range(20)]
             except ModbusError:
-                failed += 1
+                failures += 1
             plc.close()
             relay.cut()
-    assert failed
+    assert failures
     until(lambda: descriptors() <= before + 2)

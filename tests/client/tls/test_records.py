@@ -142,9 +142,9 @@ def test_the_trace_shows_what_is_inside(talking: Talking) -> None:
         assert plc.url == server.url
         assert (plc.statistics.requests, plc.statistics.responses) == (1, 1)
         assert plc.statistics.connects == 1
-    request, received = frames
+    request, response = frames
     assert request.adu[2:].hex() == "0000000601" + "0301020001"
-    assert received.adu[2:].hex() == "0000000501" + "03020102"
+    assert response.adu[2:].hex() == "0000000501" + "03020102"
     assert states == [State.CONNECTING, State.CONNECTED, State.CLOSED]
 
 
@@ -187,10 +187,10 @@ def test_an_answer_and_an_alert_in_one_go(connect: Connect, pki: Pki, serving: S
         with connect(server.url, security=pki.client(), timeout=600, max_in_flight=4) as plc:
             outcomes = plc.execute_many(reads(9), return_exceptions=True)
         sockets[0].close()
-    refused = [each for each in outcomes if isinstance(each, ModbusConnectionError)]
+    errors = [each for each in outcomes if isinstance(each, ModbusConnectionError)]
     assert outcomes[0] == [0]
-    assert refused
-    assert {each.args[0].partition(": ")[0].partition(" ")[2] for each in refused} == {
+    assert errors
+    assert {each.args[0].partition(": ")[0].partition(" ")[2] for each in errors} == {
         "refused our certificate (tlsv1 alert access denied)"
     }
     assert outcomes[-1] == [8]
