@@ -123,7 +123,7 @@ class TestPublicNames:
         assert {*libmodbus_py.__all__} < {*names}
 
     @pytest.mark.parametrize("package", [libmodbus_py, pdu])
-    def test_everything_is_there_for_whoever_asks_in_any_way(self, package: Any) -> None:
+    def test_every_public_name_is_imported_in_every_way(self, package: Any) -> None:
         names: dict[str, object] = {}
         exec(f"from {package.__name__} import *", names)
         assert set(package.__all__) <= set(names)
@@ -456,7 +456,7 @@ class TestLowLevel:
         assert lib.MODBUS_TCP_MAX_ADU_LENGTH == 260
         assert lib.MODBUS_RTU_MAX_ADU_LENGTH == 256
 
-    def test_what_it_hands_out_is_all_there_is(self) -> None:
+    def test_its_public_names_are_ffi_lib_and_version(self) -> None:
         assert low_level.__all__ == ["ffi", "lib", "loaded_version"]
 
 

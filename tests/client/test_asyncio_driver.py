@@ -38,7 +38,7 @@ def test_a_line_that_must_be_turned_round_is_sent_to_after_its_delay(rs485: str)
     run_client(answer_rtu, use, f"rtu:///dev/line?unit=1&rs485={rs485}&rts_delay=0.25")
 
 
-def test_a_send_that_fails_is_told_at_once_and_the_next_goes_over_another_connection(monkeypatch):
+def test_a_failed_send_is_raised_at_once_and_the_next_uses_another_connection(monkeypatch):
     kind = memory_port("tcp")
     send = kind.send
     errors = [True]

@@ -113,7 +113,7 @@ def test_an_exception_whose_length_counts_a_byte_too_much_is_taken(world: World,
     assert peer.connections <= 1
 
 
-def test_the_byte_that_follows_such_an_exception_is_dropped(world: World) -> None:
+def test_the_byte_behind_an_exception_is_dropped(world: World) -> None:
     def refuse(request: bytes, write: Write) -> None:
         write(mbap(request, b"\x83\x02", length=4))
         write(b"\0", after=0.1)

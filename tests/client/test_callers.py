@@ -15,7 +15,7 @@ from tests.support.replies import BOTH, answer, exchange, refusal
 from tests.support.talk import ASCII, LINE, TCP, Talk, ascii_frame, kinds, tcp
 
 
-def test_a_trace_is_told_of_everything() -> None:
+def test_a_trace_gets_every_frame_and_noise() -> None:
     for url, garbage in ((TCP, "0001 0007 0003 01 83 02"), (LINE, "55 AA 55 AA"), (ASCII, "3A")):
         frames: list[Traced] = []
         talk = Talk(url, trace=frames.append, timeout=1)
@@ -138,7 +138,7 @@ INTERRUPTED = ModbusConnectionError("interrupted", errno=errno.EINTR)
 
 
 @BOTH
-def test_nothing_is_left_of_what_was_interrupted(url: str) -> None:
+def test_interrupted_requests_leave_nothing(url: str) -> None:
     talk = Talk(url, timeout=1, busy_retries=1, turnaround=0.5)
     busy = talk.ask(1)
     talk.come(refusal(talk, 6))

@@ -28,7 +28,7 @@ from tests.support.scripted import run
 from tests.support.transports import serving
 
 
-def test_wrong_arguments_are_told_where_the_call_is_awaited() -> None:
+def test_wrong_arguments_are_raised_where_the_call_is_awaited() -> None:
     async def main() -> None:
         plc = AsyncClient("tcp://127.0.0.1:1")
         for asking in (plc.read_coils(-1, 1), plc.read_values("coils", 0, "int16")):  # type: ignore[arg-type]

@@ -273,7 +273,7 @@ def test_what_a_hook_raises_comes_out_at_the_client(transport: str) -> None:
             assert context.read_holding_registers(0, 2) == [0, 0]
 
 
-def test_hooks_are_told_who_asks_for_what(transport: str) -> None:
+def test_hooks_get_unit_and_peer_of_requests(transport: str) -> None:
     log: list[Access] = []
     device = Device(Mapping(holding_registers=8), after_write=log.append, before_read=log.append)
     with talking_to(device, transport, unit=5) as context:

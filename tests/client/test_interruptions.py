@@ -40,7 +40,7 @@ def connecting_here(kind: str) -> Iterator[Connect]:
 @pytest.mark.parametrize(
     ("kind", "error"), [("blocking", Interruption), ("asyncio", ModbusConnectionError)]
 )
-def test_anything_raised_while_it_connects_leaves_a_client_that_can(kind, error, monkeypatch):
+def test_an_error_while_connecting_leaves_a_client_that_can(kind, error, monkeypatch):
     def interrupt(*_: object) -> None:
         raise Interruption
 

@@ -269,7 +269,7 @@ def test_a_flood_on_an_idle_line_is_noted_and_forgotten_when_somebody_asks() -> 
     [value(1), b"\xfe\x01", value(1)[:4], value(1) + b"\x01\x03", b"\x01" + value(1)],
     ids=["an answer", "noise", "half an answer", "an answer and more", "noise and an answer"],
 )
-def test_what_comes_unasked_is_traced_too(late: bytes) -> None:
+def test_unrequested_frames_are_traced(late: bytes) -> None:
     events: list[Traced] = []
     talk = Talk(LINE, timeout=1, trace=events.append)
     unanswered(talk, 0)

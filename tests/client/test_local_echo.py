@@ -57,7 +57,7 @@ def with_setting(url: str, setting: str) -> str:
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("stray", STRAYS[:2])
-def test_an_echo_is_told_once_and_harms_no_read(world: World, scheme, stray, caplog) -> None:
+def test_an_echo_is_logged_once_and_harms_no_read(world: World, scheme, stray, caplog) -> None:
     with world.client_of(scheme, returning(scheme, stray=stray), timeout=1) as client:
         assert [read(client, address) for address in range(30)] == list(range(30))
         assert client.statistics.echoes == 1

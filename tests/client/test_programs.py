@@ -160,7 +160,7 @@ asyncio.run(main())
 
 
 @pytest.mark.parametrize("kind", ["AsyncClient", "Client"])
-def test_a_child_is_told_of_states_when_it_uses_the_client_not_while_it_is_forked(kind) -> None:
+def test_a_child_gets_states_when_it_uses_the_client_not_while_it_is_forked(kind) -> None:
     run(f"""
 def ask(plc):
     asked = plc.read_holding_registers(1, 1)

@@ -172,7 +172,7 @@ def test_who_cannot_wait_for_the_next_attempt_is_refused_with_the_reason() -> No
     assert connection.refusal(100, 101) is None  # it may come in time
 
 
-def test_states_are_told_with_their_reasons_and_closed_is_the_last() -> None:
+def test_states_come_with_their_reasons_and_closed_is_the_last() -> None:
     states: list[tuple[State, Any]] = []
     notices = Notices()
     connection = made(on_state=lambda state, error: states.append((state, error)), notices=notices)

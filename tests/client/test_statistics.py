@@ -73,7 +73,7 @@ def test_repetitions_have_results_of_their_own(world: World) -> None:
         check(plc.statistics)
 
 
-def test_what_nobody_waits_for_any_more_is_cancelled(world: World) -> None:
+def test_requests_without_a_caller_are_cancelled(world: World) -> None:
     """The first failure ends a batch; the answers to the others come, and are dropped."""
     with world.client_of("tcp", answering(refused, good), timeout=1, max_in_flight=4) as plc:
         with pytest.raises(ModbusError):
@@ -84,7 +84,7 @@ def test_what_nobody_waits_for_any_more_is_cancelled(world: World) -> None:
         check(plc.statistics)
 
 
-def test_what_was_not_sent_is_told_from_the_rest(world: World) -> None:
+def test_unsent_requests_are_counted_apart(world: World) -> None:
     plc = world.connect("tcp://10.0.0.9", timeout=0.2)
     for _ in range(2):
         with pytest.raises(ModbusError):
@@ -96,7 +96,7 @@ def test_what_was_not_sent_is_told_from_the_rest(world: World) -> None:
     check(plc.statistics)
 
 
-def test_a_cancelled_request_is_counted_so() -> None:
+def test_a_cancelled_request_is_counted() -> None:
     async def use(plc: AsyncClient, _: Scripted) -> None:
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.1):
@@ -109,7 +109,7 @@ def test_a_cancelled_request_is_counted_so() -> None:
     run_client(answering(silent, good), use, timeout=5)
 
 
-def test_an_interrupted_request_is_counted_so() -> None:
+def test_an_interrupted_request_is_counted() -> None:
     def interrupt(request: bytes) -> list[bytes]:
         os.kill(os.getpid(), signal.SIGINT)
         return []

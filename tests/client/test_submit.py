@@ -76,7 +76,7 @@ def test_a_withdrawn_request_calls_no_on_done_and_its_answer_is_dropped() -> Non
 
 
 @pytest.mark.parametrize("kind", ["nobody", "silence", "closed"])
-def test_failures_are_told_of_too(kind: str) -> None:
+def test_failures_call_on_done(kind: str) -> None:
     async def main(peer: Scripted) -> None:
         client = AsyncClient("tcp://10.0.0.9" if kind == "nobody" else peer.url, timeout=0.2)
         if kind == "closed":

@@ -60,7 +60,7 @@ def doubled(request: bytes) -> list[bytes]:
 
 
 @pytest.mark.parametrize("beside", [damaged, doubled])
-def test_what_comes_beside_an_answer_reaches_nobody(world: World, beside: Answer) -> None:
+def test_datagrams_beside_an_answer_are_dropped(world: World, beside: Answer) -> None:
     peer = world.peer("udp", answering(lambda request: [*beside(request), echo(request)]))
     with world.connect(peer.url, max_in_flight=16) as context:
         assert [read(context, address) for address in range(20)] == list(range(20))

@@ -147,7 +147,7 @@ def test_a_log_handler_that_fails_fails_no_call(world: World, scheme: str, hook)
         other.close()
 
 
-def test_states_and_traces_are_told_when_they_are_true(world: World) -> None:
+def test_callbacks_see_the_state_they_are_called_with(world: World) -> None:
     """A callback that looks at the client sees the state that it is told of."""
     states: list[tuple[State, State]] = []
     counts: list[tuple[str, int]] = []

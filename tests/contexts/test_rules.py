@@ -175,7 +175,7 @@ def test_a_host_that_does_not_answer_takes_one_timeout() -> None:
         assert 0.09 < time.monotonic() - start < 5
 
 
-def test_a_name_that_nobody_knows_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unknown_host_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def unknown(*_: object, **__: object) -> None:
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
@@ -498,7 +498,7 @@ def test_quirks_are_enabled_where_the_library_has_them() -> None:
         context.unit = 251
 
 
-def test_a_process_without_descriptors_is_told_so() -> None:
+def test_a_process_without_descriptors_gets_emfile() -> None:
     source = """
 import resource
 from libmodbus_py import ModbusConnectionError

@@ -91,7 +91,7 @@ def spoilt_frame(context: Client) -> bytes:
     return bytes(frame_)
 
 
-def test_every_counter_counts_what_it_should(line: Client) -> None:
+def test_every_counter_counts_its_events(line: Client) -> None:
     line.diagnostics(SubFunction.CLEAR_COUNTERS)
     # A request and its answer are one message: the answer is this device's own.
     line.read_holding_registers(0, 1)

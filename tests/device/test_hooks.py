@@ -104,7 +104,7 @@ def test_a_handler_whose_class_encodes_no_bytes_is_a_failure(result, caplog, mon
 
 
 @pytest.mark.parametrize("error", [asyncio.CancelledError, GeneratorExit, Unusual])
-def test_nobody_loses_a_request_of_the_same_turn(error, caplog) -> None:
+def test_a_failing_hook_costs_no_other_request(error, caplog) -> None:
     """Neither who sent it nor others, whose requests came alone and are answered together."""
     server = Server(made_device("before_write", raising(error)))
     ok, failure = b"\3\2\0\0", b"\x86\4"
@@ -127,7 +127,7 @@ def test_nobody_loses_a_request_of_the_same_turn(error, caplog) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_slow_one_is_told_of_once_for_each_device(kind, caplog, monkeypatch) -> None:
+def test_a_slow_hook_is_logged_once_for_each_device(kind, caplog, monkeypatch) -> None:
     monkeypatch.setattr(hooks_module, "SLOW", 0.01)
 
     def dawdle(argument: Any) -> Any:
@@ -163,7 +163,7 @@ def test_ranges_may_overlap_and_touch_in_any_order() -> None:
     assert hook.places == {"coils": (range(5), range(9, 13))}
 
 
-def test_a_slow_hook_with_places_is_told_of_even_if_it_fails(caplog, monkeypatch) -> None:
+def test_a_slow_hook_with_places_is_logged_even_if_it_fails(caplog, monkeypatch) -> None:
     monkeypatch.setattr(hooks_module, "SLOW", 0)
     hook = Hook(raising(errors.IllegalDataAddress), holding_registers=range(1))
     device = Device(Mapping(holding_registers=2), before_read=hook)

@@ -110,7 +110,7 @@ def test_what_is_no_map_is_refused(make: Any) -> None:
         make()
 
 
-def test_hooks_are_told_names_and_old_values() -> None:
+def test_hooks_get_names_and_old_values() -> None:
     log: list[tuple[str, Access]] = []
     device = Device.of_map(
         MAP,

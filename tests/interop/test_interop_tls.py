@@ -178,7 +178,7 @@ def test_openssl_verifies_certificates_strictly_for_both_purposes(tmp_path: Path
             )
 
 
-def test_we_read_the_role_in_what_it_makes(tmp_path: Path) -> None:
+def test_the_role_of_an_openssl_certificate_is_read(tmp_path: Path) -> None:
     openssl(
         *("req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"),
         *("-keyout", tmp_path / "key.pem", "-out", tmp_path / "cert.der", "-outform", "DER"),

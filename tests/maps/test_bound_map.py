@@ -102,7 +102,7 @@ class NoClient:
         (lambda meter: meter._nothing, AttributeError, "_nothing"),
     ],
 )
-def test_wrong_names_are_told_before_anything_is_sent(use, error, message) -> None:
+def test_wrong_names_are_refused_before_anything_is_sent(use, error, message) -> None:
     with pytest.raises(error, match=message):
         use(MAP.bind(NoClient()))
 

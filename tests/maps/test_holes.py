@@ -132,7 +132,7 @@ def test_short_requests_only_cost_no_point(most: int) -> None:
     assert count <= 2 * (300 // most + 2)
 
 
-def test_holes_side_by_side_are_told_together() -> None:
+def test_holes_side_by_side_are_one_range() -> None:
     polls = Polls(singles(20), Registers([3, 4, 9]))
     polls.poll()
     assert [each.split(" (")[0] for each in polls.news] == [

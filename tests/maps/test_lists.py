@@ -307,7 +307,7 @@ def test_an_origin_is_known_by_all_of_its_headings(tmp_path: Path) -> None:
         load_map(written(tmp_path, TEXTS["nibe_f"].replace("Default;", "Usual;")))
 
 
-def test_names_that_repeat_are_told(tmp_path: Path) -> None:
+def test_names_that_repeat_get_their_address(tmp_path: Path) -> None:
     contents = contents_of(written(tmp_path, TEXTS["nibe_f"]), 1, ListOptions(origin="nibe"))
     assert "names that occur twice have their address behind: 8, 9" in contents.notes
 

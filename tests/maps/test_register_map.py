@@ -272,7 +272,7 @@ def test_each_point_has_the_error_of_a_line_that_is_gone(connect: Connect) -> No
             plc.write_map(METER, {"setpoint": 20})
 
 
-def test_nobody_answers_a_broadcast(connect: Connect) -> None:
+def test_a_broadcast_has_no_answer(connect: Connect) -> None:
     device = Device(Mapping(holding_registers=200, coils=9))
     with (
         Server(device).background("rtu+tcp://127.0.0.1:0") as running,

@@ -106,7 +106,7 @@ def test_a_clone_may_belong_to_another_user(clone: Path, monkeypatch: pytest.Mon
     assert files(clone) == KNOWN
 
 
-def test_what_git_says_is_told_if_it_does_not_know_the_files(clone: Path, tmp_path: Path) -> None:
+def test_the_error_of_git_is_shown_if_it_knows_no_files(clone: Path, tmp_path: Path) -> None:
     shutil.rmtree(clone / ".git")
     (clone / ".git").write_text(f"gitdir: {tmp_path}/gone\n")
     with pytest.raises(SystemExit, match="deb: fatal: not a git repository"):

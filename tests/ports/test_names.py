@@ -190,7 +190,7 @@ def test_a_loop_that_was_closed_meanwhile_stops_no_other(resolver: Resolver) -> 
         (MemoryError("no memory"), "no memory"),
     ],
 )
-def test_whatever_a_look_up_raises_is_told(monkeypatch, error, text) -> None:
+def test_errors_of_a_look_up_are_raised(monkeypatch, error, text) -> None:
     def getaddrinfo(*_: Any, **__: Any) -> None:
         raise error
 

@@ -111,7 +111,7 @@ class TestSettings:
         port_.close()
 
     @pytest.mark.parametrize("number", [errno.EIO, errno.ENXIO, errno.EMFILE])
-    def test_another_error_is_told_and_not_tried_again(self, number, wire: SerialWire, monkeypatch):
+    def test_another_error_is_raised_and_not_retried(self, number, wire: SerialWire, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(serial, "lib", Connecting(number, errno.EDOM))
             with failing(number):
@@ -129,7 +129,7 @@ class TestSettings:
         assert is_free(wire.client)
 
     @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EINTR])
-    def test_a_lock_that_cannot_be_had_is_told(self, number: int, wire: SerialWire) -> None:
+    def test_a_lock_that_is_refused_is_named(self, number: int, wire: SerialWire) -> None:
         with refusing(fcntl, "flock", number):
             SerialPort(wire.client).open()
         assert is_free(wire.client)
@@ -180,7 +180,7 @@ class TestSettingsOfTheDriver:
             with failing(errno.EINVAL, text):
                 port_.open()
 
-    def test_the_highest_rate_of_a_plain_uart_is_told(
+    def test_the_highest_rate_of_a_plain_uart_is_named(
         self, rate: Callable[[int], None], wire: SerialWire, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr(serial_devices, "highest_rate", lambda path: 115_200)
@@ -298,7 +298,7 @@ class TestBytes:
 
 class TestReadOnly:
     @pytest.mark.parametrize("number", [errno.EINVAL, errno.EIO])
-    def test_settings_that_are_refused_are_told_and_nothing_stays_open(
+    def test_refused_settings_are_named_and_nothing_stays_open(
         self, number: int, wire: SerialWire, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         def refuse(*_: object) -> None:

@@ -153,7 +153,7 @@ def test_a_port_that_this_user_may_not_open_names_the_group(monkeypatch, wire: S
     assert caught.value.errno == errno.EACCES
 
 
-def test_a_second_one_on_the_same_port_is_told_of_for_unit(
+def test_a_second_client_on_a_port_is_told_of_for_unit(
     port: SerialPort, wire: SerialWire, tmp_path: Path
 ) -> None:
     link = tmp_path / "ttyPLC"

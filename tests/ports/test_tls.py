@@ -65,7 +65,7 @@ def test_options_of_a_url_make_a_security(pki: Pki, monkeypatch: pytest.MonkeyPa
         ({"key": "LOCKED", "password_env": "EMPTY"}, "key 'LOCKED'"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_told(pki: Pki, monkeypatch, change, text) -> None:
+def test_the_fault_of_a_file_is_named(pki: Pki, monkeypatch, change, text) -> None:
     monkeypatch.setenv("WRONG", "close sesame")
     monkeypatch.setenv("EMPTY", "")
     own = pki.files(certificates.client())

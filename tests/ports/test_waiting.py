@@ -238,7 +238,7 @@ def woken_after(waker: Waker, condition: Callable[[], object] = lambda: True) ->
     assert descriptors() == before
 
 
-def test_woken_while_it_connects(waker: Waker) -> None:
+def test_a_wake_ends_an_attempt_to_connect(waker: Waker) -> None:
     with dead() as port, woken_after(waker):
         run(TcpPort("127.0.0.1", port, None).opening(soon(10)), waker)
 

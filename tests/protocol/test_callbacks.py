@@ -152,7 +152,7 @@ def test_a_result_of_which_nothing_ran_is_refused(make: Callable[[], object]) ->
         finished("hook", make())
 
 
-def test_a_log_that_fails_is_told_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_that_fails_is_reported_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     class Broken(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             raise OSError("disk full")

@@ -68,7 +68,7 @@ def test_an_argument_that_a_class_does_not_take_is_refused_with_a_close_name() -
         Valve(3, time_out=2)  # type: ignore[call-arg]
 
 
-def test_other_mistakes_are_told_as_python_tells_them() -> None:
+def test_other_mistakes_are_errors_of_python() -> None:
     with pytest.raises(TypeError, match="missing 1 required positional argument: 'unit'"):
         Valve()  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="unsupported operand"):

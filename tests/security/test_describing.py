@@ -32,7 +32,7 @@ def test_a_certificate_is_described() -> None:
     )
 
 
-def test_a_self_signed_one_says_so() -> None:
+def test_a_self_signed_certificate_is_named() -> None:
     assert "'CN=Test device', self-signed, valid " in describe(certificates.self_signed().der)
 
 
@@ -91,7 +91,7 @@ def test_any_bytes_are_described_in_printable_text(noise: bytes, at: int, cut: i
         assert hashlib.sha256(data).hexdigest() in text
 
 
-def test_without_cryptography_it_is_the_fingerprint() -> None:
+def test_without_cryptography_the_fingerprint_is_shown() -> None:
     program = (
         "import sys; sys.modules['cryptography'] = None\n"
         "from libmodbus_py.security.certificates import describe; print(describe(b'abc'))"

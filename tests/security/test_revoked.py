@@ -145,7 +145,7 @@ def at(monkeypatch: pytest.MonkeyPatch, when: float) -> None:
     monkeypatch.setattr(security_module, "time", SimpleNamespace(time=lambda: when))
 
 
-def test_an_end_that_is_near_is_told_once_a_day(pki: Pki, monkeypatch, caplog) -> None:
+def test_an_end_that_is_near_is_logged_once_a_day(pki: Pki, monkeypatch, caplog) -> None:
     files = pki.files(certificates.server(days=100))
     security = Security(files.cert, files.key, trust=pki.ca)
     end = certificates.end(certificates.server(days=100).certificate).timestamp()
@@ -168,7 +168,7 @@ def test_an_end_that_is_near_is_told_once_a_day(pki: Pki, monkeypatch, caplog) -
         assert caplog.messages == messages, days
 
 
-def test_the_end_of_a_revocation_list_is_told_too(tmp_path, pki: Pki, caplog) -> None:
+def test_the_end_of_a_revocation_list_is_logged(tmp_path, pki: Pki, caplog) -> None:
     """When it has ended, OpenSSL refuses everybody."""
     listed = tmp_path / "crl"
     security = pki.server(crl=written(listed, days=3))

@@ -147,7 +147,7 @@ def test_any_damaged_certificate_is_a_role_error(data: bytes) -> None:
     check_certificate(data)
 
 
-def test_without_cryptography_it_says_what_to_install() -> None:
+def test_without_cryptography_the_error_says_what_to_install() -> None:
     program = (
         "import sys; sys.modules['cryptography'] = None\n"
         "from libmodbus_py.security.certificates import role_of; role_of(b'')"

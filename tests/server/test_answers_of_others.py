@@ -157,7 +157,7 @@ def test_a_gateway_passes_on_no_frame_that_is_no_request(stage: Stage, scheme: s
 
 @each_stream
 @pytest.mark.parametrize("unit", [1, 2])
-def test_damage_with_such_a_function_is_counted(stage: Stage, scheme: str, unit: int) -> None:
+def test_damage_with_a_refused_function_is_counted(stage: Stage, scheme: str, unit: int) -> None:
     """A function of 80h or more and a wrong CRC."""
     encode, url = LINES[scheme][0], place_on(scheme)
     with unit_one(url) as (server, _), saying(stage, url) as say:

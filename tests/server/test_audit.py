@@ -305,7 +305,7 @@ def test_writes_are_refused_while_a_required_trail_fails(kind, caplog) -> None:
     ]
 
 
-def test_writes_go_on_while_another_trail_fails_and_what_is_lost_is_told(caplog) -> None:
+def test_writes_go_on_while_another_trail_fails_and_losses_are_logged(caplog) -> None:
     trail = Failing()
     with asking(Server(device(), audit=trail)) as plc:
         trail.fails = True
@@ -488,7 +488,7 @@ def test_a_named_pipe_without_a_reader_is_refused_at_once(tmp_path: Path) -> Non
         AuditFile(path)
 
 
-def test_a_named_pipe_holds_up_nobody(tmp_path: Path) -> None:
+def test_a_named_pipe_delays_no_client(tmp_path: Path) -> None:
     """Its reader is slow, and then gone, also when the file is opened again."""
     path = tmp_path / "pipe"
     os.mkfifo(path)

@@ -197,7 +197,7 @@ def test_two_threads_may_leave_the_block_at_once() -> None:
 
 
 @pytest.mark.parametrize("where", ["_thread.start_new_thread", "threading.Thread.start"])
-def test_a_system_without_threads_is_told(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_system_without_threads_is_an_error(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise RuntimeError("can't start new thread")
 

@@ -142,7 +142,7 @@ def hooked(ranges: dict[str, Any], functions: set[Any], calls: Told) -> Device:
 
 @settings(max_examples=100)
 @given(small_streams(), st.lists(st.integers(0, 4000), max_size=4), hook_places, handled)
-def test_hooks_are_told_alike_both_ways(
+def test_hooks_get_the_same_in_c_and_python(
     stream: bytes, cuts: list[int], ranges: dict[str, Any], functions: set[Any]
 ) -> None:
     ends = []
@@ -159,7 +159,7 @@ def test_hooks_are_told_alike_both_ways(
 
 @settings(max_examples=48)
 @given(st.lists(small_bodies(), min_size=1, max_size=12), hook_places, handled)
-def test_hooks_are_told_alike_of_requests_that_come_alone(
+def test_hooks_get_the_same_of_single_requests(
     requests_: list[bytes], ranges: dict[str, Any], functions: set[Any]
 ) -> None:
     states = []
@@ -195,7 +195,7 @@ def is_wanted(where: Any, access: Access) -> bool:
 
 @settings(max_examples=60)
 @given(small_streams(), hook_places)
-def test_hooks_are_told_of_what_touches_their_places(stream: bytes, ranges: dict[str, Any]) -> None:
+def test_hooks_get_accesses_to_their_places(stream: bytes, ranges: dict[str, Any]) -> None:
     """Against the same hooks, told of all: none of them changes or refuses anything."""
     calls: list[Told] = []
     for given_places in (ranges, dict.fromkeys(ranges, "all")):

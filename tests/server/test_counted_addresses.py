@@ -69,7 +69,7 @@ def never(_: object) -> Session:
     raise AssertionError("no handshake ends here")
 
 
-async def test_half_open_handshakes_of_one_address_take_nobody_elses_place(
+async def test_half_open_handshakes_of_one_address_take_no_place_of_another(
     monkeypatch, pki: Pki
 ) -> None:
     monkeypatch.setattr(tls, "HALF_OPEN", 10)

@@ -262,7 +262,7 @@ def test_nothing_is_looked_for_where_it_is_set_that_there_is_no_echo(stage: Stag
             assert server.statistics.requests == 3
 
 
-def test_connections_with_an_echo_are_counted_each_and_told_once(stage: Stage, caplog) -> None:
+def test_connections_with_an_echo_are_all_counted_and_logged_once(stage: Stage, caplog) -> None:
     with unit_one(f"rtu+tcp://{TCP}") as (server, _):
         for count in (1, 2, 3):
             end = Converter(stage, 0.01)

@@ -42,7 +42,7 @@ LYING = [
 
 
 @pytest.mark.parametrize("body", LYING, ids=lambda body: body[:8].hex())
-def test_a_lying_request_changes_nothing_and_hurts_nobody(port: int, device: Device, body) -> None:
+def test_a_wrong_length_changes_nothing_and_hurts_nobody(port: int, device: Device, body) -> None:
     before = contents(device)
     with connect(port) as liar, Client(f"tcp://127.0.0.1:{port}", unit=17) as innocent:
         liar.sendall(adu(body) + adu(READ, 2))

@@ -98,7 +98,7 @@ def test_half_a_frame_behind_a_late_answer_has_its_time_from_then_on(stage: Stag
 
 @KIND
 @pytest.mark.parametrize("idle_timeout", [0.5, 3600])
-def test_who_asks_nothing_is_closed(stage: Stage, kind: str, idle_timeout: float) -> None:
+def test_idle_clients_are_closed(stage: Stage, kind: str, idle_timeout: float) -> None:
     look = min(1, idle_timeout / 4)
     with served(stage, kind, idle_timeout=idle_timeout, frame_timeout=4 * look) as server:
         stranger, idle, busy = (server.connect() for _ in range(3))
@@ -121,7 +121,7 @@ def test_who_asks_nothing_is_closed(stage: Stage, kind: str, idle_timeout: float
         assert server.counts(connections=1, closed_idle=2)
 
 
-def test_nobody_is_closed_for_asking_nothing_where_no_limit_says_so(stage: Stage) -> None:
+def test_idle_clients_stay_where_no_limit_says_otherwise(stage: Stage) -> None:
     with served(stage, idle_timeout=None) as server:
         idle, stranger = server.connect(), server.connect()
         ask(idle)

@@ -175,7 +175,7 @@ def is_closed(connection: socket.socket) -> bool:
         return True
 
 
-def test_serve_holds_its_clients_to_what_it_was_told() -> None:
+def test_serve_holds_its_clients_to_its_limits() -> None:
     options = ["--max-connections", "2", "--frame-timeout", "0.3", "--idle-timeout", "inf"]
     with (
         ServerProcess(*options, "--max-unsent", "0", "--requests-per-second", "1000") as server,

@@ -67,7 +67,7 @@ def test_one_device_is_the_server(scheme: str, hooks: Any) -> None:
 
 
 @both
-def test_of_several_one_is_named(scheme: str) -> None:
+def test_of_several_devices_own_unit_names_one(scheme: str) -> None:
     devices = {1: holding(7), 2: holding(8)}
     assert answers(Server(devices), scheme, [0, 255, 2]) == [REFUSED, REFUSED, 8]
     assert answers(Server(devices, unknown_unit="silent"), scheme, [0, 255]) == [None, None]
@@ -167,7 +167,7 @@ def test_every_message_is_counted(plc: Client, unit: int) -> None:
 
 
 @both
-def test_messages_of_other_units_are_not_heard(scheme: str) -> None:
+def test_messages_of_other_units_are_ignored(scheme: str) -> None:
     """There is no line on which they would pass."""
     devices = {1: holding(7), 2: holding(8)}
     with (

@@ -217,7 +217,7 @@ def test_replaced_again_and_again_while_a_hundred_clients_read(stage: Stage) -> 
     assert sum(isinstance(each, Device) for each in gc.get_objects()) < 15
 
 
-def test_replacing_while_it_ends_is_harmless() -> None:
+def test_replacing_while_a_server_ends_is_harmless() -> None:
     server = Server(holding(1))
     stop = threading.Event()
     errors: list[BaseException] = []

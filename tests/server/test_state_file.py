@@ -237,7 +237,7 @@ def failing(number: int) -> Callable[..., Any]:
         ("replace", errno.EACCES),
     ],
 )
-def test_a_file_that_cannot_be_written_is_told_once(
+def test_a_file_that_cannot_be_written_is_logged_once(
     step, number, folder: Path, monkeypatch, caplog
 ) -> None:
     caplog.clear()

@@ -187,7 +187,7 @@ BAD: dict[str, tuple[Callable[[], Identity | None], str, str | None]] = {
 
 @VERSION
 @pytest.mark.parametrize("who", BAD)
-def test_nobody_gets_in_with_a_bad_certificate(
+def test_a_bad_certificate_is_refused(
     stage: Stage,
     pki: Pki,
     served: tuple[Server, int],
@@ -232,7 +232,7 @@ def test_nobody_gets_in_with_a_bad_certificate(
 
 
 @VERSION
-def test_a_session_of_one_that_was_refused_is_refused(
+def test_a_session_of_a_refused_client_is_refused(
     stage: Stage, pki: Pki, served: tuple[Server, int], version: ssl.TLSVersion
 ) -> None:
     """Its role is read when OpenSSL has given the ticket away."""
@@ -309,7 +309,7 @@ def digest(identity: Identity | None) -> str:
     return hashlib.sha256(identity.der).hexdigest()
 
 
-def test_what_a_pinned_one_has_signed_is_not_pinned(stage: Stage, pki: Pki, caplog) -> None:
+def test_certificates_signed_by_a_pinned_one_are_refused(stage: Stage, pki: Pki, caplog) -> None:
     """OpenSSL takes it, for the pinned one is what it trusts."""
     security = pki.server(pin=pki.authority(certificates.authority()))
     with caplog.at_level(logging.INFO), talking(stage, pki, security=security) as (server, client):
@@ -318,7 +318,7 @@ def test_what_a_pinned_one_has_signed_is_not_pinned(stage: Stage, pki: Pki, capl
     assert "none of the pins" in caplog.text
 
 
-def test_a_pinned_one_must_be_good_for_clients(stage: Stage, pki: Pki) -> None:
+def test_a_pinned_certificate_must_be_for_clients(stage: Stage, pki: Pki) -> None:
     """OpenSSL looks at the extended key usage, and cannot be told not to."""
     mine = certificates.server_only()
     security = pki.server(pin=pki.files(mine).cert)
@@ -332,7 +332,7 @@ def test_a_pinned_one_must_be_good_for_clients(stage: Stage, pki: Pki) -> None:
 
 
 @VERSION
-def test_a_pinned_one_may_be_old_also_when_it_resumes(
+def test_a_pinned_certificate_may_be_expired(
     stage: Stage, pki: Pki, version: ssl.TLSVersion
 ) -> None:
     mine = certificates.self_signed(**certificates.expired())

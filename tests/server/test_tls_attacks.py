@@ -176,7 +176,7 @@ def test_what_is_no_record_ends_the_connection_but_no_other(
         assert innocent.is_answered()
 
 
-def test_who_is_cut_off_for_a_bad_record_gets_an_alert(stage: Stage, pki: Pki) -> None:
+def test_a_bad_record_is_answered_by_an_alert(stage: Stage, pki: Pki) -> None:
     with talking(stage, pki) as (server, client):
         client.socket.sendall(flipped(client.encrypt(ONE)))
         with pytest.raises(ssl.SSLError, match="BAD_RECORD_MAC"):
@@ -250,7 +250,7 @@ def test_a_fatal_alert_in_the_middle_of_a_session_ends_it(stage: Stage, pki: Pki
         assert server.statistics.closed_out_of_step == 1
 
 
-def test_what_comes_and_goes_leaves_no_memory(pki: Pki) -> None:
+def test_closed_connections_leave_no_memory(pki: Pki) -> None:
     """Sessions that ended well, badly, early, and those that were refused."""
     good = context(pki, certificates.client())
     bad = context(pki, certificates.client(issuer=certificates.foreign_authority()))

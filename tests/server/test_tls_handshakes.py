@@ -65,7 +65,7 @@ def test_a_slow_handshake_is_not_hurried(stage: Stage, pki: Pki, version: ssl.TL
         assert server.statistics.closed_slow == 0
 
 
-def test_the_oldest_half_open_one_makes_room(stage: Stage, pki: Pki, monkeypatch) -> None:
+def test_the_oldest_half_open_connection_makes_room(stage: Stage, pki: Pki, monkeypatch) -> None:
     monkeypatch.setattr(server_tls, "HALF_OPEN", 5)
     first = hello(pki)
     with serving(pki) as (server, port), contextlib.ExitStack() as stack:

@@ -146,7 +146,7 @@ def test_requests_in_the_last_flight_of_the_handshake_are_answered(
 
 
 @VERSION
-def test_who_says_goodbye_behind_a_request_gets_the_answer_and_a_goodbye(
+def test_close_notify_behind_a_request_gets_the_answer_and_close_notify(
     stage: Stage, pki: Pki, way: dict[str, Any], version: ssl.TLSVersion
 ) -> None:
     with serving(pki, **way) as (server, port):
@@ -173,7 +173,7 @@ def raw_records(client: TlsClient) -> bytes:
     return data
 
 
-def test_what_comes_behind_a_goodbye_is_not_looked_at(stage: Stage, pki: Pki) -> None:
+def test_records_behind_close_notify_are_ignored(stage: Stage, pki: Pki) -> None:
     with talking(stage, pki) as (server, client):
         late = client.encrypt(ONE)
         client.socket.sendall(client.goodbye() + late * 3)
@@ -188,7 +188,7 @@ def test_answers_that_are_kept_back_come_in_order(stage: Stage, pki: Pki) -> Non
         assert client.receive(len(answers(8))) == answers(8)
 
 
-def test_who_does_not_read_is_not_read_and_gets_all_when_he_does(
+def test_a_client_that_reads_late_gets_every_answer(
     stage: Stage, pki: Pki, way: dict[str, Any]
 ) -> None:
     """A record has 350 kB of answers; two are more than the network in memory carries."""
@@ -273,7 +273,7 @@ ENDS: dict[str, tuple[Callable[[TlsClient], object], float, str]] = {
 
 @VERSION
 @pytest.mark.parametrize("what", ENDS)
-def test_whom_the_server_closes_gets_a_goodbye(
+def test_a_client_that_is_closed_gets_close_notify(
     stage: Stage, pki: Pki, what: str, version: ssl.TLSVersion
 ) -> None:
     act, seconds, counter = ENDS[what]
@@ -291,7 +291,7 @@ def test_whom_the_server_closes_gets_a_goodbye(
 
 
 @VERSION
-def test_the_server_says_goodbye_when_it_ends(stage: Stage, pki: Pki, version: ssl.TLSVersion):
+def test_a_server_that_ends_sends_close_notify(stage: Stage, pki: Pki, version: ssl.TLSVersion):
     with serving(pki) as (_, port):
         client = connected(stage, pki, port, version)
         assert client.is_answered()

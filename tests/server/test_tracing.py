@@ -110,7 +110,7 @@ def test_a_serial_port_is_traced_with_its_name(scheme: str) -> None:
     ]
 
 
-def test_of_tls_it_shows_what_is_inside(pki: Pki) -> None:
+def test_a_trace_of_tls_shows_plain_frames(pki: Pki) -> None:
     frames: list[Traced] = []
     server = Server({17: made_device()}, trace=frames.append)
     with secured(server, pki) as url, Client(url, unit=17) as plc:
@@ -119,7 +119,7 @@ def test_of_tls_it_shows_what_is_inside(pki: Pki) -> None:
 
 
 @pytest.mark.parametrize("faults", [{}, {17: [Fault("delay", seconds=0.001, every=10**6)]}])
-def test_requests_that_come_together_are_told_one_by_one(faults: dict[int, list[Fault]]) -> None:
+def test_requests_in_one_chunk_are_traced_one_by_one(faults: dict[int, list[Fault]]) -> None:
     frames: list[Traced] = []
     with connected(frames.append, faults=faults) as (one, url), connect(url) as slow:
         ask(one, READ * 40, ANSWER * 40)
@@ -147,7 +147,7 @@ SPOILT = [
 
 
 @each_case(("fault", "spoilt"), SPOILT)
-def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(fault, spoilt) -> None:
+def test_a_spoilt_answer_is_traced_as_sent_and_the_next_one_whole(fault, spoilt) -> None:
     frames: list[Traced] = []
     with connected(frames.append, faults={17: [fault]}) as (one, _):
         ask(one, READ, ANSWER)
@@ -158,7 +158,7 @@ def test_a_spoilt_answer_is_told_as_it_went_out_and_the_next_one_whole(fault, sp
     assert frames[-1].function == 3
 
 
-def test_an_answer_that_is_kept_back_is_told_when_it_is_sent(stage: Stage) -> None:
+def test_a_delayed_answer_is_traced_when_it_is_sent(stage: Stage) -> None:
     frames: list[Traced] = []
     server = Server(
         {17: made_device()}, faults={17: [Fault("delay", seconds=10)]}, trace=frames.append
@@ -331,7 +331,7 @@ def test_a_flood_takes_no_memory() -> None:
     assert size < 100_000
 
 
-def test_hooks_and_c_alike_are_told() -> None:
+def test_answers_of_hooks_and_of_c_are_traced() -> None:
     """One unit is answered in C, the other by a hook's way."""
     frames: list[Traced] = []
     units = {17: made_device(), 18: made_device(before_read=Hook(lambda access: None))}

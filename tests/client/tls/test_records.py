@@ -148,7 +148,7 @@ def test_the_trace_shows_what_is_inside(talking: Talking) -> None:
     assert states == [State.CONNECTING, State.CONNECTED, State.CLOSED]
 
 
-def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:
+def test_an_answer_and_a_close_notify_together(talking: Talking) -> None:
     """
     The answer counts, and who waits for another one hears at once that there is none: TLS has
     ended, though TCP has not.
@@ -171,7 +171,7 @@ def test_an_answer_and_a_goodbye_in_one_go(talking: Talking) -> None:
         assert "closed by the other side" in str(outcomes[1])
 
 
-def test_an_answer_and_an_alert_in_one_go(connect: Connect, pki: Pki, serving: Serving, tmp_path):
+def test_an_answer_and_an_alert_together(connect: Connect, pki: Pki, serving: Serving, tmp_path):
     """More requests wait to be sent, and cannot be any more."""
     log = tmp_path / "keys"
     sockets: list[socket.socket] = []

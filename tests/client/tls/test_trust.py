@@ -186,7 +186,7 @@ def test_another_certificate_than_the_pinned_one_is_named(
 
 
 @pytest.mark.parametrize("is_abrupt", [False, True])
-def test_the_servers_refusal_of_our_certificate_is_told(
+def test_the_servers_refusal_of_our_certificate_is_named(
     connect: Connect, pki: Pki, serving: Serving, version: str, is_abrupt: bool
 ) -> None:
     own = certificates.client(issuer=foreign_authority())
@@ -277,7 +277,7 @@ def test_a_tls_1_2_server_that_closes_behind_our_certificate(
         (b"", "closed by the other side"),
     ],
 )
-def test_what_answers_there_is_told(connect: Connect, pki: Pki, says: bytes, text: str) -> None:
+def test_what_answers_there_is_named(connect: Connect, pki: Pki, says: bytes, text: str) -> None:
     with (
         raw(lambda sock: sock.sendall(says if sock.recv(4096) else b"")) as url,
         pytest.raises(ModbusConnectionError, match=text) as caught,
