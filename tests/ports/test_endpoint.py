@@ -201,6 +201,8 @@ def test_a_path_comes_back_from_its_url(path: str) -> None:
 
 # Names of files are bytes, most of which are UTF-8.
 NAMES = st.text(st.characters(codec="utf-8"), min_size=1) | st.binary(min_size=1).map(os.fsdecode)
+HOSTS = st.from_regex(r"[a-z0-9.-]{1,20}", fullmatch=True) | st.ip_addresses().map(str)
+ZONED = st.ip_addresses(v=6).map("{}%enP8p1s0".format)
 NUMBERS, SECONDS = st.integers(0, 10**9), st.floats(0, 1e300)
 VALUES: dict[str, st.SearchStrategy[Any]] = {
     **dict.fromkeys(SECURITY_OPTIONS, NAMES),
@@ -214,13 +216,6 @@ VALUES: dict[str, st.SearchStrategy[Any]] = {
 }
 
 
-HOSTS = st.one_of(
-    st.ip_addresses().map(str),
-    st.from_regex(r"[a-z0-9.-]{1,20}", fullmatch=True),
-    st.ip_addresses(v=6).map(lambda address: f"{address}%enP8p1s0"),
-)
-
-
 @st.composite
 def endpoints(draw: st.DrawFn) -> Endpoint:
     scheme = draw(st.sampled_from(list(SCHEMES)))
@@ -232,7 +227,7 @@ def endpoints(draw: st.DrawFn) -> Endpoint:
     )
     if TRANSPORTS[SCHEMES[scheme][1]].has_path:
         return Endpoint(scheme, "", 0, f"/x{draw(NAMES)}", own, others)
-    return Endpoint(scheme, draw(HOSTS), draw(st.integers(0, 65535)), "", own, others)
+    return Endpoint(scheme, draw(HOSTS | ZONED), draw(st.integers(0, 65535)), "", own, others)
 
 
 @given(endpoints())
