@@ -62,7 +62,7 @@ def test_a_failed_send_is_raised_at_once_and_the_next_uses_another_connection(mo
     run_client(answer_tcp, use, retries=0)
 
 
-def test_what_the_system_does_not_take_at_once_is_sent_later() -> None:
+def test_bytes_the_system_does_not_take_are_sent_later() -> None:
     """A host that reads slowly: the rest follows as soon as there is room."""
 
     async def use(plc: AsyncClient, peer: Scripted) -> None:
@@ -74,7 +74,7 @@ def test_what_the_system_does_not_take_at_once_is_sent_later() -> None:
     run_client(answer_tcp, use, max_in_flight=16)
 
 
-def test_who_asks_at_the_same_time_goes_out_together() -> None:
+def test_requests_of_one_moment_are_sent_together() -> None:
     """One turn of the loop, and as few calls of the system as can be."""
     pieces: list[bytes] = []
 

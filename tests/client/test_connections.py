@@ -261,7 +261,7 @@ async def outcome(client: AsyncClient, timeout: float) -> tuple[float, object]:
     return round(asyncio.get_running_loop().time(), 2), result
 
 
-def test_who_has_more_time_than_the_attempt_gets_another() -> None:
+def test_a_request_with_more_time_gets_another_attempt() -> None:
     network = Network()
     network.unreachable.add(HOST)
     Scripted(network, URL, good)

@@ -158,7 +158,7 @@ def test_values_are_right_again_after_a_pause(pause: float) -> None:
         assert batch.outcomes == [[address]]
 
 
-def test_what_changes_for_ever_takes_no_more_memory() -> None:
+def test_values_that_always_change_take_no_memory() -> None:
     """Values, requests and lengths."""
     pair = Pair(0.0)
     pair.is_repeating = True

@@ -190,7 +190,7 @@ def test_threads_that_open_a_line_at_once_share_what_is_known() -> None:
     assert len(histories[0].pairs_of(1)) == 99
 
 
-def test_what_is_known_keeps_no_request_alive() -> None:
+def test_the_history_keeps_no_request_alive() -> None:
     talk = Talk(LINE, timeout=1)
     talk.ask(pdu.ReadHoldingRegisters(1, 1))
     talk.wait(1)

@@ -294,7 +294,7 @@ def test_an_echo_behind_much_noise_does_not_confirm_a_write() -> None:
 
 
 @pytest.mark.parametrize("scheme", ["rtu", "ascii", "rtu+tcp"])
-def test_with_a_setting_nothing_is_found_out(world: World, scheme: str) -> None:
+def test_with_the_option_nothing_is_learned(world: World, scheme: str) -> None:
     def writes_too(request: bytes, write: Write) -> None:
         is_write = (request[3:5] == b"06") if scheme == "ascii" else request[1] == 6
         write(request)

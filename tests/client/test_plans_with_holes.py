@@ -178,7 +178,7 @@ def test_silence_is_no_hole(world: World) -> None:
             assert device.taken() == 1
 
 
-def test_what_is_found_is_logged_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
+def test_holes_are_logged_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "libmodbus_py.client.handle")
     with world.client_of("tcp", Meter(7)) as plc:
         for _ in range(3):

@@ -175,7 +175,7 @@ def test_a_damaged_answer_is_asked_for_again() -> None:
         pdu.RawRequest(UNKNOWN_FUNCTION),
     ],
 )
-def test_what_must_not_be_carried_out_twice_is_sent_once(request_: pdu.Request[Any]) -> None:
+def test_requests_that_must_not_run_twice_are_sent_once(request_: pdu.Request[Any]) -> None:
     talk = Talk(timeout=1, retries=5)
     batch = talk.ask(request_)
     talk.wait(3)
@@ -241,7 +241,7 @@ def test_nothing_more_of_a_batch_is_sent_once_a_refusal_was_received() -> None:
     assert talk.is_at_rest
 
 
-def test_what_comes_behind_a_failure_is_not_repeated() -> None:
+def test_requests_behind_a_failure_are_not_repeated() -> None:
     talk = Talk(retries=5, busy_retries=5)
     batch = talk.ask(0, 1, 2, one_by_one=False)
     talk.come(refusal(talk, 6, 2), refusal(talk, 2, 1))

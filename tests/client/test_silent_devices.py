@@ -158,7 +158,7 @@ def fail(connection: Reconnecting, now: float) -> float:
     return connection.next_attempt - now
 
 
-def test_who_cannot_wait_for_the_next_attempt_is_refused_with_the_reason() -> None:
+def test_requests_without_time_for_the_next_attempt_get_the_reason() -> None:
     connection = made()
     assert connection.refusal(0, 1) is None
     for _ in range(5):

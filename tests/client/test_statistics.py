@@ -49,7 +49,7 @@ def check(statistics: Statistics) -> None:
     assert refusals == statistics.exceptions
 
 
-def test_each_sending_has_one_result(world: World) -> None:
+def test_each_sent_request_has_a_result(world: World) -> None:
     peer = world.peer("tcp", answering(good, good, refused, good, silent, short, None, good))
     with world.connect(peer.url, timeout=60) as plc:
         for request in (REQUEST, WRITE, REQUEST, REQUEST, REQUEST, WRITE, REQUEST, REQUEST):

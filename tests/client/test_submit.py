@@ -91,7 +91,7 @@ def test_failures_call_on_done(kind: str) -> None:
     run_peer(ignore, main)
 
 
-async def test_what_cannot_be_sent_is_refused_at_once() -> None:
+async def test_impossible_requests_are_refused_at_once() -> None:
     client = AsyncClient("rtu:///dev/nowhere")
     with pytest.raises(TypeError):
         Sender(client).submit(1, b"\3", lambda: None)  # type: ignore[arg-type]
@@ -204,7 +204,7 @@ def test_without_permission_nothing_is_sent_while_rts_is_turned(when, monkeypatc
         assert wire.sent_by("client") == b""
 
 
-def test_what_could_not_be_sent_is_not_traced(world: World, monkeypatch) -> None:
+def test_unsent_frames_are_not_traced(world: World, monkeypatch) -> None:
     """The connection ends when the frame is to be sent."""
 
     def fail(self: Port, adus: list[bytes], now: float) -> None:

@@ -223,7 +223,7 @@ def test_every_cut_and_every_changed_byte_is_refused(tmp_path: Path) -> None:
             device.load(path)
 
 
-def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+def test_paths_that_are_no_file_are_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
         with pytest.raises(OSError, match=f"(not a regular file|Is a directory): '{path}'"):
@@ -247,7 +247,7 @@ def test_links_and_permissions_stay(tmp_path: Path) -> None:
 
 
 @each_case("step", ["fsync", "replace", "fchmod"])
-def test_what_fails_leaves_the_file_as_it_was(step, tmp_path, monkeypatch) -> None:
+def test_a_failed_save_leaves_the_file(step, tmp_path, monkeypatch) -> None:
     path = tmp_path / step
     device = plant()
     device.save(path)

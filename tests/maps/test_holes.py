@@ -159,7 +159,7 @@ def test_each_run_tries_one_hole_again() -> None:
         assert polls.device.asked.count((hole, 1)) == 1
 
 
-def test_what_can_be_read_again_is_read_at_once() -> None:
+def test_a_hole_that_answers_is_read_at_once() -> None:
     polls = Polls(singles(20), Registers([5, 9, 13]))
     polls.poll(0)
     polls.device.missing = {13}

@@ -200,7 +200,7 @@ def test_a_point_scales_others() -> None:
     assert repr(scaled([2305, 0, 7, 0, 9, 40, 3, 20])["v"]) == "2305"
 
 
-def test_what_scales_is_read_along() -> None:
+def test_the_scale_is_read_along() -> None:
     plan = SCALED.plan(["far"])
     read = [(each.address, each.count) for each in plan.requests]  # type: ignore[attr-defined]
     assert read == [(3, 1), (6, 2)]

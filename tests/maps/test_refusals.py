@@ -125,7 +125,7 @@ BORDERS = [
 
 @each_case("is_strict", [False, True])
 @each_case(("device", "first", "later"), BORDERS)
-def test_all_is_read_across_borders(device, first, later, is_strict) -> None:
+def test_items_across_borders_are_read(device, first, later, is_strict) -> None:
     polls = Polls(singles(100), device)
     for most in (first, later, later):
         count, answers = polls.answers(is_strict=is_strict)
@@ -193,7 +193,7 @@ def test_each_item_has_its_value_or_is_refused(data: st.DataObject) -> None:
 
 
 @given(st.integers(0, 1 << 32), st.integers(0, 200))
-def test_what_can_be_read_is_read_at_last(seed: int, count: int) -> None:
+def test_existing_registers_are_read_at_last(seed: int, count: int) -> None:
     """However wrong the first search was: it ends early while nothing is answered."""
     missing = set(random.Random(seed).sample(range(200), count))
     polls = Polls(singles(200), Registers(missing))

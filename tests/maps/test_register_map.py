@@ -159,7 +159,7 @@ def test_long_writes_are_cut_between_values() -> None:
     assert ranges == [(0, 123), (123, 122), (245, 78), (0, 1968), (1968, 32)]
 
 
-def test_what_a_request_holds_is_not_torn() -> None:
+def test_values_that_fit_are_not_torn() -> None:
     blocks = RegisterMap([Point("first", H, 0, 100), Point("second", H, 100, 50)])
     requests = blocks.writes({"first": [1] * 100, "second": [2] * 50})
     assert requests == [pdu.WriteRegisters(0, [1] * 100), pdu.WriteRegisters(100, [2] * 50)]
@@ -287,7 +287,7 @@ def test_a_broadcast_has_no_answer(connect: Connect) -> None:
         }
 
 
-def test_what_follows_a_refused_write_is_not_sent(connect: Connect) -> None:
+def test_writes_behind_a_refused_one_are_not_sent(connect: Connect) -> None:
     def refuse(access: Any) -> None:
         raise ServerDeviceBusy
 

@@ -79,7 +79,7 @@ def falls(*polls: Any) -> list[str]:
     return verdicts
 
 
-def test_what_is_no_number_is_no_total() -> None:
+def test_errors_and_none_are_no_total() -> None:
     assert falls(10, ValueError(), 10, 9) == ["believed"] * 3 + ["doubtful"]
     assert falls(10, 9, None, 9) == ["believed", "doubtful", "believed", "fell"]
 

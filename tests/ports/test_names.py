@@ -67,7 +67,7 @@ def resolving(host: str, seconds: float = 30.0) -> Steps[Any]:
     return (yield wanted(host, seconds))
 
 
-def test_all_who_ask_for_one_name_share_a_look_up(resolver: Resolver) -> None:
+def test_callers_of_one_name_share_a_look_up(resolver: Resolver) -> None:
     async def main() -> None:
         tasks = [asyncio.create_task(look_up(wanted("stuck"))) for _ in range(100)]
         await asyncio.sleep(0)
@@ -79,7 +79,7 @@ def test_all_who_ask_for_one_name_share_a_look_up(resolver: Resolver) -> None:
     assert resolver.asked == ["stuck"]
 
 
-def test_each_who_asked_gets_an_error_of_its_own(resolver: Resolver) -> None:
+def test_each_caller_gets_an_error_of_its_own(resolver: Resolver) -> None:
     async def main() -> list[BaseException | list[Any]]:
         return await asyncio.gather(
             *(look_up(wanted("none")) for _ in range(2)), return_exceptions=True

@@ -49,7 +49,7 @@ def test_after_a_byte_the_line_must_be_quiet() -> None:
     assert silence.over_at == pytest.approx(10.004)
 
 
-def test_what_is_sent_takes_its_time_before_the_quiet_begins() -> None:
+def test_bytes_take_their_time_before_the_quiet_begins() -> None:
     """8 characters of 1 ms."""
     silence = Silence(0.004, character=0.001)
     silence.sent(8, 10)
@@ -228,7 +228,7 @@ def heard(port: SerialPort, wire: SerialWire, data: bytes) -> None:
     os.close(other)
 
 
-def test_what_was_thrown_away_between_poll_and_read_is_no_closed_port(
+def test_bytes_flushed_between_poll_and_read_are_no_closed_port(
     port: SerialPort, wire: SerialWire
 ) -> None:
     heard(port, wire, b"noise")
@@ -239,7 +239,7 @@ def test_what_was_thrown_away_between_poll_and_read_is_no_closed_port(
     assert port.receive() == [b"answer"]
 
 
-def test_what_came_before_the_port_was_opened_is_thrown_away(wire: SerialWire) -> None:
+def test_bytes_before_the_port_was_opened_are_dropped(wire: SerialWire) -> None:
     first = SerialPort(wire.client)
     first.open()
     heard(first, wire, b"late")

@@ -135,7 +135,7 @@ def test_a_server_that_was_killed_as_it_began_does_not_keep_its_user_out(open_fo
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may become another user")
-def test_who_is_neither_owner_nor_of_the_group_may_not_connect(open_folder: str) -> None:
+def test_users_but_owner_and_group_may_not_connect(open_folder: str) -> None:
     url = f"unix://{open_folder}/m.sock"
 
     def connect() -> None:
@@ -153,7 +153,7 @@ def test_a_server_ends_although_its_folder_is_gone(path: str) -> None:
     assert not os.path.exists(path)
 
 
-def test_who_is_connected_stays_with_its_server_when_the_path_gets_another(path: str) -> None:
+def test_a_client_stays_with_its_server_when_the_path_gets_another(path: str) -> None:
     with server().background(f"unix://{path}"), Client(f"unix://{path}") as first:
         os.unlink(path)
         with server().background(f"unix://{path}"), Client(f"unix://{path}") as second:

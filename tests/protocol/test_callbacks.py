@@ -97,14 +97,14 @@ TAKING: dict[str, Callable[[Any], object]] = {
 
 @pytest.mark.parametrize("name", TAKING)
 @each_case("call", DELAYED)
-def test_what_does_not_run_when_called_is_refused(name: str, call: Any) -> None:
+def test_delayed_functions_are_refused(name: str, call: Any) -> None:
     with pytest.raises(TypeError, match="must be a plain function"):
         TAKING[name](call)
 
 
 @pytest.mark.parametrize("name", TAKING)
 @each_case("call", [7, "print", {}])
-def test_what_cannot_be_called_is_refused(name: str, call: Any) -> None:
+def test_values_that_are_no_function_are_refused(name: str, call: Any) -> None:
     with pytest.raises(TypeError, match="must be a function"):
         TAKING[name](call)
 

@@ -292,7 +292,7 @@ def _name(each: Frame | FrameError) -> str:
         ([b"\5\3\0", b"\2\3", OURS + OURS], ["damage", "request 5 03", "request 5 03"]),
     ],
 )
-def test_each_frame_is_what_it_is_in_any_pieces(bursts, names, size) -> None:
+def test_each_frame_keeps_its_kind_in_any_pieces(bursts, names, size) -> None:
     assert named(heard(*bursts, size=size, unit=5)) == names
 
 

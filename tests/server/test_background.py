@@ -314,7 +314,7 @@ def test_a_hook_may_leave_the_block() -> None:
 
 
 @pytest.mark.parametrize("error", ENDS, ids=lambda error: type(error).__name__)
-def test_who_was_read_in_the_same_turn_is_answered(error: BaseException) -> None:
+def test_clients_read_in_one_turn_are_answered(error: BaseException) -> None:
     """The server is kept busy until all have asked."""
     is_blocked, goes_on = threading.Event(), threading.Event()
 

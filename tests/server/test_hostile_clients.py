@@ -69,7 +69,7 @@ def test_a_length_that_cannot_be_closes_the_connection(port: int, length: int) -
         assert innocent.read_holding_registers(100, 1) == [1000]
 
 
-def test_who_is_closed_is_not_reset_although_more_had_come(port: int) -> None:
+def test_a_closed_client_is_not_reset_although_more_had_come(port: int) -> None:
     """A reset could take the answers that were sent before from the client."""
     for _ in range(5):
         with connect(port) as liar:

@@ -131,7 +131,7 @@ def test_idle_clients_stay_where_no_limit_says_otherwise(stage: Stage) -> None:
         assert server.counts(connections=2, closed_idle=0, closed_slow=0)
 
 
-def test_who_is_answered_when_silence_completes_its_frames_is_not_idle(stage: Stage) -> None:
+def test_clients_whose_frames_silence_completes_are_not_idle(stage: Stage) -> None:
     with served(stage, "plain", "rtu+tcp", idle_timeout=0.8) as server:
         sly, idle = server.connect(), server.connect()
         answer = rtu(ANSWER_ONE)
@@ -173,7 +173,7 @@ def answers(count: int) -> bytes:
 
 @KIND
 @pytest.mark.parametrize("max_unsent", [0, 65_536])
-def test_who_never_reads_is_not_read_and_later_gets_every_answer(
+def test_a_client_that_reads_late_gets_every_answer(
     stage: Stage, kind: str, max_unsent: int
 ) -> None:
     with served(stage, kind, max_unsent=max_unsent, frame_timeout=10) as server:
@@ -194,7 +194,7 @@ def test_who_never_reads_is_not_read_and_later_gets_every_answer(
 
 
 @KIND
-def test_who_says_that_nothing_more_comes_still_gets_every_answer(stage: Stage, kind: str) -> None:
+def test_a_half_closed_client_gets_every_answer(stage: Stage, kind: str) -> None:
     with served(stage, kind) as server:
         deaf = server.connect()
         deaf.sendall(pipelined(MANY))

@@ -80,7 +80,7 @@ GARBAGE: dict[str, Callable[[], bytes]] = {
 
 @pytest.mark.parametrize("what", GARBAGE)
 @pytest.mark.parametrize("behind", ["at once", "behind a hello"])
-def test_what_is_no_tls_ends_the_connection(stage: Stage, pki: Pki, what, behind, caplog) -> None:
+def test_other_bytes_end_the_connection(stage: Stage, pki: Pki, what, behind, caplog) -> None:
     data = (hello(pki) if behind != "at once" else b"") + GARBAGE[what]()
     limits = Limits(handshake_timeout=1)
     with nothing_loud(caplog), serving(pki, limits=limits) as (server, port):

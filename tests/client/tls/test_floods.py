@@ -110,7 +110,7 @@ def small_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("small_buffers")
-def test_much_is_sent_whole_and_in_order(talking: Talking) -> None:
+def test_requests_are_sent_whole_and_in_order(talking: Talking) -> None:
     """To a server that reads late and little by little."""
     count, frames = 300, []
 

@@ -148,7 +148,7 @@ def test_a_given_context_may_trust_everybody(pki: Pki, connect: Connect) -> None
         assert plc.read_holding_registers(7, 1) == [7]
 
 
-def test_what_a_given_context_refuses_is_named(pki: Pki, connect: Connect) -> None:
+def test_refusals_of_a_context_are_named(pki: Pki, connect: Connect) -> None:
     bad = context_of(pki, certificates.server(**expired()), verify_mode=ssl.CERT_NONE)
     with (
         TlsServer(bad) as server,
